@@ -1,0 +1,48 @@
+"""Writing files so that an interrupted run never leaves half of one."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, then rename it to `path`.
+
+    Args:
+        path: The file to create or replace; its folder is created.
+        write: Called with the temporary path.
+
+    Raises:
+        OSError: If the folder cannot be written to or is full; `path` is then as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def require_writable(folder: Path) -> None:
+    """Create `folder` and check that files can be written there, before work is spent on what will be.
+
+    Raises:
+        OSError: If not, naming the folder.
+    """
+    try:
+        write_text(folder / ".writable", "")
+        (folder / ".writable").unlink()
+    except OSError as error:
+        raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None

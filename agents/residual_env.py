@@ -1,0 +1,197 @@
+"""The residual task as environments: for one arm (Gymnasium) and for a batch (Stable-Baselines3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from agents.residual import BaseController, ResidualSettings, augment, combine, residual_observation_space
+from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
+
+Singles = NDArray[np.float32]
+
+
+class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
+    """One arm whose action is a residual on a base controller; a step is `hold` samples, its reward their sum."""
+
+    def __init__(self, env: gym.Env[Singles, Singles], base: BaseController, settings: ResidualSettings) -> None:
+        super().__init__(env)
+        self.base = base
+        self.settings = settings
+        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        assert isinstance(env.unwrapped, BeltArmEnv)
+        self.observation_space = residual_observation_space(env.unwrapped.sensors)
+        self._memory: Any = None
+        self._base_action = np.zeros((1, 1), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Singles, dict[str, Any]]:
+        """Begin an episode, see `BeltArmEnv.reset`."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._memory = None
+        return self._observe(observation), info
+
+    def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
+        """Hold a residual for `hold` samples, or until the episode ends."""
+        residual = np.asarray(action, np.float32).reshape(1, 1)
+        total = 0.0
+        for _ in range(self.settings.hold):
+            command = combine(self._base_action, residual, self.settings.limit)
+            observation, reward, terminated, truncated, info = self.env.step(command[0])
+            total += float(reward)
+            seen = self._observe(observation)
+            if terminated or truncated:
+                break
+        return seen, total, terminated, truncated, info
+
+    def _observe(self, observation: Singles) -> Singles:
+        start = np.array([self._memory is None])
+        self._base_action, self._memory = self.base.predict(observation[None], self._memory, start)
+        return augment(observation[None], self._base_action, self.base.torsion_estimate(self._memory))[0]
+
+
+class ResidualVecEnv(VecEnv):
+    """A batch of arms for Stable-Baselines3, whose actions are residuals on a base controller.
+
+    Same-step reset with `terminal_observation` and `TimeLimit.truncated`. An arm that ends within a hold goes on in its
+    new episode under the base alone until the hold is over.
+
+    Args:
+        env: The arms, with same-step autoreset.
+        base: The base controller.
+        settings: How the residual acts.
+        reward_scale: Factor on the reward, the sum over the samples of a hold.
+        stagger: Spread the arms over the phases of the episode, so that a rollout sees all of them.
+    """
+
+    def __init__(
+        self,
+        env: BeltArmVectorEnv,
+        base: BaseController,
+        settings: ResidualSettings,
+        *,
+        reward_scale: float = 1.0,
+        stagger: bool = True,
+    ) -> None:
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"ResidualVecEnv needs autoreset_mode='SameStep', got {env.autoreset_mode.value!r}")
+        self.env = env
+        self.base = base
+        self.settings = settings
+        self.reward_scale = reward_scale
+        self.stagger = stagger
+        self.render_mode = env.render_mode
+        self._memory: Any = None
+        self._base_action = np.zeros((env.num_envs, 1), np.float32)
+        self._residual = np.zeros((env.num_envs, 1), np.float32)
+        space = residual_observation_space(env.sensors)
+        super().__init__(env.num_envs, space, spaces.Box(-1.0, 1.0, (1,), np.float32))
+
+    def reset(self) -> Singles:
+        """Begin new episodes in all arms."""
+        seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
+        observation, _ = self.env.reset(seed=seeds)
+        self._reset_seeds()
+        self._reset_options()
+        self._memory = None
+        start = np.ones(self.num_envs, np.bool_)
+        if self.stagger:
+            observation, start = self._spread(observation, start)
+        return self._observe(observation, start)
+
+    def _spread(self, observation: Singles, start: NDArray[np.bool_]) -> tuple[Singles, NDArray[np.bool_]]:
+        """Run the arms under the base for one episode, restarting one group after another."""
+        hold = self.settings.hold
+        turn = (np.arange(self.num_envs) * (EPISODE_STEPS // hold) // self.num_envs + 1) * hold
+        for step in range(1, EPISODE_STEPS + 1):
+            action, self._memory = self.base.predict(observation, self._memory, start)
+            observation, _, terminated, truncated, _ = self.env.step(action)
+            start = terminated | truncated
+            if (mask := turn == step).any():
+                observation, _ = self.env.reset(options={"reset_mask": mask})
+                start |= mask
+        return observation, start
+
+    def step_async(self, actions: Singles) -> None:
+        """Take the residuals, shape (n, 1)."""
+        self._residual = np.asarray(actions, np.float32)
+
+    def step_wait(self) -> tuple[Singles, Singles, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Hold the residuals for `hold` samples."""
+        rewards = np.zeros(self.num_envs)
+        done = np.zeros(self.num_envs, np.bool_)
+        infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
+        residual = self._residual
+        seen = np.empty(0, np.float32)
+        for _ in range(self.settings.hold):
+            observation, reward, terminated, truncated, info = self.env.step(
+                combine(self._base_action, residual, self.settings.limit)
+            )
+            rewards += reward if not done.any() else np.where(done, 0.0, reward)
+            ended = terminated | truncated
+            if ended.any():
+                self._report(infos, observation, ended & ~done, truncated, info)
+                done |= ended
+                residual = np.where(done[:, None], np.float32(0), residual)
+            seen = self._observe(observation, ended)
+        return seen, (self.reward_scale * rewards).astype(np.float32), done, infos
+
+    def _report(
+        self,
+        infos: list[dict[str, Any]],
+        observation: Singles,
+        ended: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+        info: dict[str, Any],
+    ) -> None:
+        """Info of the arms that ended: what they last observed, and what the episode came to."""
+        arms = np.flatnonzero(ended)
+        last = observation.copy()
+        last[arms] = np.stack(info["final_obs"][arms])
+        base_action, memory = self.base.predict(last, self._memory, None)
+        terminal = augment(last, base_action, self.base.torsion_estimate(memory))
+        totals = info["final_info"]["total_cost"]
+        for arm in arms:
+            infos[arm] = {
+                "terminal_observation": terminal[arm],
+                "TimeLimit.truncated": bool(truncated[arm]),
+                "episode": {"r": -float(totals[arm]), "l": int(info["final_info"]["episode_steps"][arm]), "t": 0.0},
+            }
+
+    def _observe(self, observation: Singles, start: NDArray[np.bool_]) -> Singles:
+        self._base_action, self._memory = self.base.predict(observation, self._memory, start)
+        return augment(observation, self._base_action, self.base.torsion_estimate(self._memory))
+
+    def close(self) -> None:
+        """Close the arms."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, once per arm asked for."""
+        value = getattr(self.env if hasattr(self.env, attr_name) else self, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the arms of a batch share their settings."""
+        raise NotImplementedError(f"the arms of a batch share their settings; cannot set {attr_name!r} for some")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refused: the arms of a batch are not environments of their own."""
+        raise NotImplementedError(f"the arms of a batch are not environments of their own; cannot call {method_name!r}")
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
+        """No arm is wrapped in anything."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Frames of all arms."""
+        return list(self.env.render() or ())
+
+
+_NOTHING: dict[str, Any] = {}  # shared by all arms with nothing to tell: one dict per arm and step would cost more

@@ -1,0 +1,151 @@
+"""The paper's controller: computed torque, PD and torsional-velocity feedback, eqs. (7) to (11).
+
+    tau_m = M_a1 u_1 + V_a1 theta_a' + tau_c sign(theta_a_ref') - K_4 theta_s'                    (11)
+    u_1 = theta_a_ref'' + K_v (theta_a_ref' - theta_a') + K_p (theta_a_ref - theta_a)              (9)
+
+with nominal parameters. The paper gives no law for the sign of its friction term tau_c; here it is the sign of the
+reference speed, which is known without noise. The torsional velocity theta_s' comes, as in the paper, from a dynamic
+simulation of the arm that runs beside the plant on encoder data: see `TorsionSimulation`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import CONTROL_PERIOD, ArmParams, observation
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperGains:
+    """Feedback gains; the defaults are Table 2. K_p = omega_n^2 and K_v = 2 xi omega_n with omega_n = 5, xi = 2."""
+
+    torsion_speed: float = 0.15  # K_4  [N m s/rad]  of theta_s'; 0 switches vibration suppression off
+    angle: float = 25.0  # K_p  [1/s^2]
+    speed: float = 20.0  # K_v  [1/s]
+
+    def __post_init__(self) -> None:
+        """Refuse gains that are not finite.
+
+        Raises:
+            ValueError: Naming the gain.
+        """
+        for name in self.__slots__:
+            if not np.isfinite(value := getattr(self, name)):
+                raise ValueError(f"PaperGains.{name} must be finite, got {value!r}")
+
+
+class TorsionSimulation:
+    """Simulation of the arm behind the belt, driven by the measured joint angle.
+
+    Between two samples the encoder tells nothing but the mean speed, so the joint is taken to move at constant speed v.
+    The torsion theta_s = theta_1 - phi then oscillates freely,
+
+        theta_s'' + 2 lambda theta_s' + w^2 theta_s = 0,   w^2 = K_s / M2(theta_1),   2 lambda = D_s / M2(theta_1),
+
+    and where v changes from one sample to the next, theta_s' changes by the same amount. Both are solved exactly. As in
+    (5b) the term with M2' is left out.
+    """
+
+    def __init__(self, params: ArmParams) -> None:
+        upright = params.arm_inertia + params.arm_inertia_swing
+        self._inertia = params.arm_inertia
+        self._swing = params.arm_inertia_swing + (2 * params.link_length) ** 2 * params.payload_mass
+        self._stiffness = params.belt_stiffness
+        self._damping = 2 * params.belt_damping_ratio * np.sqrt(params.belt_stiffness * upright)
+
+    def advance(self, torsion: Floats, rate: Floats, speed_change: Floats, joint_angle: Floats) -> tuple[Floats, Floats]:
+        """Torsion [rad] and its rate [rad/s] one control period later.
+
+        Args:
+            torsion: theta_s [rad], shape (n,).
+            rate: theta_s' [rad/s], shape (n,).
+            speed_change: Change of the joint's mean speed between the last two periods [rad/s], shape (n,).
+            joint_angle: theta_1 [rad], shape (n,).
+        """
+        m2 = self._inertia + self._swing * np.sin(joint_angle) ** 2
+        decay = 0.5 * self._damping / m2
+        square = self._stiffness / m2
+        frequency = np.sqrt(square - decay * decay)
+        rate = rate + speed_change
+        envelope = np.exp(-decay * CONTROL_PERIOD)
+        cosine = envelope * np.cos(frequency * CONTROL_PERIOD)
+        sine = envelope * np.sin(frequency * CONTROL_PERIOD) / frequency
+        return (
+            torsion * (cosine + decay * sine) + rate * sine,
+            rate * (cosine - decay * sine) - torsion * square * sine,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PaperMemory:
+    """What the controller remembers from sample to sample; arrays of shape (n,)."""
+
+    torsion: Floats  # simulated theta_s [rad]
+    torsion_rate: Floats  # simulated theta_s' [rad/s]
+    joint_speed: Floats  # measured theta_1' of the last sample [rad/s]
+
+
+class PaperController:
+    """Eq. (11) on encoder observations. `PaperController(gains=PaperGains(torsion_speed=0))` is the rigid ablation.
+
+    Args:
+        params: The nominal arm, all that the controller knows of the plant.
+        gains: Feedback gains.
+    """
+
+    def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
+        self.params = params or ArmParams()
+        self.gains = gains or PaperGains()
+        self._simulation = TorsionSimulation(self.params)
+        self._scales = observation.scales()
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: PaperMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], PaperMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        p, gains = self.params, self.gains
+        error, speed_error, speed, angle_ref, speed_ref, acceleration_ref = (
+            observation[:, :6].astype(np.float64) * self._scales[:6]
+        ).T
+        memory = self._remember(state, episode_start, speed, angle_ref - error / p.gear_ratio)
+        u_1 = p.gear_ratio * acceleration_ref + gains.speed * speed_error + gains.angle * error
+        torque = (
+            p.motor_inertia * u_1
+            + p.motor_viscous_friction * speed
+            + p.coulomb_friction * np.sign(speed_ref)
+            - gains.torsion_speed * memory.torsion_rate
+        )
+        return np.clip(torque / p.torque_limit, -1, 1).astype(np.float32)[:, None], memory
+
+    def _remember(
+        self, memory: PaperMemory | None, episode_start: NDArray[np.bool_] | None, speed: Floats, joint_angle: Floats
+    ) -> PaperMemory:
+        """Bring the simulation up to this sample; at an episode's start it begins at rest."""
+        joint_speed = speed / self.params.gear_ratio
+        if memory is None:
+            return PaperMemory(np.zeros_like(speed), np.zeros_like(speed), joint_speed)
+        torsion, rate = self._simulation.advance(
+            memory.torsion, memory.torsion_rate, joint_speed - memory.joint_speed, joint_angle
+        )
+        if episode_start is not None and episode_start.any():
+            torsion, rate = np.where(episode_start, 0.0, torsion), np.where(episode_start, 0.0, rate)
+        return PaperMemory(torsion, rate, joint_speed)
+
+    @staticmethod
+    def torsion_estimate(memory: PaperMemory) -> NDArray[np.float64]:
+        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
+        return np.column_stack([memory.torsion, memory.torsion_rate])
+
+
+def rigid_controller(params: ArmParams | None = None) -> PaperController:
+    """The paper's controller without vibration feedback, K_4 = 0: computed torque and PD for a rigid arm."""
+    return PaperController(params, PaperGains(torsion_speed=0.0))

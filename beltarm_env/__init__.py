@@ -1,0 +1,55 @@
+"""Belt-driven flexible arm as a Gymnasium environment.
+
+`import beltarm_env` registers `BeltArm-v0`; after that `gymnasium.make("BeltArm-v0")` and
+`gymnasium.make_vec("BeltArm-v0", num_envs=64)` work. Worker processes use "beltarm_env:BeltArm-v0".
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+
+if TYPE_CHECKING:
+    from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
+    from beltarm_env.env import BeltArmEnv
+    from beltarm_env.params import TRAIN_RANGES, ArmParams, state_space
+    from beltarm_env.vector_env import BeltArmVectorEnv
+
+__version__ = "0.1.0"
+__all__ = [
+    "CONTROL_PERIOD",
+    "EPISODE_STEPS",
+    "TRAIN_RANGES",
+    "ArmParams",
+    "BeltArmEnv",
+    "BeltArmVectorEnv",
+    "state_space",
+]
+
+_HOME = {
+    "CONTROL_PERIOD": "_constants",
+    "EPISODE_STEPS": "_constants",
+    "TRAIN_RANGES": "params",
+    "ArmParams": "params",
+    "BeltArmEnv": "env",
+    "BeltArmVectorEnv": "vector_env",
+    "state_space": "params",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import public names when first used, so that registering the environment does not load the compiler."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+# The environments truncate, and refuse to step before reset, by themselves: no wrapper has to do it at every step.
+gym.register(
+    id="BeltArm-v0",
+    entry_point="beltarm_env.env:BeltArmEnv",
+    vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
+    order_enforce=False,
+)

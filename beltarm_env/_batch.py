@@ -1,0 +1,199 @@
+"""N arms with their parameters, moves and sensors: what the single and the vector environment have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from beltarm_env import _layout as at
+from beltarm_env import observation
+from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
+from beltarm_env.cost import MAX_COST
+from beltarm_env.kernel import observe_arms, tip_errors
+from beltarm_env.moves import DRAWS as MOVE_DRAWS
+from beltarm_env.moves import MOVE_FIELDS, draw_moves
+from beltarm_env.params import FIELDS, ArmParams, Ranges, draw_params, integration_substeps, plant_rows, resolve_ranges
+from beltarm_env.reference import PROFILES, MoveShape, Reference, reference_at
+from beltarm_env.sensors import ENCODER_COUNTS, to_counts
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+MODELS = ("lumped",)
+DRAWS = len(FIELDS) + MOVE_DRAWS
+"""Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
+
+
+def _choice(name: str, value: object, allowed: tuple[str, ...]) -> int:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return allowed.index(str(value))
+
+
+def _whole(name: str, value: object, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
+    return int(value)
+
+
+class ArmBatch:
+    """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
+
+    def __init__(
+        self,
+        num_arms: int,
+        *,
+        sensors: str,
+        profile: str,
+        model: str,
+        randomization: Literal["off", "train"] | Ranges,
+        encoder_counts: int,
+        delay: int,
+    ) -> None:
+        self.num_arms = num_arms
+        self.tier = _choice("sensors", sensors, observation.SENSORS)
+        self.profile = _choice("profile", profile, PROFILES)
+        _choice("model", model, MODELS)
+        self.ranges = resolve_ranges(randomization)
+        self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
+        self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
+        self.blocks = at.empty_blocks(num_arms)
+        self.table = np.tile([getattr(ArmParams(), name) for name in FIELDS], (num_arms, 1))
+        bounds = observation.bounds(sensors)
+        self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, arms: Indices, uniforms: Floats, options: Mapping[str, Any] | None) -> None:
+        """Begin a new episode for some arms.
+
+        Args:
+            arms: Indices of the arms.
+            uniforms: Draws in [0, 1), shape (len(arms), DRAWS).
+            options: `params`, `move` and `state`, each a scalar or one value per arm; see `BeltArmEnv.reset`.
+
+        Raises:
+            ValueError: On an unknown name or a value that is not allowed; the arms are then left as they were.
+            TypeError: If a value is not numeric.
+        """
+        options = _checked("options", options, ("params", "move", "state"))
+        given_params = _checked("options['params']", options.get("params"), FIELDS)
+        given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
+        count = len(arms)
+
+        table = draw_params(self.ranges, uniforms[:, : len(FIELDS)])
+        for name, value in given_params.items():
+            column = _column(f"params[{name!r}]", value, count)
+            for extreme in (column.min(), column.max()):
+                ArmParams(**{name: float(extreme)})
+            table[:, FIELDS.index(name)] = column
+        substeps = integration_substeps(table)
+
+        fixed = {name: _column(f"move[{name!r}]", value, count) for name, value in given_move.items()}
+        moves = draw_moves(self.profile, uniforms[:, len(FIELDS) :], fixed)
+        states = _states(options.get("state"), moves[:, 0] * table[:, FIELDS.index("gear_ratio")])
+
+        self.table[arms] = table
+        at.set_rows(self.blocks, 0, arms, np.zeros((count, at.ROWS)))
+        at.set_rows(self.blocks, at.STATE, arms, states)
+        at.set_rows(self.blocks, at.PLANT, arms, plant_rows(table))
+        at.set_rows(self.blocks, at.MOVE, arms, moves)
+        at.set_rows(self.blocks, at.SUBSTEPS, arms, substeps[:, None])
+        at.set_rows(self.blocks, at.RESOLUTION, arms, np.full((count, 1), self.resolution))
+        at.set_rows(self.blocks, at.DELAY, arms, np.full((count, 1), float(self.delay)))
+        history = states[:, :1] - states[:, 1:2] * CONTROL_PERIOD * np.arange(4)
+        at.set_rows(self.blocks, at.COUNTS, arms, to_counts(history, self.resolution))  # pyright: ignore[reportArgumentType]
+
+    def observe(self, observations: NDArray[np.float32], arms: Indices) -> None:
+        """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""
+        chosen = np.zeros(len(self.blocks), dtype=np.bool_)
+        chosen[arms // at.LANES] = True
+        observe_arms(self.blocks, observations, chosen, self.profile, self.tier)
+
+    @property
+    def all_arms(self) -> Indices:
+        """Indices of all arms."""
+        return np.arange(self.num_arms)
+
+    @property
+    def states(self) -> Floats:
+        """Copy of the states, shape (num_arms, 4)."""
+        return at.rows(self.blocks, at.STATE, 4, self.all_arms)
+
+    @property
+    def moves(self) -> Floats:
+        """Copy of the moves, shape (num_arms, 4), columns as `MOVE_FIELDS`."""
+        return at.rows(self.blocks, at.MOVE, 4, self.all_arms)
+
+    @property
+    def times(self) -> Floats:
+        """Time since each episode's start [s], shape (num_arms,)."""
+        return at.rows(self.blocks, at.STEP, 1, self.all_arms)[:, 0] * CONTROL_PERIOD
+
+    def tip_errors(self) -> Floats:
+        """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""
+        errors = np.empty((self.num_arms, 4))
+        tip_errors(self.blocks, errors, self.profile)
+        return errors
+
+    def params(self, arm: int) -> ArmParams:
+        """Parameters of one arm."""
+        return ArmParams(*self.table[arm])
+
+    def reference(self, arm: int, time: float) -> Reference:
+        """Reference of one arm at its joint, `time` seconds into its move."""
+        return Reference(*reference_at(self.profile, MoveShape(*self.moves[arm].tolist()), float(time)))
+
+    def totals(self, arms: Indices, terminated: NDArray[np.bool_]) -> dict[str, Floats]:
+        """What the episodes of some arms came to: summed costs, and tip error RMS and maximum [m]."""
+        steps, *_ = at.rows(self.blocks, at.STEP, 1, arms).T
+        position, velocity, torque_rate, squared, largest = at.rows(self.blocks, at.TOTALS, 5, arms).T
+        charge = np.where(terminated, MAX_COST * (EPISODE_STEPS - steps), 0.0)
+        return {
+            "total_cost": position + velocity + torque_rate + charge,
+            "total_cost_position": position,
+            "total_cost_velocity": velocity,
+            "total_cost_torque_rate": torque_rate,
+            "episode_steps": steps,
+            "tip_error_rms": np.sqrt(squared / steps),
+            "tip_error_max": largest,
+        }
+
+
+def _checked(what: str, given: object, allowed: tuple[str, ...]) -> Mapping[str, Any]:
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{what} must be a mapping, got {given!r}")
+    unknown = [name for name in given if name not in allowed]
+    if unknown:
+        raise ValueError(f"{what} has unknown name {unknown[0]!r}; known: {', '.join(allowed)}")
+    return given
+
+
+def _column(name: str, value: object, count: int) -> Floats:
+    """A scalar or one value per arm, as an array of shape (count,)."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a number, or one per arm, got {value!r}") from None
+    if array.shape not in ((), (count,)):
+        raise ValueError(f"{name} must be one number or have shape ({count},), got shape {array.shape}")
+    return np.broadcast_to(array, (count,)).copy()
+
+
+def _states(given: object, at_rest: Floats) -> Floats:
+    """Initial states, shape (n, 4): as given, or at rest at motor angles `at_rest`."""
+    states = np.zeros((len(at_rest), 4))
+    states[:, 0] = at_rest
+    if given is None:
+        return states
+    array = np.asarray(given, dtype=np.float64)
+    if array.shape not in ((4,), states.shape):
+        raise ValueError(f"state must have shape (4,) or {states.shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"state must be finite, got {array!r}")
+    return np.broadcast_to(array, states.shape).copy()

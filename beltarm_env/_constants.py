@@ -1,0 +1,10 @@
+"""Timing of the control loop, shared by everything."""
+
+from __future__ import annotations
+
+CONTROL_PERIOD = 0.0015
+"""Sampling time of the controller, and of the environment's steps [s]; the paper's."""
+EPISODE_STEPS = 1200
+"""Steps per episode: 1.8 s."""
+EPISODE_TIME = EPISODE_STEPS * CONTROL_PERIOD
+"""[s]"""

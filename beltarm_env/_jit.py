@@ -1,0 +1,48 @@
+"""How this package compiles its scalar equations with numba.
+
+Equations are plain functions of floats, written once. `inlined` marks those that kernels inline, so that LLVM sees one
+flat loop over arms and vectorises it; `compiled` marks the kernels that Python calls. With `NUMBA_DISABLE_JIT=1` both
+leave the functions as they are, and the very same code runs as plain Python.
+
+No `fastmath`: strict IEEE arithmetic is what makes one arm and arm *i* of a batch agree bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar, cast
+
+import numba
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def _drop_stale_kernels() -> None:
+    """Delete cached kernels older than any source file of the package.
+
+    numba compares a cached kernel with the file that defines it, not with the files whose functions it inlines, so an
+    edited equation would otherwise go on running in its old form.
+    """
+    package = Path(__file__).parent
+    newest = max(source.stat().st_mtime for source in package.glob("*.py"))
+    for kernel in (package / "__pycache__").glob("*.nb[ic]"):
+        try:
+            if kernel.stat().st_mtime < newest:
+                kernel.unlink()
+        except OSError:
+            continue  # another process was quicker, or the folder is read-only: then its sources do not change either
+
+
+def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a scalar equation for inlining into kernels."""
+    return cast("Callable[_P, _R]", numba.njit(cache=True, error_model="numpy", forceinline=True)(function))
+
+
+def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Compile a kernel, cached on disk."""
+    return cast("Callable[_P, _R]", numba.njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+_drop_stale_kernels()

@@ -1,0 +1,94 @@
+"""Memory layout of a batch of arms: blocks of `LANES` arms, one row per quantity.
+
+A block is a flat float64 array in which quantity `row` of lane `j` sits at `row * LANES + j`. The constant distance
+between rows lets LLVM prove that they do not overlap, and hence vectorise a loop over lanes that reads and writes dozens
+of them; it also keeps a block's working set together in the cache. A single arm is lane 0 of one block.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env._jit import inlined
+from beltarm_env.dynamics import ArmState, Plant
+from beltarm_env.reference import MoveShape
+
+LANES = 64
+
+STATE = 0
+PLANT = STATE + len(ArmState._fields)
+MOVE = PLANT + len(Plant._fields)
+SUBSTEPS = MOVE + len(MoveShape._fields)  # integration steps per sample
+RESOLUTION = SUBSTEPS + 1  # encoder [rad per count]
+DELAY = RESOLUTION + 1  # of the measurements [samples]
+STEP = DELAY + 1  # samples since the episode's start
+TORQUE = STEP + 1  # last torque applied [N m]
+COUNTS = TORQUE + 1  # encoder counts now, 1, 2 and 3 samples ago
+TIP_SPEEDS = COUNTS + 4  # tachometer now, 1 and 2 samples ago [m/s]
+TOTALS = TIP_SPEEDS + 3  # over the episode: the three cost terms, squared tip error, largest tip error
+ROWS = TOTALS + 5
+
+MAX_DELAY = 2
+
+
+def empty_blocks(num_arms: int) -> NDArray[np.float64]:
+    """Zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
+    return np.zeros((-(-num_arms // LANES), ROWS * LANES))
+
+
+def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Copy of `count` rows from row `first` on, for some arms: shape (len(arms), count)."""
+    table = blocks.reshape(len(blocks), ROWS, LANES)
+    return table[arms // LANES, first : first + count, arms % LANES]
+
+
+def set_rows(
+    blocks: NDArray[np.float64], first: int, arms: NDArray[np.intp], values: NDArray[np.float64]
+) -> None:
+    """Write `values` of shape (len(arms), count) to the rows from `first` on."""
+    table = blocks.reshape(len(blocks), ROWS, LANES)
+    table[arms // LANES, first : first + values.shape[1], arms % LANES] = values
+
+
+@inlined
+def load_state(block: NDArray[np.float64], row: int, lane: int) -> ArmState:
+    """State of one lane, from four rows starting at `row`."""
+    at = row * LANES + lane
+    return ArmState(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
+
+
+@inlined
+def store_state(block: NDArray[np.float64], row: int, lane: int, x: ArmState) -> None:
+    """Write a lane's state to four rows starting at `row`."""
+    at = row * LANES + lane
+    block[at] = x.motor_angle
+    block[at + LANES] = x.motor_speed
+    block[at + 2 * LANES] = x.torsion
+    block[at + 3 * LANES] = x.torsion_speed
+
+
+@inlined
+def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
+    """Plant coefficients of one lane."""
+    at = PLANT * LANES + lane
+    return Plant(
+        block[at],
+        block[at + LANES],
+        block[at + 2 * LANES],
+        block[at + 3 * LANES],
+        block[at + 4 * LANES],
+        block[at + 5 * LANES],
+        block[at + 6 * LANES],
+        block[at + 7 * LANES],
+        block[at + 8 * LANES],
+        block[at + 9 * LANES],
+        block[at + 10 * LANES],
+    )
+
+
+@inlined
+def load_move(block: NDArray[np.float64], lane: int) -> MoveShape:
+    """Move of one lane."""
+    at = MOVE * LANES + lane
+    return MoveShape(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])

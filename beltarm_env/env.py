@@ -1,0 +1,245 @@
+"""`BeltArm-v0`: the belt-driven arm as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from beltarm_env import observation
+from beltarm_env._batch import DRAWS, ArmBatch
+from beltarm_env.kernel import step_arm
+from beltarm_env.moves import MOVE_FIELDS
+from beltarm_env.params import ArmParams, Ranges
+from beltarm_env.reference import Reference
+from beltarm_env.sensors import ENCODER_COUNTS
+
+_ARM = np.array([0])
+
+
+class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Belt-driven handling robot: move the arm's end along a reference without making it ring.
+
+    ## Description
+
+    A DC motor turns joint 1 through an 88:1 harmonic drive; a timing belt couples the second link so that the arm's end
+    moves along a line. The belt is elastic, so the end vibrates, and the motor is subject to Coulomb friction, so it
+    sticks. Plant, parameters and controller structure are from Morimoto et al., "Vibration Suppression of Handling
+    Robot with Timing Belts Based on Two-mass Model". One step is one sample of the paper's controller, 1.5 ms.
+
+    ## Action Space
+
+    `Box(-1, 1, (1,), float32)`: motor torque over the torque limit (0.3 N m), held for the step. Values outside are
+    cut; non-finite ones raise.
+
+    ## Observation Space
+
+    A flat `Box` of measured and known quantities, each divided by a scale to be of order 1 and cut at a bound. Names,
+    units, scales and bounds are in `beltarm_env.observation.ENTRIES`; `beltarm_env.observation.decode` turns a vector
+    into physical units.
+
+    | Num | Entry | Scale | Bound | Unit |
+    |---|---|---|---|---|
+    | 0 | motor angle error, reference minus encoder | 1.5 | 200 | rad |
+    | 1 | motor speed error | 8 | 2000 | rad/s |
+    | 2 | motor speed, by differencing the encoder | 100 | 2000 | rad/s |
+    | 3 | reference joint angle | 1 | 2 | rad |
+    | 4 | reference joint speed | 1 | 20 | rad/s |
+    | 5 | reference joint acceleration | 10 | 200 | rad/s² |
+    | 6–10 | reference speed 30, 60, 120, 200, 400 ms ahead | 1 | 20 | rad/s |
+    | 11–15 | reference acceleration 30, 60, 120, 200, 400 ms ahead | 10 | 200 | rad/s² |
+    | 16, 17 | start and goal of the move | 1 | 2 | rad |
+    | 18 | duration of the move | 1 | 2 | s |
+    | 19 | ramp time of the move | 0.2 | 2 | s |
+    | 20 | time since the move's start | 1 | 2 | s |
+    | 21 | torque applied in the last step, over its limit | 1 | 1 | - |
+    | 22 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
+    | 22, 23 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
+
+    ## Rewards
+
+    Minus the cost `min(|e_p| / 10 mm, 10) + min(|e_v| / 200 mm/s, 10) + 0.1 |Δτ| / limit` with the 2-D tip position
+    and velocity errors. Leaving the workspace is charged the bound of the cost for every step that is left.
+
+    ## Starting State
+
+    At rest at the start of a random move: from and to anywhere in 0–90°, at least 15°, in 0.5 to 1.2 s.
+
+    ## Episode End
+
+    Truncated after 1200 steps (1.8 s). Terminated when joint or arm angle leaves −14.3° to 104.3°.
+
+    ## Information
+
+    Every step: `tip_error` [m], `cost_position`, `cost_velocity`, `cost_torque_rate`. At the end also `total_cost` with
+    its terms, `tip_error_rms` and `tip_error_max` [m].
+
+    ## Arguments
+
+    See `__init__`; for example `gymnasium.make("BeltArm-v0", randomization="train", profile="scurve")`.
+
+    ## References
+
+    S. Morimoto, K. Fukuda, Y. Takeda, T. Hirasa: Vibration Suppression of Handling Robot with Timing Belts Based on
+    Two-mass Model.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 50,
+    }
+
+    def __init__(
+        self,
+        *,
+        sensors: Literal["encoder", "tip", "full"] = "encoder",
+        profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
+        model: Literal["lumped"] = "lumped",
+        randomization: Literal["off", "train"] | Ranges = "off",
+        encoder_counts: int = ENCODER_COUNTS,
+        delay: int = 0,
+        render_mode: Literal["human", "rgb_array"] | None = None,
+    ) -> None:
+        """Create the environment.
+
+        Args:
+            sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion.
+            profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
+            model: The plant: "lumped", the paper's two-mass model.
+            randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from `ArmParams` field to (low, high).
+            encoder_counts: Counts per motor revolution.
+            delay: Samples by which encoder and tachometer lag, 0 to 2.
+            render_mode: "human" for a window, "rgb_array" for frames, None for neither.
+
+        Raises:
+            ValueError: If an argument is unknown or out of range.
+            TypeError: If `randomization` is neither a word nor a mapping of pairs.
+        """
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
+        self._batch = ArmBatch(
+            1,
+            sensors=sensors,
+            profile=profile,
+            model=model,
+            randomization=randomization,
+            encoder_counts=encoder_counts,
+            delay=delay,
+        )
+        self.observation_space = self._batch.observation_space
+        self.action_space = self._batch.action_space
+        self.render_mode = render_mode
+        self.sensors = sensors
+        self._size = observation.size(sensors)
+        self._block = self._batch.blocks[0]
+        self._profile = self._batch.profile
+        self._tier = self._batch.tier
+        self._running = False
+        self._renderer = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: Seed of `np_random`, from which parameters and move are drawn.
+            options: What to fix instead of drawing it: `params`, a mapping of `ArmParams` fields; `move`, a mapping of
+                `start`, `goal` [rad], `duration`, `ramp_time` [s]; `state`, x at the start (default: at rest at the
+                move's start).
+
+        Raises:
+            ValueError: On an unknown name or a value out of range.
+            TypeError: If a value is not a number.
+        """
+        super().reset(seed=seed)
+        self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
+        self._running = True
+        result = np.empty((1, self._size), np.float32)
+        self._batch.observe(result, _ARM)
+        if self._renderer is not None:
+            self._renderer.clear()
+        if self.render_mode == "human":
+            self.render()
+        return result[0], {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Hold a torque for one control period.
+
+        Args:
+            action: Torque over the torque limit, shape (1,); cut to [-1, 1].
+
+        Raises:
+            ResetNeeded: Before the first reset, or after the episode's end.
+            ValueError: If the action has another shape or is not finite.
+        """
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() before step()")
+        try:
+            (fraction,) = action
+            fraction = float(fraction)
+        except (TypeError, ValueError):
+            raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}") from None
+        if not -1e300 < fraction < 1e300:
+            raise ValueError(f"action must be finite, got {action!r}")
+        result = np.empty(self._size, np.float32)
+        reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
+            self._block, fraction, result, self._profile, self._tier
+        )
+        info: dict[str, Any] = {
+            "tip_error": error,
+            "cost_position": position,
+            "cost_velocity": velocity,
+            "cost_torque_rate": torque_rate,
+        }
+        if terminated or truncated:
+            self._running = False
+            totals = self._batch.totals(_ARM, np.array([terminated]))
+            info.update({name: float(value[0]) for name, value in totals.items()})
+        if self.render_mode == "human":
+            self.render()
+        return result, reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Draw the arm: a frame of shape (height, width, 3), or None after updating the window."""
+        if self.render_mode is None:
+            gym.logger.warn('render() does nothing without a render mode: make("BeltArm-v0", render_mode="rgb_array")')
+            return None
+        if self._renderer is None:
+            from beltarm_env.rendering import Renderer
+
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+        return self._renderer.draw(self.params, self.state, self.reference(self.time).angle, self.time)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """Copy of the true state x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), float64."""
+        return self._batch.states[0]
+
+    @property
+    def params(self) -> ArmParams:
+        """Physical constants of this episode's arm."""
+        return self._batch.params(0)
+
+    @property
+    def move(self) -> dict[str, float]:
+        """This episode's move: start, goal [rad], duration, ramp_time [s]."""
+        return dict(zip(MOVE_FIELDS, self._batch.moves[0].tolist(), strict=True))
+
+    @property
+    def time(self) -> float:
+        """Time since the episode's start [s]."""
+        return float(self._batch.times[0])
+
+    def reference(self, time: float) -> Reference:
+        """Reference joint angle [rad], speed [rad/s] and acceleration [rad/s^2], `time` s after the move's start."""
+        return self._batch.reference(0, time)

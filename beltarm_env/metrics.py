@@ -1,0 +1,111 @@
+"""Metrics of an episode, all against the unshaped task reference, from the recorded motion of the tip.
+
+Arrays have time as first axis: row k is the sample after step k + 1, at (k + 1) control periods.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env._constants import CONTROL_PERIOD, EPISODE_TIME
+
+Floats = NDArray[np.float64]
+
+SETTLING_BAND = 0.001
+"""Both coordinates of the tip error must stay within +- this for the arm to have settled [m]."""
+
+METRICS = (
+    "tip_rms_mm",
+    "tip_max_mm",
+    "residual_pp_mm",
+    "residual_radial_pp_mm",
+    "residual_lateral_pp_mm",
+    "tip_acc_rms",
+    "settling_s",
+    "failure_share",
+    "torque_rms",
+    "torque_rate_rms",
+    "saturated_share",
+    "cost",
+)
+
+
+def episode_metrics(
+    tip_error: Floats,
+    tip_velocity_error: Floats,
+    torque: Floats,
+    torque_limit: Floats,
+    move_duration: Floats,
+    cost: Floats,
+    finished: NDArray[np.bool_],
+) -> dict[str, Floats]:
+    """Metrics of n episodes of T steps.
+
+    Args:
+        tip_error: Tip minus reference tip, radial (x) and lateral (y) [m], shape (T, n, 2).
+        tip_velocity_error: The same for the velocity [m/s], shape (T, n, 2).
+        torque: Motor torque [N m], shape (T, n).
+        torque_limit: [N m], shape (n,).
+        move_duration: [s], shape (n,).
+        cost: Cost of the whole episode, shape (n,).
+        finished: False where the arm left the workspace, which counts as a failure; shape (n,).
+
+    Returns:
+        For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);
+        peak-to-peak residual vibration, its radial and lateral part, and both together (mm); RMS error of the tip's
+        acceleration (m/s^2); settling time (s); failure (0 or 1); RMS torque (N m) and torque rate (N m/s); share of
+        samples at the torque limit; cost.
+    """
+    distance = np.linalg.norm(tip_error, axis=2)
+    acceleration_error = np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD
+    residual = 1000 * residual_vibration(tip_error, move_duration)
+    settling = settling_time(tip_error)
+    failed = ~finished | np.isinf(settling)
+    torque_rate = np.diff(torque, axis=0, prepend=0.0) / CONTROL_PERIOD
+    return {
+        "tip_rms_mm": 1000 * np.sqrt(np.mean(distance**2, axis=0)),
+        "tip_max_mm": 1000 * distance.max(axis=0),
+        "residual_pp_mm": np.hypot(residual[:, 0], residual[:, 1]),
+        "residual_radial_pp_mm": residual[:, 0],
+        "residual_lateral_pp_mm": residual[:, 1],
+        "tip_acc_rms": np.sqrt(np.mean(np.sum(acceleration_error**2, axis=2), axis=0)),
+        "settling_s": np.where(failed, EPISODE_TIME, settling),
+        "failure_share": failed.astype(np.float64),
+        "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),
+        "torque_rate_rms": np.sqrt(np.mean(torque_rate**2, axis=0)),
+        "saturated_share": np.mean(np.abs(torque) >= torque_limit * (1 - 1e-6), axis=0),
+        "cost": cost,
+    }
+
+
+def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
+    """Peak-to-peak motion of the tip after the move's end, less its straight-line trend.
+
+    Belt torsion moves the tip along a line, so the two parts are in phase, and their hypotenuse is the peak-to-peak
+    amplitude along that line.
+
+    Args:
+        tip_error: Shape (T, n, 2) [m].
+        move_duration: Shape (n,) [s].
+
+    Returns:
+        Shape (n, 2) [m].
+    """
+    time = (1 + np.arange(len(tip_error))) * CONTROL_PERIOD
+    result = np.empty((tip_error.shape[1], 2))
+    for arm, duration in enumerate(move_duration):
+        after = time >= duration
+        line = np.column_stack([np.ones(after.sum()), time[after] - duration])
+        motion = tip_error[after, arm]
+        trend, *_ = np.linalg.lstsq(line, motion, rcond=None)
+        result[arm] = np.ptp(motion - line @ trend, axis=0)
+    return result
+
+
+def settling_time(tip_error: Floats) -> Floats:
+    """Time from the move's start until the tip stays within the band in both axes, shape (n,) [s]; inf for never."""
+    outside = (np.abs(tip_error) > SETTLING_BAND).any(axis=2)
+    steps = len(outside)
+    last_outside = np.where(outside.any(axis=0), steps - 1 - np.argmax(outside[::-1], axis=0), -1)
+    return np.where(last_outside == steps - 1, np.inf, (last_outside + 2) * CONTROL_PERIOD)

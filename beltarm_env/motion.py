@@ -1,0 +1,130 @@
+"""Motion of a block of arms over one control period.
+
+All arms of a block take the step side by side. Those whose motor stops or breaks away within it are gathered in a block
+of their own, stepped to that instant side by side, and then over what is left; few need that twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import _layout as at
+from beltarm_env._constants import CONTROL_PERIOD
+from beltarm_env._jit import compiled
+from beltarm_env._layout import LANES, load_plant, load_state, store_state
+from beltarm_env.dynamics import sliding_direction
+from beltarm_env.integrator import mode_margin, rk4_step, step_to_mode_change
+
+Floats = NDArray[np.float64]
+
+MAX_MODE_CHANGES = 8
+"""Within one integration step; more than two or three do not occur, and the rest would be taken in the last mode."""
+
+# Rows of the working block: state and plant as in `_layout`, then
+_TORQUE = at.MOVE  # [N m]
+_DIRECTION = _TORQUE + 1  # friction mode
+_REMAINING = _DIRECTION + 1  # time left of the step [s]
+_NEXT = _REMAINING + 1  # state after the whole step in this mode
+_LANE = _NEXT + 4  # where the arm came from
+_ROWS = _LANE + 1
+
+
+@compiled
+def move_block(block: Floats, torques: Floats, count: int) -> None:
+    """Advance the first `count` arms of a block by one control period.
+
+    Args:
+        block: As `_layout` describes.
+        torques: Motor torques [N m], shape (LANES,).
+        count: Number of arms.
+    """
+    work = np.empty(_ROWS * LANES)
+    most = 1.0
+    for j in range(count):
+        most = max(most, block[at.SUBSTEPS * LANES + j])
+    for substep in range(int(most)):
+        _step(block, work, torques, count, substep)
+        pending = _gather_unfinished(block, work, count)
+        for _ in range(MAX_MODE_CHANGES):
+            if pending == 0:
+                break
+            _step_past_mode_change(work, pending)
+            pending = _put_back_finished(block, work, pending)
+        for i in range(pending):
+            _put_back(block, work, i)
+
+
+@compiled
+def _step(block: Floats, work: Floats, torques: Floats, count: int, substep: int) -> None:
+    """Step all arms in the friction mode they begin in; an arm that needs fewer substeps takes one of no length."""
+    for j in range(count):
+        x = load_state(block, at.STATE, j)
+        plant = load_plant(block, j)
+        substeps = block[at.SUBSTEPS * LANES + j]
+        dt = CONTROL_PERIOD / substeps if substep < substeps else 0.0
+        direction = sliding_direction(x, torques[j], plant)
+        work[_TORQUE * LANES + j] = torques[j]
+        work[_DIRECTION * LANES + j] = direction
+        work[_REMAINING * LANES + j] = dt
+        store_state(work, _NEXT, j, rk4_step(x, torques[j], direction, dt, plant))
+
+
+@compiled
+def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
+    """Keep in `work` the arms that left their friction mode; write the others' states to `block`."""
+    for j in range(count):
+        y = load_state(work, _NEXT, j)
+        margin = mode_margin(y, work[_TORQUE * LANES + j], work[_DIRECTION * LANES + j], load_plant(block, j))
+        work[_LANE * LANES + j] = margin
+    pending = 0
+    for j in range(count):
+        if work[_LANE * LANES + j] < 0.0:
+            for row in range(at.MOVE):
+                work[row * LANES + pending] = block[row * LANES + j]
+            for row in range(_TORQUE, _LANE):
+                work[row * LANES + pending] = work[row * LANES + j]
+            work[_LANE * LANES + pending] = j
+            pending += 1
+        else:
+            store_state(block, at.STATE, j, load_state(work, _NEXT, j))
+    return pending
+
+
+@compiled
+def _step_past_mode_change(work: Floats, pending: int) -> None:
+    """Step to the instant of stopping or breaking away, then over the rest in the mode that follows."""
+    for i in range(pending):
+        x = load_state(work, at.STATE, i)
+        y = load_state(work, _NEXT, i)
+        torque = work[_TORQUE * LANES + i]
+        plant = load_plant(work, i)
+        z, direction, remaining = step_to_mode_change(
+            x, torque, work[_DIRECTION * LANES + i], work[_REMAINING * LANES + i], y, plant
+        )
+        store_state(work, at.STATE, i, z)
+        store_state(work, _NEXT, i, rk4_step(z, torque, direction, remaining, plant))
+        work[_DIRECTION * LANES + i] = direction
+        work[_REMAINING * LANES + i] = remaining
+
+
+@compiled
+def _put_back_finished(block: Floats, work: Floats, pending: int) -> int:
+    """Write the arms that stayed in their mode to `block` and close the ranks of the others."""
+    unfinished = 0
+    for i in range(pending):
+        y = load_state(work, _NEXT, i)
+        margin = mode_margin(y, work[_TORQUE * LANES + i], work[_DIRECTION * LANES + i], load_plant(work, i))
+        if margin < 0.0:
+            for row in range(_ROWS):
+                work[row * LANES + unfinished] = work[row * LANES + i]
+            unfinished += 1
+        else:
+            _put_back(block, work, i)
+    return unfinished
+
+
+@compiled
+def _put_back(block: Floats, work: Floats, i: int) -> None:
+    lane = int(work[_LANE * LANES + i])
+    store_state(block, at.STATE, lane, load_state(work, _NEXT, i))

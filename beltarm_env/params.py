@@ -1,0 +1,200 @@
+"""Physical constants of the arm, and how far they vary from arm to arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env._constants import CONTROL_PERIOD
+
+Ranges = Mapping[str, tuple[float, float]]
+
+_MAY_BE_ZERO = {"motor_viscous_friction", "coulomb_friction", "hand_length", "arm_inertia_swing", "payload_mass"}
+_MAY_BE_ZERO |= {"belt_damping_ratio"}
+
+
+@dataclass(frozen=True, slots=True)
+class ArmParams:
+    """Physical constants of one arm, SI units. The defaults are the nominal arm: Table 1, and assumptions marked (a).
+
+    Raises:
+        ValueError: If a value is not finite, is negative, or is zero where that makes no arm.
+        TypeError: If a value is not a real number.
+    """
+
+    gear_ratio: float = 88.0  # G        [-]           harmonic drive
+    link_length: float = 0.25  # l        [m]           of each of the two links
+    hand_length: float = 0.10  # l_3      [m]           (a)
+    motor_inertia: float = 6.3e-5  # M_a1     [kg m^2]      motor, gear and link 1 at the motor shaft
+    motor_viscous_friction: float = 3.5e-4  # V_a1     [N m s/rad]   at the motor shaft
+    coulomb_friction: float = 0.032  # tau_c    [N m]         at the motor shaft
+    arm_inertia: float = 0.01  # M2(0)    [kg m^2]      links 2 and 3 about joint 1, arm stretched
+    arm_inertia_swing: float = 0.06  # M2(90 deg) - M2(0) [kg m^2], without payload (a)
+    payload_mass: float = 0.0  # m_p      [kg]          at the end of link 2 (a)
+    belt_stiffness: float = 33.0  # K_s      [N m/rad]     between theta_1 and phi
+    belt_damping_ratio: float = 0.01  # zeta     [-]           at 90 degrees, unloaded (a); the paper has none
+    torque_limit: float = 0.3  # [N m]    of the motor (a)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+                raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
+            object.__setattr__(self, field.name, float(value))
+            may_be_zero = field.name in _MAY_BE_ZERO
+            if not (math.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
+                allowed = "not negative" if may_be_zero else "positive"
+                raise ValueError(f"ArmParams.{field.name} must be finite and {allowed}, got {value!r}")
+
+
+FIELDS = tuple(field.name for field in fields(ArmParams))
+_NOMINAL = ArmParams()
+
+
+def _around(name: str, share: float) -> tuple[float, float]:
+    nominal = getattr(_NOMINAL, name)
+    return (1 - share) * nominal, (1 + share) * nominal
+
+
+TRAIN_RANGES: Ranges = {
+    "motor_inertia": _around("motor_inertia", 0.10),
+    "motor_viscous_friction": _around("motor_viscous_friction", 0.30),
+    "coulomb_friction": _around("coulomb_friction", 0.30),
+    "arm_inertia": _around("arm_inertia", 0.20),
+    "arm_inertia_swing": _around("arm_inertia_swing", 0.20),
+    "belt_stiffness": _around("belt_stiffness", 0.20),
+    "belt_damping_ratio": (0.002, 0.018),
+    "payload_mass": (0.0, 0.2),
+}
+"""Ranges of the arms that training, tuning and the `randomized` split draw from, uniformly and independently."""
+
+
+def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str, tuple[float, float]]:
+    """Ranges of the fields that vary.
+
+    Args:
+        randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from field name to (low, high).
+
+    Raises:
+        ValueError: On an unknown word or field, on low > high, or where an end of the range makes no arm.
+        TypeError: If it is neither a word nor a mapping of pairs.
+    """
+    if isinstance(randomization, str):
+        if randomization not in ("off", "train"):
+            raise ValueError(f"randomization must be 'off', 'train' or a mapping of ranges, got {randomization!r}")
+        return {} if randomization == "off" else dict(TRAIN_RANGES)
+    if not isinstance(randomization, Mapping):
+        raise TypeError(f"randomization must be 'off', 'train' or a mapping of ranges, got {randomization!r}")
+    ranges = {}
+    for name, pair in randomization.items():
+        if name not in FIELDS:
+            raise ValueError(f"randomization names an unknown parameter {name!r}; known: {', '.join(FIELDS)}")
+        try:
+            low, high = pair
+        except (TypeError, ValueError):
+            raise TypeError(f"randomization[{name!r}] must be a pair (low, high), got {pair!r}") from None
+        for end in (low, high):
+            ArmParams(**{name: end})
+        if low > high:
+            raise ValueError(f"randomization[{name!r}] has low {low!r} above high {high!r}; swap them")
+        ranges[name] = (float(low), float(high))
+    return ranges
+
+
+def draw_params(ranges: Ranges, uniforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Parameter table, shape (n, len(FIELDS)), from uniform draws of shape (n, len(FIELDS)) in [0, 1)."""
+    table = np.tile([getattr(_NOMINAL, name) for name in FIELDS], (len(uniforms), 1))
+    for name, (low, high) in ranges.items():
+        column = FIELDS.index(name)
+        table[:, column] = low + uniforms[:, column] * (high - low)
+    return table
+
+
+def plant_rows(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients of the equations of motion, shape (n, len(Plant._fields)), for a table of parameters.
+
+    The belt's damping D_s = 2 zeta sqrt(K_s M2(90 deg)) is a property of the belt: the payload does not enter.
+    """
+    p = dict(zip(FIELDS, table.T, strict=True))
+    double_link = 2 * p["link_length"]
+    swing = p["arm_inertia_swing"] + double_link * double_link * p["payload_mass"]
+    upright = p["arm_inertia"] + p["arm_inertia_swing"]
+    damping = 2 * p["belt_damping_ratio"] * np.sqrt(p["belt_stiffness"] * upright)
+    return np.column_stack(
+        [
+            1 / p["gear_ratio"],
+            1 / p["motor_inertia"],
+            p["motor_viscous_friction"],
+            p["coulomb_friction"],
+            p["arm_inertia"],
+            swing,
+            p["belt_stiffness"],
+            damping,
+            double_link,
+            p["hand_length"],
+            p["torque_limit"],
+        ]
+    )
+
+
+MAX_SUBSTEPS = 100
+_STEP_ANGLE = 0.4  # largest product of rate and integration step; RK4 is stable up to 2.8
+
+
+def integration_substeps(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integration steps per sample, shape (n,): one for any arm near the nominal, more for stiffer ones.
+
+    Raises:
+        ValueError: If an arm's belt mode or motor damping is too fast for `MAX_SUBSTEPS`.
+    """
+    p = dict(zip(FIELDS, table.T, strict=True))
+    plant = plant_rows(table)
+    compliance = plant[:, 0] ** 2 * plant[:, 1] + 1 / p["arm_inertia"]  # 1/(M_a1 G^2) + 1/M2
+    fastest = np.maximum(np.sqrt(p["belt_stiffness"] * compliance), plant[:, 7] * compliance)
+    fastest = np.maximum(fastest, p["motor_viscous_friction"] / p["motor_inertia"])
+    substeps = np.maximum(np.ceil(fastest * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
+    if substeps.max() > MAX_SUBSTEPS:
+        arm = int(np.argmax(substeps))
+        raise ValueError(
+            f"the arm's fastest rate is {fastest[arm]:.3g} rad/s; at most "
+            f"{MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD:.3g} rad/s can be integrated at {CONTROL_PERIOD} s per "
+            "step: lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia"
+        )
+    return substeps
+
+
+def state_space(
+    params: ArmParams, theta_1: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at joint angle `theta_1` [rad], Coulomb friction left out.
+
+    Two differences from the print: the last entry of b in (6e) is printed -1/(M_a1 G), but (5a) with (6g) gives
+    +1/(M_a1 G); and the belt's damping D_s, absent from the paper, appears beside K_s (zero `belt_damping_ratio` gives
+    the paper's A).
+
+    Raises:
+        ValueError: If theta_1 lies outside 0 to pi/2.
+    """
+    if not 0 <= theta_1 <= math.pi / 2:
+        raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
+    row = plant_rows(np.array([[getattr(params, name) for name in FIELDS]]))[0]
+    inverse_gear, inverse_inertia, v, _, m0, swing, k, d = row[:8]
+    m2 = m0 + swing * math.sin(theta_1) ** 2
+    at_motor = inverse_inertia * inverse_gear
+    compliance = at_motor * inverse_gear + 1 / m2
+    a = np.array(
+        [
+            [0, 1, 0, 0],
+            [0, -v * inverse_inertia, -k * at_motor, -d * at_motor],
+            [0, 0, 0, 1],
+            [0, -v * at_motor, -k * compliance, -d * compliance],
+        ]
+    )
+    b = np.array([[0], [inverse_inertia], [0], [at_motor]])
+    c = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
+    return a, b, c

@@ -1,0 +1,98 @@
+"""Reference motion of the joint: the move asked of the arm, as angle, speed and acceleration over time.
+
+A move leads from `start` to `goal` in `duration` seconds:
+
+- `trapezoid` (the paper's): speed rises linearly for `ramp_time`, stays, and falls linearly for `ramp_time`;
+- `scurve`: the same with ramps 3u^2 - 2u^3, so that the acceleration is continuous;
+- `quintic`: the minimum-jerk polynomial 10u^3 - 15u^4 + 6u^5 over the whole duration; `ramp_time` has no effect.
+
+After the move the reference rests at the goal.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from beltarm_env._jit import inlined
+
+PROFILES = ("trapezoid", "scurve", "quintic")
+TRAPEZOID, SCURVE, QUINTIC = range(3)
+PEAK_ACCELERATION = (1.0, 1.5, 10 / 3**0.5)
+"""Peak acceleration of each profile over displacement/(duration - ramp)/ramp; quintic: over displacement/duration^2."""
+PEAK_SPEED = (1.0, 1.0, 1.875)
+"""Peak speed of each profile over displacement/(duration - ramp); quintic: over displacement/duration."""
+
+
+class MoveShape(NamedTuple):
+    """One move, as the kernels see it."""
+
+    start: float  # [rad]
+    goal: float  # [rad]
+    duration: float  # [s]
+    ramp_time: float  # [s]
+
+
+class Reference(NamedTuple):
+    """Reference at one instant, at the joint."""
+
+    angle: float  # [rad]
+    speed: float  # [rad/s]
+    acceleration: float  # [rad/s^2]
+
+
+@inlined
+def _linear_ramp(u: float) -> tuple[float, float, float]:
+    """Integral, value and slope of a ramp that rises from 0 to 1 over 0 <= u < 1, linearly."""
+    c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
+    beyond = u - 1.0 if u > 1.0 else 0.0
+    slope = 1.0 if (u >= 0.0) & (u < 1.0) else 0.0
+    return 0.5 * c * c + beyond, c, slope
+
+
+@inlined
+def _smooth_ramp(u: float) -> tuple[float, float, float]:
+    """Integral, value and slope of the ramp 3u^2 - 2u^3."""
+    c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
+    beyond = u - 1.0 if u > 1.0 else 0.0
+    return c * c * c * (1.0 - 0.5 * c) + beyond, c * c * (3.0 - 2.0 * c), 6.0 * c * (1.0 - c)
+
+
+@inlined
+def _between_ramps(
+    move: MoveShape, up: tuple[float, float, float], down: tuple[float, float, float]
+) -> Reference:
+    """Motion whose speed is one ramp up minus one ramp down, times the cruising speed."""
+    cruise = (move.goal - move.start) / (move.duration - move.ramp_time)
+    return Reference(
+        move.start + cruise * move.ramp_time * (up[0] - down[0]),
+        cruise * (up[1] - down[1]),
+        cruise / move.ramp_time * (up[2] - down[2]),
+    )
+
+
+@inlined
+def _quintic(move: MoveShape, time: float) -> Reference:
+    rate = 1.0 / move.duration
+    u = time * rate
+    c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
+    length = move.goal - move.start
+    return Reference(
+        move.start + length * (c * c * c * (10.0 + c * (6.0 * c - 15.0))),
+        length * rate * (30.0 * c * c * (1.0 - c) * (1.0 - c)),
+        length * rate * rate * (60.0 * c * (1.0 - c) * (1.0 - 2.0 * c)),
+    )
+
+
+@inlined
+def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
+    """Reference angle, speed and acceleration at the joint, `time` seconds after the move's start.
+
+    Accelerations that jump (`trapezoid`) take the value that holds from this instant on.
+    """
+    if profile == QUINTIC:
+        return _quintic(move, time)
+    rising = time / move.ramp_time
+    falling = (time - (move.duration - move.ramp_time)) / move.ramp_time
+    if profile == SCURVE:
+        return _between_ramps(move, _smooth_ramp(rising), _smooth_ramp(falling))
+    return _between_ramps(move, _linear_ramp(rising), _linear_ramp(falling))

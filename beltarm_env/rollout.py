@@ -1,0 +1,124 @@
+"""Run a controller over a batch of arms and record what happened.
+
+Every controller, classical or learned, is called as Stable-Baselines3 calls a policy, so one function runs them all:
+it sees the observation and nothing else, and keeps its memory in the state that it returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
+from beltarm_env.metrics import episode_metrics
+from beltarm_env.params import FIELDS
+from beltarm_env.vector_env import BeltArmVectorEnv
+
+Floats = NDArray[np.float64]
+
+
+class Controller(Protocol):
+    """Anything that turns observations into torques."""
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Actions for a batch of observations.
+
+        Args:
+            observation: Shape (n, size).
+            state: What the last call returned; None at the beginning.
+            episode_start: Which rows begin a new episode, shape (n,); None means none but where `state` is None.
+            deterministic: Whether to leave out exploration.
+
+        Returns:
+            Torque over its limit, shape (n, 1), float32, and the memory for the next call.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """n episodes of T steps; row k is the sample after step k + 1. SI units."""
+
+    state: Floats  # x [rad, rad/s]        (T, n, 4)
+    torque: Floats  # [N m]                (T, n)
+    tip_error: Floats  # radial, lateral [m]     (T, n, 2)
+    tip_velocity_error: Floats  # [m/s]     (T, n, 2)
+    cost: Floats  # of the whole episode    (n,)
+    finished: NDArray[np.bool_]  # False where the arm left the workspace, and stayed where it was    (n,)
+    params: Floats  # columns as `ArmParams`     (n, 12)
+    moves: Floats  # start, goal [rad], duration, ramp time [s]     (n, 4)
+
+    @property
+    def time(self) -> Floats:
+        """Time of each row [s], shape (T,)."""
+        return (1 + np.arange(len(self.state))) * CONTROL_PERIOD
+
+    def metrics(self) -> dict[str, Floats]:
+        """All metrics of `beltarm_env.metrics.METRICS`, each of shape (n,)."""
+        return episode_metrics(
+            self.tip_error,
+            self.tip_velocity_error,
+            self.torque,
+            self.params[:, FIELDS.index("torque_limit")],
+            self.moves[:, 2],
+            self.cost,
+            self.finished,
+        )
+
+
+def rollout(
+    controller: Controller,
+    num_arms: int,
+    *,
+    seed: int | None = None,
+    options: Mapping[str, Any] | None = None,
+    **settings: Any,
+) -> Recording:
+    """Run one episode on each of `num_arms` arms.
+
+    Args:
+        controller: What to run; sees observations only.
+        num_arms: Number of arms, run side by side.
+        seed: Arm i is seeded with `seed + i`.
+        options: What to fix, see `BeltArmVectorEnv.reset`.
+        **settings: Arguments of `BeltArmVectorEnv`: sensors, profile, randomization, ...
+
+    Raises:
+        ValueError: If a setting or option is not allowed, or the controller returns another shape or NaN.
+    """
+    env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
+    observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
+    params, moves = env.params_table, env.moves
+    states = np.empty((EPISODE_STEPS, num_arms, 4))
+    errors = np.empty((EPISODE_STEPS, num_arms, 4))
+    torque = np.zeros((EPISODE_STEPS, num_arms))
+    running, finished = np.ones(num_arms, np.bool_), np.ones(num_arms, np.bool_)
+    cost = np.zeros(num_arms)
+    memory: Any = None
+    start = np.ones(num_arms, np.bool_)
+    for k in range(EPISODE_STEPS):
+        action, memory = controller.predict(observation, memory, start, deterministic=True)
+        observation, reward, terminated, truncated, _ = env.step(action)
+        torque[k] = np.where(running, np.clip(action[:, 0].astype(np.float64), -1, 1), 0.0)
+        cost -= np.where(running, reward, 0.0)
+        states[k], errors[k] = env.state, env.tip_errors()
+        if not running.all():
+            states[k, ~running], errors[k, ~running] = states[k - 1, ~running], errors[k - 1, ~running]
+        finished &= ~(terminated & running)
+        start = terminated
+        running = running & ~terminated
+        if terminated.any() and not truncated.any():  # keep the batch going; what these arms do now is not recorded
+            observation, _ = env.reset(options={"reset_mask": terminated})
+    torque *= params[:, FIELDS.index("torque_limit")]
+    return Recording(states, torque, errors[:, :, :2], errors[:, :, 2:], cost, finished, params, moves)

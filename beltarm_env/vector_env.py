@@ -1,0 +1,269 @@
+"""A batch of arms as a Gymnasium vector environment: one compiled loop over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from beltarm_env import observation
+from beltarm_env._batch import DRAWS, ArmBatch
+from beltarm_env.env import BeltArmEnv
+from beltarm_env.kernel import step_arms
+from beltarm_env.params import ArmParams, Ranges
+from beltarm_env.reference import Reference
+from beltarm_env.sensors import ENCODER_COUNTS
+
+Flags = NDArray[np.bool_]
+TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
+
+
+class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """`num_envs` belt arms stepped by one compiled loop; arm *i* behaves bit for bit as a `BeltArmEnv` of its own.
+
+    `reset(seed=s)` seeds arm *i* as `BeltArmEnv.reset(seed=s + i)` would. Episodes are truncated after 1200 steps by
+    the environment itself. `autoreset_mode` is as in Gymnasium: next-step (default), same-step (`final_obs` and
+    `final_info` in the info), or disabled (`reset(options={"reset_mask": mask})`).
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        sensors: Literal["encoder", "tip", "full"] = "encoder",
+        profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
+        model: Literal["lumped"] = "lumped",
+        randomization: Literal["off", "train"] | Ranges = "off",
+        encoder_counts: int = ENCODER_COUNTS,
+        delay: int = 0,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: Literal["rgb_array"] | None = None,
+    ) -> None:
+        """Create the batch.
+
+        Args:
+            num_envs: Number of arms.
+            sensors: As in `BeltArmEnv`.
+            profile: As in `BeltArmEnv`.
+            model: As in `BeltArmEnv`.
+            randomization: As in `BeltArmEnv`; every arm draws its own parameters.
+            encoder_counts: As in `BeltArmEnv`.
+            delay: As in `BeltArmEnv`.
+            autoreset_mode: What happens to an arm whose episode is over.
+            render_mode: "rgb_array" or None.
+
+        Raises:
+            ValueError: If an argument is unknown or out of range.
+            TypeError: If `randomization` is neither a word nor a mapping of pairs.
+        """
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise ValueError(f"num_envs must be a whole number of at least 1, got {num_envs!r}")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
+        self.num_envs = int(num_envs)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**BeltArmEnv.metadata, "render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
+        self.render_mode = render_mode
+        self._batch = ArmBatch(
+            self.num_envs,
+            sensors=sensors,
+            profile=profile,
+            model=model,
+            randomization=randomization,
+            encoder_counts=encoder_counts,
+            delay=delay,
+        )
+        self.single_observation_space = self._batch.observation_space
+        self.single_action_space = self._batch.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.sensors = sensors
+        self._size = observation.size(sensors)
+        self._generators: list[np.random.Generator] = []
+        self._over = np.zeros(self.num_envs, dtype=np.bool_)
+        self._renderers = None
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin new episodes.
+
+        Args:
+            seed: Arm *i* is seeded with `seed + i`, or with `seed[i]`; None goes on with the arms' own generators.
+            options: As in `BeltArmEnv.reset`, each value a scalar or one per arm reset (`state`: shape (4,) or
+                (num_envs, 4)); and `reset_mask`, a bool array of shape (num_envs,): which arms to reset.
+
+        Raises:
+            ValueError: On an unknown name, a value out of range or a wrong shape.
+            TypeError: If a value has a wrong type.
+        """
+        options = dict(options or {})
+        arms = self._batch.all_arms
+        if "reset_mask" in options:
+            arms = np.flatnonzero(self._checked_mask(options.pop("reset_mask")))
+            if len(self._generators) == 0:
+                raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
+        self._seed(seed, arms)
+        self._batch.reset(arms, self._draws(arms), options)
+        self._over[arms] = False
+        result = np.empty((self.num_envs, self._size), np.float32)
+        self._batch.observe(result, self._batch.all_arms)
+        return result, {}
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+        """Hold a torque for one control period in every arm.
+
+        Args:
+            actions: Torque over the torque limit, shape (num_envs, 1); cut to [-1, 1].
+
+        Raises:
+            ResetNeeded: Before the first reset, or, with autoreset disabled, if an episode is over.
+            ValueError: If the actions have another shape or are not finite.
+        """
+        if not self._generators:
+            raise ResetNeeded("no episode is running: call reset() before step()")
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
+            arm = int(np.argmax(self._over))
+            raise ResetNeeded(f"the episode of arm {arm} is over: reset it with options={{'reset_mask': mask}}")
+        fractions = self._checked_actions(actions)
+        count = self.num_envs
+        result = np.empty((count, self._size), np.float32)
+        rewards = np.empty(count)
+        terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        terms = np.empty((len(TERMS), count))
+        batch = self._batch
+        step_arms(
+            batch.blocks, fractions, result, rewards, terminated, truncated, terms, batch.profile, batch.tier
+        )
+        stepped = np.ones(count, np.bool_)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
+            stepped = ~self._over
+            rewards[self._over] = 0.0
+            terminated[self._over] = truncated[self._over] = False
+            terms[:, self._over] = 0.0
+            self._restart(np.flatnonzero(self._over), result)
+        info: dict[str, Any] = {}
+        for name, values in zip(TERMS, terms, strict=True):
+            info[name], info[f"_{name}"] = values, stepped.copy()
+        self._over = terminated | truncated
+        if self._over.any():
+            info = self._finished(info, result, terminated)
+        return result, rewards, terminated, truncated, info
+
+    def _finished(self, info: dict[str, Any], result: NDArray[np.float32], terminated: Flags) -> dict[str, Any]:
+        """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
+        arms = np.flatnonzero(self._over)
+        totals = self._batch.totals(arms, terminated[arms])
+        for name, values in totals.items():
+            info[name] = np.zeros(self.num_envs)
+            info[name][arms] = values
+            info[f"_{name}"] = self._over.copy()
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            return info
+        final = np.full(self.num_envs, None, dtype=object)
+        for arm in arms:
+            final[arm] = result[arm].copy()
+        self._restart(arms, result)
+        return {
+            "final_obs": final,
+            "_final_obs": self._over.copy(),
+            "final_info": info,
+            "_final_info": self._over.copy(),
+        }
+
+    def _restart(self, arms: NDArray[np.intp], result: NDArray[np.float32]) -> None:
+        """Begin new random episodes and put their first observations into `result`."""
+        self._batch.reset(arms, self._draws(arms), None)
+        self._batch.observe(result, arms)
+
+    def _draws(self, arms: NDArray[np.intp]) -> NDArray[np.float64]:
+        return np.stack([self._generators[arm].random(DRAWS) for arm in arms])
+
+    def _seed(self, seed: int | Sequence[int | None] | None, arms: NDArray[np.intp]) -> None:
+        if seed is None or isinstance(seed, int | np.integer):
+            super().reset(seed=None if seed is None else int(seed))
+            seeds = [None if seed is None else int(seed) + arm for arm in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"seed must be one number or {self.num_envs} of them, got {len(seeds)}")
+        if not self._generators:
+            entropy = self.np_random.integers(2**63, size=self.num_envs)
+            self._generators = [seeding.np_random(int(number))[0] for number in entropy]
+        for arm in arms:
+            if (own := seeds[arm]) is not None:
+                self._generators[arm] = seeding.np_random(own)[0]
+
+    def _checked_mask(self, mask: object) -> Flags:
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},), got {mask!r}")
+        if not mask.any():
+            raise ValueError("reset_mask must choose at least one arm, got all False")
+        return mask
+
+    def _checked_actions(self, actions: NDArray[np.float32]) -> NDArray[np.float64]:
+        array = np.asarray(actions)
+        if array.shape != (self.num_envs, 1) or array.dtype.kind not in "fiu":
+            raise ValueError(f"actions must be numbers of shape ({self.num_envs}, 1), got {array.dtype} {array.shape}")
+        if not np.isfinite(array).all():
+            arm = int(np.argmin(np.isfinite(array[:, 0])))
+            raise ValueError(f"actions must be finite, got {array[arm, 0]} for arm {arm}")
+        return array[:, 0].astype(np.float64)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One frame of shape (height, width, 3) per arm, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        from beltarm_env.rendering import Renderer
+
+        if self._renderers is None:
+            self._renderers = [Renderer("rgb_array", self.metadata["render_fps"]) for _ in range(self.num_envs)]
+        states, times = self.state, self._batch.times
+        frames = []
+        for arm, renderer in enumerate(self._renderers):
+            angle = self._batch.reference(arm, times[arm]).angle
+            frames.append(renderer.draw(self._batch.params(arm), states[arm], angle, float(times[arm])))
+        return tuple(frames)
+
+    def close_extras(self, **_: Any) -> None:
+        """Release the renderers."""
+        for renderer in self._renderers or []:
+            renderer.close()
+        self._renderers = None
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """Copy of the true states (rad, rad/s), shape (num_envs, 4), float64."""
+        return self._batch.states
+
+    @property
+    def params(self) -> list[ArmParams]:
+        """Physical constants of each arm."""
+        return [self._batch.params(arm) for arm in range(self.num_envs)]
+
+    @property
+    def params_table(self) -> NDArray[np.float64]:
+        """Copy of all parameters, shape (num_envs, fields), columns as `ArmParams`."""
+        return self._batch.table.copy()
+
+    def tip_errors(self) -> NDArray[np.float64]:
+        """Tip minus reference tip now: x, y [m] and their speeds [m/s], shape (num_envs, 4)."""
+        return self._batch.tip_errors()
+
+    @property
+    def moves(self) -> NDArray[np.float64]:
+        """Moves, shape (num_envs, 4): start, goal [rad], duration, ramp_time [s]."""
+        return self._batch.moves
+
+    def reference(self, time: float) -> Reference:
+        """Reference `time` s after each move's start: angle, speed, acceleration at the joint, shape (num_envs,)."""
+        per_arm = [self._batch.reference(arm, time) for arm in range(self.num_envs)]
+        return Reference(*np.array(per_arm).T)
