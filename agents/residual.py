@@ -67,7 +67,7 @@ def augment(observation: Singles, base_action: Singles, torsion: NDArray[np.floa
 
 def combine(base_action: Singles, residual: Singles, limit: float) -> Singles:
     """The action applied; a zero residual gives the base's, bit for bit."""
-    return np.clip(base_action + np.float32(limit) * residual, -1, 1)
+    return (base_action + np.float32(limit) * residual).clip(-1, 1)
 
 
 class Policy(Protocol):

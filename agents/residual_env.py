@@ -23,15 +23,17 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
 
     def __init__(self, env: gym.Env[Singles, Singles], base: BaseController, settings: ResidualSettings) -> None:
         super().__init__(env)
+        assert isinstance(env.unwrapped, BeltArmEnv)
         self.base = base
         self.settings = settings
-        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        assert isinstance(env.unwrapped, BeltArmEnv)
-        self.observation_space = residual_observation_space(env.unwrapped.sensors)
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space: spaces.Space[Any] = residual_observation_space(env.unwrapped.sensors)
         self._memory: Any = None
         self._base_action = np.zeros((1, 1), np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Singles, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Singles, dict[str, Any]]:
         """Begin an episode, see `BeltArmEnv.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._memory = None
@@ -40,15 +42,15 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
     def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
         """Hold a residual for `hold` samples, or until the episode ends."""
         residual = np.asarray(action, np.float32).reshape(1, 1)
-        total = 0.0
-        for _ in range(self.settings.hold):
+        total, samples = 0.0, 0
+        while True:
             command = combine(self._base_action, residual, self.settings.limit)
             observation, reward, terminated, truncated, info = self.env.step(command[0])
             total += float(reward)
+            samples += 1
             seen = self._observe(observation)
-            if terminated or truncated:
-                break
-        return seen, total, terminated, truncated, info
+            if terminated or truncated or samples == self.settings.hold:
+                return seen, total, terminated, truncated, info
 
     def _observe(self, observation: Singles) -> Singles:
         start = np.array([self._memory is None])

@@ -35,7 +35,7 @@ def validate(controller: Controller, arms: int, sensors: str = "encoder") -> dic
 
 
 class Checkpoint:
-    """The folder of a run: `checkpoint.zip` to go on from, `progress.json` beside it, `best/` the best policy so far."""
+    """The folder of a run: `checkpoint.zip` and `progress.json` to go on from, `best/` the best policy so far."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -58,7 +58,9 @@ class TorsionSimulation:
         self._stiffness = params.belt_stiffness
         self._damping = 2 * params.belt_damping_ratio * np.sqrt(params.belt_stiffness * upright)
 
-    def advance(self, torsion: Floats, rate: Floats, speed_change: Floats, joint_angle: Floats) -> tuple[Floats, Floats]:
+    def advance(
+        self, torsion: Floats, rate: Floats, speed_change: Floats, joint_angle: Floats
+    ) -> tuple[Floats, Floats]:
         """Torsion [rad] and its rate [rad/s] one control period later.
 
         Args:

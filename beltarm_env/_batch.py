@@ -13,12 +13,19 @@ from beltarm_env import _layout as at
 from beltarm_env import observation
 from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.cost import MAX_COST
-from beltarm_env.kernel import observe_arms, tip_errors
+from beltarm_env.kernel import begin_episodes, observe_arms, tip_errors
 from beltarm_env.moves import DRAWS as MOVE_DRAWS
-from beltarm_env.moves import MOVE_FIELDS, draw_moves
-from beltarm_env.params import FIELDS, ArmParams, Ranges, draw_params, integration_substeps, plant_rows, resolve_ranges
+from beltarm_env.moves import MOVE_FIELDS, check_moves, draw_moves
+from beltarm_env.params import (
+    FIELDS,
+    ArmParams,
+    Ranges,
+    check_integrable,
+    check_ranges_integrable,
+    range_bounds,
+    resolve_ranges,
+)
 from beltarm_env.reference import PROFILES, MoveShape, Reference, reference_at
-from beltarm_env.sensors import ENCODER_COUNTS, to_counts
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -58,11 +65,12 @@ class ArmBatch:
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
         _choice("model", model, MODELS)
-        self.ranges = resolve_ranges(randomization)
+        self._bounds = range_bounds(resolve_ranges(randomization))
+        check_ranges_integrable(self._bounds)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
         self.blocks = at.empty_blocks(num_arms)
-        self.table = np.tile([getattr(ArmParams(), name) for name in FIELDS], (num_arms, 1))
+        self.table = np.tile(self._bounds[0], (num_arms, 1))
         bounds = observation.bounds(sensors)
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -84,28 +92,27 @@ class ArmBatch:
         given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 
-        table = draw_params(self.ranges, uniforms[:, : len(FIELDS)])
+        table = self._bounds[0] + uniforms[:, : len(FIELDS)] * (self._bounds[1] - self._bounds[0])
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for extreme in (column.min(), column.max()):
                 ArmParams(**{name: float(extreme)})
             table[:, FIELDS.index(name)] = column
-        substeps = integration_substeps(table)
+        if given_params:
+            check_integrable(table)
 
-        fixed = {name: _column(f"move[{name!r}]", value, count) for name, value in given_move.items()}
-        moves = draw_moves(self.profile, uniforms[:, len(FIELDS) :], fixed)
+        given = np.full((count, len(MOVE_FIELDS)), np.nan)
+        for name, value in given_move.items():
+            given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
+            if not np.isfinite(column).all():
+                raise ValueError(f"move[{name!r}] must be finite, got {value!r}")
+        moves = draw_moves(self.profile, uniforms[:, len(FIELDS) :], given)
+        if given_move:
+            check_moves(self.profile, moves)
+
         states = _states(options.get("state"), moves[:, 0] * table[:, FIELDS.index("gear_ratio")])
-
         self.table[arms] = table
-        at.set_rows(self.blocks, 0, arms, np.zeros((count, at.ROWS)))
-        at.set_rows(self.blocks, at.STATE, arms, states)
-        at.set_rows(self.blocks, at.PLANT, arms, plant_rows(table))
-        at.set_rows(self.blocks, at.MOVE, arms, moves)
-        at.set_rows(self.blocks, at.SUBSTEPS, arms, substeps[:, None])
-        at.set_rows(self.blocks, at.RESOLUTION, arms, np.full((count, 1), self.resolution))
-        at.set_rows(self.blocks, at.DELAY, arms, np.full((count, 1), float(self.delay)))
-        history = states[:, :1] - states[:, 1:2] * CONTROL_PERIOD * np.arange(4)
-        at.set_rows(self.blocks, at.COUNTS, arms, to_counts(history, self.resolution))  # pyright: ignore[reportArgumentType]
+        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay)
 
     def observe(self, observations: NDArray[np.float32], arms: Indices) -> None:
         """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""

@@ -1,8 +1,8 @@
 """Memory layout of a batch of arms: blocks of `LANES` arms, one row per quantity.
 
 A block is a flat float64 array in which quantity `row` of lane `j` sits at `row * LANES + j`. The constant distance
-between rows lets LLVM prove that they do not overlap, and hence vectorise a loop over lanes that reads and writes dozens
-of them; it also keeps a block's working set together in the cache. A single arm is lane 0 of one block.
+between rows lets LLVM prove that they do not overlap, and hence vectorise a loop over lanes that reads and writes
+dozens of them; it also keeps a block's working set together in the cache. A single arm is lane 0 of one block.
 """
 
 from __future__ import annotations
@@ -41,14 +41,6 @@ def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.i
     """Copy of `count` rows from row `first` on, for some arms: shape (len(arms), count)."""
     table = blocks.reshape(len(blocks), ROWS, LANES)
     return table[arms // LANES, first : first + count, arms % LANES]
-
-
-def set_rows(
-    blocks: NDArray[np.float64], first: int, arms: NDArray[np.intp], values: NDArray[np.float64]
-) -> None:
-    """Write `values` of shape (len(arms), count) to the rows from `first` on."""
-    table = blocks.reshape(len(blocks), ROWS, LANES)
-    table[arms // LANES, first : first + values.shape[1], arms % LANES] = values
 
 
 @inlined
@@ -92,3 +84,20 @@ def load_move(block: NDArray[np.float64], lane: int) -> MoveShape:
     """Move of one lane."""
     at = MOVE * LANES + lane
     return MoveShape(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
+
+
+@inlined
+def store_plant(block: NDArray[np.float64], lane: int, plant: Plant) -> None:
+    """Write a lane's plant coefficients."""
+    at = PLANT * LANES + lane
+    block[at] = plant.inverse_gear
+    block[at + LANES] = plant.inverse_motor_inertia
+    block[at + 2 * LANES] = plant.viscous_friction
+    block[at + 3 * LANES] = plant.coulomb_friction
+    block[at + 4 * LANES] = plant.inertia
+    block[at + 5 * LANES] = plant.inertia_swing
+    block[at + 6 * LANES] = plant.stiffness
+    block[at + 7 * LANES] = plant.damping
+    block[at + 8 * LANES] = plant.double_link
+    block[at + 9 * LANES] = plant.hand
+    block[at + 10 * LANES] = plant.torque_limit

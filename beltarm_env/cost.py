@@ -32,9 +32,7 @@ class StepCost(NamedTuple):
 
 
 @inlined
-def step_cost(
-    tip: TipMotion, angle: float, speed: float, torque: float, last_torque: float, plant: Plant
-) -> StepCost:
+def step_cost(tip: TipMotion, angle: float, speed: float, torque: float, last_torque: float, plant: Plant) -> StepCost:
     """Cost of one step.
 
     Args:

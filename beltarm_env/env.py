@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import gymnasium as gym
 import numpy as np
@@ -134,10 +134,10 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.render_mode = render_mode
         self.sensors = sensors
         self._size = observation.size(sensors)
-        self._block = self._batch.blocks[0]
         self._profile = self._batch.profile
         self._tier = self._batch.tier
-        self._running = False
+        self._ready = False  # reset at least once
+        self._running = False  # within an episode
         self._renderer = None
 
     def reset(
@@ -157,7 +157,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
-        self._running = True
+        self._ready = self._running = True
         result = np.empty((1, self._size), np.float32)
         self._batch.observe(result, _ARM)
         if self._renderer is not None:
@@ -187,7 +187,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise ValueError(f"action must be finite, got {action!r}")
         result = np.empty(self._size, np.float32)
         reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
-            self._block, fraction, result, self._profile, self._tier
+            self._batch.blocks[0], fraction, result, self._profile, self._tier
         )
         info: dict[str, Any] = {
             "tip_error": error,
@@ -208,10 +208,12 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn('render() does nothing without a render mode: make("BeltArm-v0", render_mode="rgb_array")')
             return None
+        if not self._ready:
+            raise ResetNeeded("there is no arm to draw yet: call reset() before render()")
         if self._renderer is None:
             from beltarm_env.rendering import Renderer
 
-            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+            self._renderer = Renderer(cast("Any", self.render_mode), self.metadata["render_fps"])
         return self._renderer.draw(self.params, self.state, self.reference(self.time).angle, self.time)
 
     def close(self) -> None:

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from beltarm_env import _layout as at
 from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env._jit import compiled
-from beltarm_env._layout import LANES, load_move, load_plant, load_state
+from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant
 from beltarm_env.cost import MAX_COST, step_cost
 from beltarm_env.kinematics import outside_workspace, reference_tip, tip_motion
 from beltarm_env.motion import move_block
 from beltarm_env.observation import ENTRIES, FULL, LOOKAHEADS, SENSORS, TIP, bounds, scales, size
+from beltarm_env.params import integration_substeps, plant_of
 from beltarm_env.reference import reference_at
 from beltarm_env.sensors import speed_from_counts, to_counts
 
@@ -176,9 +177,7 @@ def _observe_block(
 
 
 @compiled
-def _step_block(
-    block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int
-) -> None:
+def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int) -> None:
     """One control period for the arms of one block; actions are in scratch, results go to scratch."""
     count = len(observations)
     _apply_commands(block, scratch, count)
@@ -259,6 +258,46 @@ def step_arm(
         scratch[(TERMS + 2) * LANES],
         scratch[(TERMS + 3) * LANES],
     )
+
+
+@compiled
+def begin_episodes(
+    blocks: Floats,
+    arms: NDArray[np.intp],
+    table: Floats,
+    moves: Floats,
+    states: Floats,
+    resolution: float,
+    delay: int,
+) -> None:
+    """Begin a new episode in n arms.
+
+    Args:
+        blocks: The arms, as `_layout` describes.
+        arms: Which ones, shape (n,).
+        table: Their parameters, shape (n, len(FIELDS)).
+        moves: Their moves, shape (n, 4).
+        states: Their states, shape (n, 4).
+        resolution: Of the encoder [rad per count].
+        delay: Of the measurements [samples].
+    """
+    for i in range(len(arms)):
+        block, j = blocks[arms[i] // LANES], arms[i] % LANES
+        plant = plant_of(table[i])
+        for row in range(at.ROWS):
+            block[row * LANES + j] = 0.0
+        for k in range(4):
+            block[(at.STATE + k) * LANES + j] = states[i, k]
+            block[(at.MOVE + k) * LANES + j] = moves[i, k]
+            before = states[i, 0] - k * CONTROL_PERIOD * states[i, 1]
+            block[(at.COUNTS + k) * LANES + j] = to_counts(before, resolution)
+        store_plant(block, j, plant)
+        tip_speed = tip_motion(load_state(block, at.STATE, j), plant).x_speed
+        for k in range(3):
+            block[(at.TIP_SPEEDS + k) * LANES + j] = tip_speed
+        block[at.SUBSTEPS * LANES + j] = integration_substeps(plant)
+        block[at.RESOLUTION * LANES + j] = resolution
+        block[at.DELAY * LANES + j] = delay
 
 
 @compiled

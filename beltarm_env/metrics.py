@@ -105,7 +105,7 @@ def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
 
 def settling_time(tip_error: Floats) -> Floats:
     """Time from the move's start until the tip stays within the band in both axes, shape (n,) [s]; inf for never."""
-    outside = (np.abs(tip_error) > SETTLING_BAND).any(axis=2)
+    outside = np.any(np.abs(tip_error) > SETTLING_BAND, axis=2)
     steps = len(outside)
     last_outside = np.where(outside.any(axis=0), steps - 1 - np.argmax(outside[::-1], axis=0), -1)
     return np.where(last_outside == steps - 1, np.inf, (last_outside + 2) * CONTROL_PERIOD)

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beltarm_env._jit import compiled, inlined
 from beltarm_env.params import ArmParams
-from beltarm_env.reference import PEAK_ACCELERATION, PEAK_SPEED, QUINTIC, MoveShape
+from beltarm_env.reference import (
+    QUINTIC,
+    QUINTIC_PEAK_ACCELERATION,
+    QUINTIC_PEAK_SPEED,
+    SCURVE,
+    SCURVE_PEAK_ACCELERATION,
+    MoveShape,
+)
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +35,7 @@ TORQUE_SHARE = 0.8
 
 _FASTEST_SHORT, _FASTEST_LONG = 0.5, 0.8  # quickest duration of a 15 and of a 90 degree move [s]
 _SLOWDOWN = 0.5  # durations are drawn up to this much longer than the quickest: 0.5 to 1.2 s in all
-_RAMP_SHARE = (0.15, 0.35)  # of the duration
+_LEAST_RAMP_SHARE, _MOST_RAMP_SHARE = 0.15, 0.35  # of the duration
 _ROUNDING = 1e-9
 
 _NOMINAL = ArmParams()
@@ -36,84 +43,96 @@ _INERTIA = (
     _NOMINAL.motor_inertia + (_NOMINAL.arm_inertia + _NOMINAL.arm_inertia_swing) / _NOMINAL.gear_ratio**2
 ) * _NOMINAL.gear_ratio
 _VISCOUS = _NOMINAL.motor_viscous_friction * _NOMINAL.gear_ratio
+_COULOMB = _NOMINAL.coulomb_friction
 _CENTRIFUGAL = 0.5 * _NOMINAL.arm_inertia_swing / _NOMINAL.gear_ratio
 
+MOST_TORQUE = TORQUE_SHARE * _NOMINAL.torque_limit
+"""Most torque a move may ask of the nominal rigid arm [N m]."""
 
-def _peaks(profile: int, length: Floats, duration: Floats, ramp_time: Floats) -> tuple[Floats, Floats]:
+
+@inlined
+def _peaks(profile: int, length: float, duration: float, ramp_time: float) -> tuple[float, float]:
     """Peak joint acceleration [rad/s^2] and speed [rad/s]."""
     if profile == QUINTIC:
-        return PEAK_ACCELERATION[profile] * length / duration**2, PEAK_SPEED[profile] * length / duration
+        return QUINTIC_PEAK_ACCELERATION * length / (duration * duration), QUINTIC_PEAK_SPEED * length / duration
     cruise = length / (duration - ramp_time)
-    return PEAK_ACCELERATION[profile] * cruise / ramp_time, PEAK_SPEED[profile] * cruise
+    return (SCURVE_PEAK_ACCELERATION if profile == SCURVE else 1.0) * cruise / ramp_time, cruise
 
 
-def peak_torque(profile: int, length: Floats, duration: Floats, ramp_time: Floats) -> Floats:
+@inlined
+def peak_torque(profile: int, length: float, duration: float, ramp_time: float) -> float:
     """Motor torque the nominal rigid arm needs at most [N m]: all peaks taken together, inertia as at 90 degrees."""
     acceleration, speed = _peaks(profile, length, duration, ramp_time)
-    moving = _INERTIA * acceleration + _VISCOUS * speed + _CENTRIFUGAL * speed**2
-    return moving + _NOMINAL.coulomb_friction
+    return _INERTIA * acceleration + _VISCOUS * speed + _CENTRIFUGAL * speed * speed + _COULOMB
 
 
-def shortest_duration(profile: int, length: Floats, ramp_share: Floats) -> Floats:
+@inlined
+def shortest_duration(profile: int, length: float, ramp_share: float) -> float:
     """Shortest duration [s] of a feasible move whose ramps take `ramp_share` of it.
 
     With q = 1/duration, acceleration scales with q^2 and speed with q, so `peak_torque` is quadratic in q.
     """
-    acceleration, speed = _peaks(profile, length, np.ones_like(length), ramp_share)
-    quadratic = _INERTIA * acceleration + _CENTRIFUGAL * speed**2
+    acceleration, speed = _peaks(profile, length, 1.0, ramp_share)
+    quadratic = _INERTIA * acceleration + _CENTRIFUGAL * speed * speed
     linear = _VISCOUS * speed
-    spare = TORQUE_SHARE * _NOMINAL.torque_limit - _NOMINAL.coulomb_friction
-    return 2 * quadratic / (np.sqrt(linear**2 + 4 * quadratic * spare) - linear)
+    spare = MOST_TORQUE - _COULOMB
+    return 2 * quadratic / (math.sqrt(linear * linear + 4 * quadratic * spare) - linear)
 
 
-def draw_moves(profile: int, uniforms: Floats, fixed: Mapping[str, Floats]) -> Floats:
-    """Draw moves, all feasible: start and goal uniform over the pairs at least `SHORTEST` apart.
+@inlined
+def _other_end(end: float, uniform: float) -> float:
+    """A point at least `SHORTEST` from `end`, uniform over what the workspace leaves on both sides."""
+    below = max(end - SHORTEST, 0.0)
+    above = max(WORKSPACE - SHORTEST - end, 0.0)
+    position = uniform * (below + above)
+    return position if position < below else end + SHORTEST + (position - below)
+
+
+@inlined
+def _draw_ends(uniforms: Floats, start: float, goal: float) -> tuple[float, float]:
+    """Start and goal, where not given (NaN) uniform over the pairs at least `SHORTEST` apart."""
+    if start == start and goal == goal:
+        return start, goal
+    if start == start:
+        return start, _other_end(start, uniforms[0])
+    if goal == goal:
+        return _other_end(goal, uniforms[0]), goal
+    length = WORKSPACE - (WORKSPACE - SHORTEST) * math.sqrt(uniforms[0])
+    low = uniforms[1] * (WORKSPACE - length)
+    return (low, low + length) if uniforms[2] < 0.5 else (low + length, low)
+
+
+@compiled
+def draw_moves(profile: int, uniforms: Floats, given: Floats) -> Floats:
+    """Draw moves; those without given values are all feasible.
 
     Args:
         profile: Index into `reference.PROFILES`.
         uniforms: Draws in [0, 1), shape (n, DRAWS).
-        fixed: Values of shape (n,) for any of `MOVE_FIELDS`, taken as they are.
+        given: Values taken as they are, NaN where to draw, shape (n, 4), columns as `MOVE_FIELDS`.
 
     Returns:
-        Table of moves, shape (n, 4), columns as `MOVE_FIELDS`.
-
-    Raises:
-        ValueError: If a fixed value leaves no allowed or no feasible move.
+        Table of moves, shape (n, 4). Given values make `check_moves` necessary.
     """
-    start, goal = _draw_ends(uniforms, fixed)
-    length = np.maximum(np.abs(goal - start), _ROUNDING)
-    quickest = _FASTEST_SHORT + (_FASTEST_LONG - _FASTEST_SHORT) * (length - SHORTEST) / (WORKSPACE - SHORTEST)
-    ramp_share = _RAMP_SHARE[0] + (_RAMP_SHARE[1] - _RAMP_SHARE[0]) * uniforms[:, 4]
-    drawn = quickest * (1 + _SLOWDOWN * uniforms[:, 3])
-    drawn = np.maximum(drawn, shortest_duration(profile, length, ramp_share))
-    if "ramp_time" in fixed:
-        drawn = np.maximum(drawn, 2 * fixed["ramp_time"])
-    duration = fixed.get("duration", drawn)
-    ramp_time = fixed.get("ramp_time", ramp_share * duration)
-    table = np.column_stack([start, goal, duration, ramp_time])
-    check_moves(profile, table)
+    table = np.empty((len(uniforms), 4))
+    for i in range(len(uniforms)):
+        u = uniforms[i]
+        start, goal = _draw_ends(u, given[i, 0], given[i, 1])
+        duration, ramp_time = given[i, 2], given[i, 3]
+        length = max(abs(goal - start), SHORTEST)
+        ramp_share = _LEAST_RAMP_SHARE + (_MOST_RAMP_SHARE - _LEAST_RAMP_SHARE) * u[4]
+        if duration != duration:
+            quickest = _FASTEST_SHORT + (_FASTEST_LONG - _FASTEST_SHORT) * (length - SHORTEST) / (WORKSPACE - SHORTEST)
+            duration = max(quickest * (1 + _SLOWDOWN * u[3]), shortest_duration(profile, length, ramp_share))
+            if ramp_time == ramp_time:
+                duration = max(duration, 2 * ramp_time)
+        if ramp_time != ramp_time:
+            ramp_time = ramp_share * duration
+        table[i, 0] = start
+        table[i, 1] = goal
+        table[i, 2] = duration
+        table[i, 3] = ramp_time
     return table
-
-
-def _draw_ends(uniforms: Floats, fixed: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-    if "start" in fixed and "goal" in fixed:
-        return fixed["start"], fixed["goal"]
-    if "start" in fixed:
-        return fixed["start"], _other_end(fixed["start"], uniforms[:, 0])
-    if "goal" in fixed:
-        return _other_end(fixed["goal"], uniforms[:, 0]), fixed["goal"]
-    length = WORKSPACE - (WORKSPACE - SHORTEST) * np.sqrt(uniforms[:, 0])
-    low = uniforms[:, 1] * (WORKSPACE - length)
-    rising = uniforms[:, 2] < 0.5
-    return np.where(rising, low, low + length), np.where(rising, low + length, low)
-
-
-def _other_end(end: Floats, uniform: Floats) -> Floats:
-    """A point at least `SHORTEST` from `end`, uniform over what the workspace leaves on both sides."""
-    below = np.maximum(end - SHORTEST, 0.0)
-    above = np.maximum(WORKSPACE - SHORTEST - end, 0.0)
-    position = uniform * (below + above)
-    return np.where(position < below, position, end + SHORTEST + (position - below))
 
 
 def check_moves(profile: int, table: Floats) -> None:
@@ -122,7 +141,7 @@ def check_moves(profile: int, table: Floats) -> None:
     Raises:
         ValueError: Naming the value that is not allowed, the bound, and what would do.
     """
-    _require(np.isfinite(table).all(axis=1), table, "all values must be finite")
+    _require(np.all(np.isfinite(table), axis=1), table, "all values must be finite")
     start, goal, duration, ramp_time = table.T
     length = np.abs(goal - start)
     _require((start >= -_ROUNDING) & (start <= WORKSPACE + _ROUNDING), table, "start must lie within 0 and pi/2 rad")
@@ -133,16 +152,20 @@ def check_moves(profile: int, table: Floats) -> None:
     _require(
         (duration > 0) & (duration <= LONGEST_TIME), table, f"duration must be positive and at most {LONGEST_TIME} s"
     )
-    _require((ramp_time > 0) & (ramp_time <= duration / 2 + _ROUNDING), table, "ramp_time must be positive and at most half the duration")
-    needed = peak_torque(profile, length, duration, ramp_time)
-    limit = TORQUE_SHARE * _NOMINAL.torque_limit
-    if (needed > limit + _ROUNDING).any():
-        arm = int(np.argmax(needed))
-        least = float(shortest_duration(profile, length, ramp_time / duration)[arm])
-        raise ValueError(
-            f"infeasible move {_describe(*table[arm])}: the nominal rigid arm needs {needed[arm]:.3f} N m, more than "
-            f"{TORQUE_SHARE:.0%} of its limit, {limit:.3f} N m; with ramps of the same share, allow {least:.3f} s"
-        )
+    _require(
+        (ramp_time > 0) & (ramp_time <= duration / 2 + _ROUNDING),
+        table,
+        "ramp_time must be positive and at most half the duration",
+    )
+    for move, span in zip(table, length, strict=True):
+        needed = peak_torque(profile, float(span), float(move[2]), float(move[3]))
+        if needed > MOST_TORQUE + _ROUNDING:
+            least = shortest_duration(profile, float(span), float(move[3] / move[2]))
+            raise ValueError(
+                f"infeasible move {_describe(*move)}: the nominal rigid arm needs {needed:.3f} N m, more than "
+                f"{TORQUE_SHARE:.0%} of its limit, {MOST_TORQUE:.3f} N m; with ramps of the same share, allow "
+                f"{least:.3f} s"
+            )
 
 
 def _require(allowed: NDArray[np.bool_], table: Floats, rule: str) -> None:

@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env._constants import EPISODE_STEPS
-
 LOOKAHEADS = (0.03, 0.06, 0.12, 0.20, 0.40)
 """How far ahead of the current sample the reference is shown [s]."""
 

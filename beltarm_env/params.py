@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env._constants import CONTROL_PERIOD
+from beltarm_env._jit import inlined
+from beltarm_env.dynamics import Plant
 
+Floats = NDArray[np.float64]
 Ranges = Mapping[str, tuple[float, float]]
 
 _MAY_BE_ZERO = {"motor_viscous_friction", "coulomb_friction", "hand_length", "arm_inertia_swing", "payload_mass"}
@@ -41,6 +44,7 @@ class ArmParams:
     torque_limit: float = 0.3  # [N m]    of the motor (a)
 
     def __post_init__(self) -> None:
+        """Convert every field to float and check it."""
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
@@ -106,71 +110,93 @@ def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str,
     return ranges
 
 
-def draw_params(ranges: Ranges, uniforms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Parameter table, shape (n, len(FIELDS)), from uniform draws of shape (n, len(FIELDS)) in [0, 1)."""
-    table = np.tile([getattr(_NOMINAL, name) for name in FIELDS], (len(uniforms), 1))
-    for name, (low, high) in ranges.items():
-        column = FIELDS.index(name)
-        table[:, column] = low + uniforms[:, column] * (high - low)
-    return table
+def range_bounds(ranges: Ranges) -> Floats:
+    """Lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
+    bounds = np.tile([getattr(_NOMINAL, name) for name in FIELDS], (2, 1))
+    for name, pair in ranges.items():
+        bounds[:, FIELDS.index(name)] = pair
+    return bounds
 
 
-def plant_rows(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients of the equations of motion, shape (n, len(Plant._fields)), for a table of parameters.
+@inlined
+def plant_of(row: Floats) -> Plant:
+    """Coefficients of the equations of motion, for parameters in the order of `FIELDS`.
 
     The belt's damping D_s = 2 zeta sqrt(K_s M2(90 deg)) is a property of the belt: the payload does not enter.
     """
-    p = dict(zip(FIELDS, table.T, strict=True))
-    double_link = 2 * p["link_length"]
-    swing = p["arm_inertia_swing"] + double_link * double_link * p["payload_mass"]
-    upright = p["arm_inertia"] + p["arm_inertia_swing"]
-    damping = 2 * p["belt_damping_ratio"] * np.sqrt(p["belt_stiffness"] * upright)
-    return np.column_stack(
-        [
-            1 / p["gear_ratio"],
-            1 / p["motor_inertia"],
-            p["motor_viscous_friction"],
-            p["coulomb_friction"],
-            p["arm_inertia"],
-            swing,
-            p["belt_stiffness"],
-            damping,
-            double_link,
-            p["hand_length"],
-            p["torque_limit"],
-        ]
+    gear, link, hand, inertia, viscous, coulomb, arm, swing, payload, stiffness, damping_ratio, limit = (
+        row[0],
+        row[1],
+        row[2],
+        row[3],
+        row[4],
+        row[5],
+        row[6],
+        row[7],
+        row[8],
+        row[9],
+        row[10],
+        row[11],
+    )
+    return Plant(
+        1 / gear,
+        1 / inertia,
+        viscous,
+        coulomb,
+        arm,
+        swing + 4 * link * link * payload,
+        stiffness,
+        2 * damping_ratio * math.sqrt(stiffness * (arm + swing)),
+        2 * link,
+        hand,
+        limit,
     )
 
 
+@inlined
+def fastest_rate(plant: Plant) -> float:
+    """Bound of the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
+    compliance = plant.inverse_gear * plant.inverse_gear * plant.inverse_motor_inertia + 1 / plant.inertia
+    belt = max(math.sqrt(plant.stiffness * compliance), plant.damping * compliance)
+    return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
+
+
 MAX_SUBSTEPS = 100
+"""Most integration steps per sample."""
 _STEP_ANGLE = 0.4  # largest product of rate and integration step; RK4 is stable up to 2.8
 
 
-def integration_substeps(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Integration steps per sample, shape (n,): one for any arm near the nominal, more for stiffer ones.
+@inlined
+def integration_substeps(plant: Plant) -> float:
+    """Integration steps per sample: one for any arm near the nominal, more for stiffer ones."""
+    return max(math.ceil(fastest_rate(plant) * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
+
+
+def check_integrable(table: Floats) -> None:
+    """Check that all arms of a table, shape (n, len(FIELDS)), can be integrated.
 
     Raises:
-        ValueError: If an arm's belt mode or motor damping is too fast for `MAX_SUBSTEPS`.
+        ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`.
     """
-    p = dict(zip(FIELDS, table.T, strict=True))
-    plant = plant_rows(table)
-    compliance = plant[:, 0] ** 2 * plant[:, 1] + 1 / p["arm_inertia"]  # 1/(M_a1 G^2) + 1/M2
-    fastest = np.maximum(np.sqrt(p["belt_stiffness"] * compliance), plant[:, 7] * compliance)
-    fastest = np.maximum(fastest, p["motor_viscous_friction"] / p["motor_inertia"])
-    substeps = np.maximum(np.ceil(fastest * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
-    if substeps.max() > MAX_SUBSTEPS:
-        arm = int(np.argmax(substeps))
-        raise ValueError(
-            f"the arm's fastest rate is {fastest[arm]:.3g} rad/s; at most "
-            f"{MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD:.3g} rad/s can be integrated at {CONTROL_PERIOD} s per "
-            "step: lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia"
-        )
-    return substeps
+    for row in table:
+        plant = plant_of(row)
+        if integration_substeps(plant) > MAX_SUBSTEPS:
+            raise ValueError(
+                f"the arm's fastest rate is {fastest_rate(plant):.3g} rad/s; at most "
+                f"{MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD:.3g} rad/s can be integrated at {CONTROL_PERIOD} s per "
+                "step: lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia"
+            )
 
 
-def state_space(
-    params: ArmParams, theta_1: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def check_ranges_integrable(bounds: Floats) -> None:
+    """Check the fastest arm within some ranges, see `range_bounds` and `check_integrable`."""
+    fastest = bounds[0].copy()
+    for name in ("belt_stiffness", "belt_damping_ratio", "motor_viscous_friction", "arm_inertia_swing"):
+        fastest[FIELDS.index(name)] = bounds[1, FIELDS.index(name)]
+    check_integrable(fastest[None])
+
+
+def state_space(params: ArmParams, theta_1: float) -> tuple[Floats, Floats, Floats]:
     """Linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at joint angle `theta_1` [rad], Coulomb friction left out.
 
     Two differences from the print: the last entry of b in (6e) is printed -1/(M_a1 G), but (5a) with (6g) gives
@@ -182,8 +208,8 @@ def state_space(
     """
     if not 0 <= theta_1 <= math.pi / 2:
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
-    row = plant_rows(np.array([[getattr(params, name) for name in FIELDS]]))[0]
-    inverse_gear, inverse_inertia, v, _, m0, swing, k, d = row[:8]
+    plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
+    inverse_gear, inverse_inertia, v, _, m0, swing, k, d = plant[:8]
     m2 = m0 + swing * math.sin(theta_1) ** 2
     at_motor = inverse_inertia * inverse_gear
     compliance = at_motor * inverse_gear + 1 / m2

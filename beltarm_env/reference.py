@@ -17,10 +17,12 @@ from beltarm_env._jit import inlined
 
 PROFILES = ("trapezoid", "scurve", "quintic")
 TRAPEZOID, SCURVE, QUINTIC = range(3)
-PEAK_ACCELERATION = (1.0, 1.5, 10 / 3**0.5)
-"""Peak acceleration of each profile over displacement/(duration - ramp)/ramp; quintic: over displacement/duration^2."""
-PEAK_SPEED = (1.0, 1.0, 1.875)
-"""Peak speed of each profile over displacement/(duration - ramp); quintic: over displacement/duration."""
+SCURVE_PEAK_ACCELERATION = 1.5
+"""Peak acceleration of a ramp over its mean: the steepest slope of 3u^2 - 2u^3. A linear ramp has 1."""
+QUINTIC_PEAK_ACCELERATION = 10 / 3**0.5
+"""Peak acceleration over displacement / duration^2."""
+QUINTIC_PEAK_SPEED = 1.875
+"""Peak speed over displacement / duration."""
 
 
 class MoveShape(NamedTuple):
@@ -58,9 +60,7 @@ def _smooth_ramp(u: float) -> tuple[float, float, float]:
 
 
 @inlined
-def _between_ramps(
-    move: MoveShape, up: tuple[float, float, float], down: tuple[float, float, float]
-) -> Reference:
+def _between_ramps(move: MoveShape, up: tuple[float, float, float], down: tuple[float, float, float]) -> Reference:
     """Motion whose speed is one ramp up minus one ramp down, times the cruising speed."""
     cruise = (move.goal - move.start) / (move.duration - move.ramp_time)
     return Reference(

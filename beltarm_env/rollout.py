@@ -62,7 +62,7 @@ class Recording:
     @property
     def time(self) -> Floats:
         """Time of each row [s], shape (T,)."""
-        return (1 + np.arange(len(self.state))) * CONTROL_PERIOD
+        return np.arange(1, len(self.state) + 1, dtype=np.float64) * CONTROL_PERIOD
 
     def metrics(self) -> dict[str, Floats]:
         """All metrics of `beltarm_env.metrics.METRICS`, each of shape (n,)."""

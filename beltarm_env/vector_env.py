@@ -140,9 +140,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
         terms = np.empty((len(TERMS), count))
         batch = self._batch
-        step_arms(
-            batch.blocks, fractions, result, rewards, terminated, truncated, terms, batch.profile, batch.tier
-        )
+        step_arms(batch.blocks, fractions, result, rewards, terminated, truncated, terms, batch.profile, batch.tier)
         stepped = np.ones(count, np.bool_)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
             stepped = ~self._over
@@ -222,6 +220,8 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """One frame of shape (height, width, 3) per arm, or None without a render mode."""
         if self.render_mode is None:
             return None
+        if not self._generators:
+            raise ResetNeeded("there are no arms to draw yet: call reset() before render()")
         from beltarm_env.rendering import Renderer
 
         if self._renderers is None:

@@ -6,6 +6,8 @@ integrated by DOP853 from one instant of stopping, reversing or breaking away to
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -75,7 +77,7 @@ class EventLocatedArm:
             def breaks_away(_: float, y: np.ndarray) -> float:
                 return abs(pull(y)) - tau_c
 
-            event = breaks_away if direction == 0 else stops
+            event: Any = breaks_away if direction == 0 else stops
             event.terminal = True
             event.direction = 1 if direction == 0 else -direction
             solution = solve_ivp(

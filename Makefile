@@ -1,0 +1,50 @@
+# Every target sets up .venv by itself, and only when pyproject.toml or constraints.txt have changed.
+
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+WORKERS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help setup compare test lint format bench train readme clean
+
+help:  ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(READY)  ## Create .venv with pinned versions
+
+$(READY): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or make PYTHON=..." >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+compare: $(READY)  ## Compare the controllers: table on the terminal, pictures in results/compare
+	$(BIN)/python eval/compare.py $(ARGS)
+
+test: $(READY)  ## Run the tests
+	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+lint: $(READY)  ## Check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: $(READY)  ## Format the code
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the same run
+	$(BIN)/python eval/bench.py $(ARGS)
+
+train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
+	$(BIN)/python train/ppo.py $(ARGS)
+
+readme: $(READY)  ## Regenerate the README's table and pictures
+	$(BIN)/python eval/compare.py --out docs/comparison
+	$(BIN)/python eval/readme.py
+
+clean:  ## Remove .venv, results and caches
+	rm -rf $(VENV) results .pytest_cache .ruff_cache .hypothesis dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

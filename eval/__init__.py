@@ -1,0 +1,1 @@
+"""The comparison, and what its scripts share."""

@@ -1,0 +1,170 @@
+"""Speed and accuracy, each beside a peer measured in the same run: `python eval/bench.py`.
+
+Times are the best of several repetitions, which is what the code can do when the machine leaves it alone; ratios to the
+peer are what to compare between machines.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import gymnasium as gym
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+import beltarm_env
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Config:
+    """Measure speed and accuracy."""
+
+    arms: int = 4096
+    """Arms of the batch."""
+    repetitions: int = 7
+    """Repetitions, of which the best counts."""
+    steps: int = 300
+    """Steps per repetition of a batch; single arms take a hundred times as many."""
+
+
+def best_time(run: Callable[[], object], repetitions: int) -> float:
+    """Shortest wall-clock of a call [s], after one call to warm up."""
+    run()
+    times = []
+    for _ in range(repetitions):
+        began = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def batch_step(name: str, config: Config, **settings: Any) -> float:
+    """Seconds per step of a vector environment under random actions."""
+    env = gym.make_vec(name, num_envs=config.arms, vectorization_mode="vector_entry_point", **settings)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(16)]
+
+    def run() -> None:
+        for step in range(config.steps):
+            env.step(actions[step % 16])
+
+    return best_time(run, config.repetitions) / config.steps
+
+
+def single_step(name: str, config: Config, **settings: Any) -> float:
+    """Seconds per step of one environment through `make`, episodes restarted as they end."""
+    env = gym.make(name, **settings)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(16)]
+    steps = 100 * config.steps
+
+    def run() -> None:
+        for step in range(steps):
+            _, _, terminated, truncated, _ = env.step(actions[step % 16])
+            if terminated or truncated:
+                env.reset()
+
+    return best_time(run, config.repetitions) / steps
+
+
+_FIRST_STEP = """
+import time
+began = time.perf_counter()
+import beltarm_env
+imported = time.perf_counter()
+import gymnasium, numpy
+env = gymnasium.make("BeltArm-v0")
+env.reset(seed=0)
+env.step(numpy.zeros(1, numpy.float32))
+print(imported - began, time.perf_counter() - imported)
+"""
+
+
+def start_up(cache: Path) -> tuple[float, float]:
+    """Seconds of `import beltarm_env`, and from there to the end of the first step, in a process of its own."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
+    result = subprocess.run(
+        [sys.executable, "-c", _FIRST_STEP], env=environment, capture_output=True, text=True, check=True
+    )
+    imported, stepped = map(float, result.stdout.split())
+    return imported, stepped
+
+
+def accuracy() -> tuple[float, int]:
+    """Largest tip distance [m] to the event-located reference over stick-slip moves, and their changes of mode."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    from event_located_arm import EventLocatedArm, tip
+
+    from baselines import PaperController
+
+    worst, changes = 0.0, 0
+    for seed in range(5):
+        env = gym.make("BeltArm-v0", randomization="train")
+        arm = env.unwrapped
+        assert isinstance(arm, beltarm_env.BeltArmEnv)
+        observation, _ = env.reset(seed=seed)
+        reference = EventLocatedArm(arm.params, arm.state)
+        controller, memory = PaperController(), None
+        over = False
+        while not over:
+            action, memory = controller.predict(observation[None], memory)
+            observation, _, terminated, over, _ = env.step(action[0])
+            assert not terminated
+            reference.advance(float(action[0, 0]) * arm.params.torque_limit, beltarm_env.CONTROL_PERIOD)
+            distance = np.linalg.norm(tip(arm.params, arm.state) - tip(reference.params, reference.state))
+            worst = max(worst, float(distance))
+        changes += len(reference.mode_changes)
+    return worst, changes
+
+
+def main() -> None:
+    """Command line."""
+    config = tyro.cli(Config, description=__doc__)
+    console = Console()
+    table = Table("what", "measured", "peer", "ratio", title=f"{os.cpu_count()} cores", title_justify="left")
+
+    arms, cart = batch_step("BeltArm-v0", config, randomization="train"), batch_step("CartPole-v1", config)
+    table.add_row(
+        f"vector step, N = {config.arms}",
+        f"{config.arms / arms / 1e6:.1f} M steps/s",
+        f"CartPole-v1: {config.arms / cart / 1e6:.1f} M steps/s",
+        f"{cart / arms:.2f}x",
+    )
+    arm, cart = single_step("BeltArm-v0", config), single_step("CartPole-v1", config)
+    table.add_row(
+        "single step through make", f"{1e6 * arm:.2f} us", f"CartPole-v1: {1e6 * cart:.2f} us", f"{cart / arm:.2f}x"
+    )
+    worst, changes = accuracy()
+    table.add_row(
+        f"tip error of 5 stick-slip episodes, {changes} mode changes",
+        f"{1e6 * worst:.4f} um",
+        "event-located DOP853",
+        "-",
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        _, cold = start_up(Path(folder))
+        warm = [start_up(Path(folder)) for _ in range(3)]
+    table.add_row("import beltarm_env", f"{min(run[0] for run in warm):.2f} s", "-", "-")
+    table.add_row("make, reset, first step: warm cache", f"{min(run[1] for run in warm):.2f} s", "-", "-")
+    table.add_row("make, reset, first step: cold cache", f"{cold:.1f} s", "-", "-")
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
