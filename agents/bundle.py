@@ -30,7 +30,7 @@ from beltarm_env.observation import ENTRIES
 FORMAT = "beltarm-policy"
 VERSION = 1
 MANIFEST = "policy.json"
-_ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
+ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
 _ALGORITHMS = ("ppo",)
 
 
@@ -62,7 +62,7 @@ def build_policy(spec: BundleSpec) -> BasePolicy:
         spaces.Box(-1.0, 1.0, (1,)),
         lambda _: 0.0,
         net_arch=list(spec.hidden),
-        activation_fn=_ACTIVATIONS[spec.activation],
+        activation_fn=ACTIVATIONS[spec.activation],
     )
 
 
@@ -129,7 +129,7 @@ def read_spec(folder: Path) -> tuple[BundleSpec, dict[str, Any]]:
             sensors=content["sensors"],
             provenance=content["provenance"],
         )
-        known = spec.algorithm in _ALGORITHMS and spec.base in CONTROLLERS and spec.activation in _ACTIVATIONS
+        known = spec.algorithm in _ALGORITHMS and spec.base in CONTROLLERS and spec.activation in ACTIVATIONS
         if not known or spec.entries() != content["entries"]:
             raise ValueError("it was made for another algorithm, base controller or observation layout")
     except (KeyError, TypeError, ValueError) as error:

@@ -26,6 +26,7 @@ from beltarm_env.rollout import Controller, rollout
 VALIDATION_SEED = 7_000_000
 """Seed of the arms on which checkpoints are compared: training seeds lie below, the comparison's seeds above."""
 SCORES = ("cost", "tip_rms_mm", "residual_pp_mm")
+_WORDS = ("cost", "tip", "ringing")
 
 
 def validate(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
@@ -95,7 +96,7 @@ class TrainingMonitor(BaseCallback):
         self.base_scores = validate(base, arms, spec.sensors)
         self._display = Progress(
             TextColumn("{task.percentage:3.0f} %"),
-            BarColumn(),
+            BarColumn(bar_width=16),
             TimeRemainingColumn(),
             TextColumn("{task.fields[scores]}"),
         )
@@ -144,8 +145,8 @@ class TrainingMonitor(BaseCallback):
             save_bundle(self.checkpoint.best, self._completed_spec(scores), self.model.policy)
         self._append({"steps": self.num_timesteps, "seconds": round(self.seconds, 1), **scores})
         self.checkpoint.save(self.model, self.state)
-        shown = "  ".join(f"{name.removesuffix('_mm')} {ratios[name]:.2f}x" for name in SCORES)
-        self._display.update(self._task, completed=self.num_timesteps, scores=f"validation, of base: {shown}")
+        shown = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in zip(SCORES, _WORDS, strict=True))
+        self._display.update(self._task, completed=self.num_timesteps, scores=f"{shown} of the base")
 
     def _completed_spec(self, scores: dict[str, float]) -> BundleSpec:
         reached = {"steps": self.num_timesteps, "seconds": round(self.seconds, 1), "validation": scores}

@@ -14,21 +14,18 @@ from beltarm_env import _layout as at
 from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env._jit import compiled
 from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant
+from beltarm_env._observe import observe_block
 from beltarm_env.cost import MAX_COST, step_cost
 from beltarm_env.kinematics import outside_workspace, reference_tip, tip_motion
 from beltarm_env.motion import move_block
-from beltarm_env.observation import ENTRIES, FULL, LOOKAHEADS, SENSORS, TIP, bounds, scales, size
+from beltarm_env.observation import TIP
 from beltarm_env.params import integration_substeps, plant_of
 from beltarm_env.reference import reference_at
-from beltarm_env.sensors import speed_from_counts, to_counts
+from beltarm_env.sensors import to_counts
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-
-_COMMON = len(ENTRIES["encoder"])
-_MOST = max(len(entries) for entries in ENTRIES.values())
-_AHEAD = len(LOOKAHEADS)
 
 # Scratch rows of a step, in a block of their own.
 COMMAND = 0  # action, then torque [N m]
@@ -36,15 +33,7 @@ TERMS = COMMAND + 1  # tip error and the three cost terms
 REWARD = TERMS + 4
 TERMINATED = REWARD + 1
 TRUNCATED = TERMINATED + 1
-ENTRY = TRUNCATED + 1  # observation in physical units
-SCRATCH_ROWS = ENTRY + _MOST
-
-
-_INVERSE_SCALE = np.ones((len(SENSORS), _MOST))
-_BOUND = np.ones((len(SENSORS), _MOST))
-for _tier, _sensors in enumerate(SENSORS):
-    _INVERSE_SCALE[_tier, : size(_sensors)] = 1 / scales(_sensors)
-    _BOUND[_tier, : size(_sensors)] = bounds(_sensors)
+SCRATCH_ROWS = TRUNCATED + 1
 
 
 @compiled
@@ -104,87 +93,14 @@ def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
 
 
 @compiled
-def _entries(block: Floats, scratch: Floats, count: int, profile: int, tier: int) -> None:
-    """Observation entries in physical units, one row of scratch each."""
-    for j in range(count):
-        plant = load_plant(block, j)
-        resolution = block[at.RESOLUTION * LANES + j]
-        delay = block[at.DELAY * LANES + j]
-        latest = block[at.COUNTS * LANES + j]
-        once = block[(at.COUNTS + 1) * LANES + j]
-        twice = block[(at.COUNTS + 2) * LANES + j]
-        oldest = block[(at.COUNTS + 3) * LANES + j]
-        now = latest if delay == 0.0 else (once if delay == 1.0 else twice)
-        before = once if delay == 0.0 else (twice if delay == 1.0 else oldest)
-        speed = speed_from_counts(now, before, resolution)
-        time = block[at.STEP * LANES + j] * CONTROL_PERIOD
-        reference = reference_at(profile, load_move(block, j), time)
-        scratch[ENTRY * LANES + j] = reference.angle / plant.inverse_gear - now * resolution
-        scratch[(ENTRY + 1) * LANES + j] = reference.speed / plant.inverse_gear - speed
-        scratch[(ENTRY + 2) * LANES + j] = speed
-        scratch[(ENTRY + 3) * LANES + j] = reference.angle
-        scratch[(ENTRY + 4) * LANES + j] = reference.speed
-        scratch[(ENTRY + 5) * LANES + j] = reference.acceleration
-    for k in range(_AHEAD):
-        ahead = LOOKAHEADS[k]
-        for j in range(count):
-            time = block[at.STEP * LANES + j] * CONTROL_PERIOD
-            reference = reference_at(profile, load_move(block, j), time + ahead)
-            scratch[(ENTRY + 6 + k) * LANES + j] = reference.speed
-            scratch[(ENTRY + 6 + _AHEAD + k) * LANES + j] = reference.acceleration
-    after = ENTRY + 6 + 2 * _AHEAD
-    for j in range(count):
-        move = load_move(block, j)
-        scratch[after * LANES + j] = move.start
-        scratch[(after + 1) * LANES + j] = move.goal
-        scratch[(after + 2) * LANES + j] = move.duration
-        scratch[(after + 3) * LANES + j] = move.ramp_time
-        scratch[(after + 4) * LANES + j] = block[at.STEP * LANES + j] * CONTROL_PERIOD
-        scratch[(after + 5) * LANES + j] = block[at.TORQUE * LANES + j] / load_plant(block, j).torque_limit
-    if tier == TIP:
-        for j in range(count):
-            delay = block[at.DELAY * LANES + j]
-            latest = block[at.TIP_SPEEDS * LANES + j]
-            once = block[(at.TIP_SPEEDS + 1) * LANES + j]
-            twice = block[(at.TIP_SPEEDS + 2) * LANES + j]
-            scratch[(ENTRY + _COMMON) * LANES + j] = latest if delay == 0.0 else (once if delay == 1.0 else twice)
-    elif tier == FULL:
-        for j in range(count):
-            x = load_state(block, at.STATE, j)
-            scratch[(ENTRY + _COMMON) * LANES + j] = x.torsion
-            scratch[(ENTRY + _COMMON + 1) * LANES + j] = x.torsion_speed
-
-
-@compiled
-def _observe_block(
-    block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int
-) -> None:
-    """Scaled and clipped observations, shape (count, size)."""
-    count, entries = observations.shape
-    _entries(block, scratch, count, profile, tier)
-    for k in range(_MOST):  # constant ranges let LLVM unroll over entries and vectorise over lanes
-        inverse_scale = _INVERSE_SCALE[tier, k]
-        bound = _BOUND[tier, k]
-        for j in range(count):
-            value = scratch[(ENTRY + k) * LANES + j] * inverse_scale
-            tile[k * LANES + j] = min(max(value, -bound), bound)
-    for j in range(count):
-        for k in range(_COMMON):
-            observations[j, k] = tile[k * LANES + j]
-    for k in range(_COMMON, entries):
-        for j in range(count):
-            observations[j, k] = tile[k * LANES + j]
-
-
-@compiled
-def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int) -> None:
+def _step_block(block: Floats, scratch: Floats, observations: Singles, profile: int, tier: int) -> None:
     """One control period for the arms of one block; actions are in scratch, results go to scratch."""
     count = len(observations)
     _apply_commands(block, scratch, count)
     move_block(block, scratch[COMMAND * LANES : (COMMAND + 1) * LANES], count)
     _sense(block, count, tier)
     _charge(block, scratch, count, profile)
-    _observe_block(block, scratch, tile, observations, profile, tier)
+    observe_block(block, observations, profile, tier)
 
 
 @compiled
@@ -213,13 +129,12 @@ def step_arms(
         tier: Index into `observation.SENSORS`.
     """
     scratch = np.empty(SCRATCH_ROWS * LANES)
-    tile = np.empty(_MOST * LANES, dtype=np.float32)
     for k in range(len(blocks)):
         low = k * LANES
         count = min(LANES, len(actions) - low)
         for j in range(count):
             scratch[COMMAND * LANES + j] = actions[low + j]
-        _step_block(blocks[k], scratch, tile, observations[low : low + count], profile, tier)
+        _step_block(blocks[k], scratch, observations[low : low + count], profile, tier)
         for j in range(count):
             rewards[low + j] = scratch[REWARD * LANES + j]
             terminated[low + j] = scratch[TERMINATED * LANES + j] != 0.0
@@ -246,9 +161,8 @@ def step_arm(
         Reward, terminated, truncated, tip error [m], and the three cost terms.
     """
     scratch = np.empty(SCRATCH_ROWS * LANES)
-    tile = np.empty(_MOST * LANES, dtype=np.float32)
     scratch[COMMAND * LANES] = action
-    _step_block(block, scratch, tile, observation.reshape(1, -1), profile, tier)
+    _step_block(block, scratch, observation.reshape(1, -1), profile, tier)
     return (
         scratch[REWARD * LANES],
         scratch[TERMINATED * LANES] != 0.0,
@@ -303,13 +217,11 @@ def begin_episodes(
 @compiled
 def observe_arms(blocks: Floats, observations: Singles, chosen: Flags, profile: int, tier: int) -> None:
     """Write the observations of all arms in those blocks where `chosen`, shape (blocks,), is true."""
-    scratch = np.empty(SCRATCH_ROWS * LANES)
-    tile = np.empty(_MOST * LANES, dtype=np.float32)
     for k in range(len(blocks)):
         if chosen[k]:
             low = k * LANES
             high = min(low + LANES, len(observations))
-            _observe_block(blocks[k], scratch, tile, observations[low:high], profile, tier)
+            observe_block(blocks[k], observations[low:high], profile, tier)
 
 
 @compiled

@@ -60,13 +60,15 @@ def _smooth_ramp(u: float) -> tuple[float, float, float]:
 
 
 @inlined
-def _between_ramps(move: MoveShape, up: tuple[float, float, float], down: tuple[float, float, float]) -> Reference:
+def _between_ramps(
+    move: MoveShape, ramp_rate: float, up: tuple[float, float, float], down: tuple[float, float, float]
+) -> Reference:
     """Motion whose speed is one ramp up minus one ramp down, times the cruising speed."""
     cruise = (move.goal - move.start) / (move.duration - move.ramp_time)
     return Reference(
         move.start + cruise * move.ramp_time * (up[0] - down[0]),
         cruise * (up[1] - down[1]),
-        cruise / move.ramp_time * (up[2] - down[2]),
+        cruise * ramp_rate * (up[2] - down[2]),
     )
 
 
@@ -91,8 +93,9 @@ def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
     """
     if profile == QUINTIC:
         return _quintic(move, time)
-    rising = time / move.ramp_time
-    falling = (time - (move.duration - move.ramp_time)) / move.ramp_time
+    ramp_rate = 1.0 / move.ramp_time  # does not depend on time: computed once for all lookaheads
+    rising = time * ramp_rate
+    falling = (time - (move.duration - move.ramp_time)) * ramp_rate
     if profile == SCURVE:
-        return _between_ramps(move, _smooth_ramp(rising), _smooth_ramp(falling))
-    return _between_ramps(move, _linear_ramp(rising), _linear_ramp(falling))
+        return _between_ramps(move, ramp_rate, _smooth_ramp(rising), _smooth_ramp(falling))
+    return _between_ramps(move, ramp_rate, _linear_ramp(rising), _linear_ramp(falling))

@@ -42,8 +42,12 @@ class Config:
     quick: bool = False
     """A first look: 24 scenarios per split."""
 
-    def __post_init__(self) -> None:
-        """Check the number of episodes."""
+    def check(self) -> None:
+        """Check the number of episodes.
+
+        Raises:
+            ValueError: If it is out of range.
+        """
         if self.episodes is not None and not 4 <= self.episodes <= MAX_EPISODES:
             raise ValueError(f"--episodes must lie within 4 and {MAX_EPISODES}, got {self.episodes}")
 
@@ -55,6 +59,7 @@ class Config:
 
 def compare(config: Config, console: Console) -> Comparison:
     """Run all methods on all splits and write everything."""
+    config.check()
     began = time.perf_counter()
     require_writable(config.out)
     policies = list(config.policy) or shipped_policies()

@@ -21,7 +21,7 @@ import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.bundle import BundleSpec, save_bundle
+from agents.bundle import ACTIVATIONS, BundleSpec, save_bundle
 from agents.files import require_writable, write_text
 from agents.residual import ResidualSettings
 from agents.residual_env import ResidualVecEnv
@@ -40,34 +40,38 @@ class Config:
     """Seed of everything: arms, moves, weights, exploration. At most 6 999 999; validation and test lie above."""
     base: Literal["paper", "rigid"] = "paper"
     """Controller that the residual corrects."""
-    total_steps: int = 6_000_000
+    total_steps: int = 4_000_000
     """Agent steps, each of `hold` samples."""
-    arms: int = 256
+    arms: int = 512
     """Arms simulated side by side."""
-    rollout_steps: int = 64
+    rollout_steps: int = 32
     """Agent steps per arm between two updates."""
     batch_size: int = 4096
     """Samples per gradient step."""
-    epochs: int = 8
+    epochs: int = 5
     """Passes over each rollout."""
     learning_rate: float = 5e-4
     """Initial learning rate, falling linearly to zero."""
-    gamma: float = 0.98
+    gamma: float = 0.97
     """Discount per agent step."""
     gae_lambda: float = 0.95
     """Bias against variance of the advantage estimate."""
     clip_range: float = 0.2
     """PPO's clipping range."""
-    initial_log_std: float = -1.5
+    entropy: float = 0.001
+    """Weight of the entropy bonus, which keeps exploration from dying early."""
+    initial_log_std: float = -1.0
     """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
     hidden: tuple[int, ...] = (64, 64)
     """Hidden layers of policy and value network."""
-    residual_limit: float = 0.5
+    activation: Literal["relu", "tanh", "elu"] = "relu"
+    """Activation function; tanh takes twice as long."""
+    residual_limit: float = 1.0
     """Largest residual, as a share of the torque limit."""
-    hold: int = 4
-    """Samples for which a residual is held."""
-    reward_scale: float = 0.02
-    """Factor on the reward, so that values are of order 1."""
+    hold: int = 12
+    """Samples for which a residual is held: 18 ms, a slow enough exploration to move the arm."""
+    reward_scale: float = 0.08
+    """Factor on the mean reward over a hold, so that values are of order 1."""
     validation_every: int = 500_000
     """Agent steps between validations."""
     validation_arms: int = 128
@@ -79,8 +83,12 @@ class Config:
     resume: bool = False
     """Go on with the run in `out`."""
 
-    def __post_init__(self) -> None:
-        """Check what PPO itself does not."""
+    def check(self) -> None:
+        """Check what PPO itself does not.
+
+        Raises:
+            ValueError: Naming the option.
+        """
         for name in ("total_steps", "arms", "rollout_steps", "batch_size", "epochs", "validation_every", "threads"):
             if getattr(self, name) < 1:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least 1, got {getattr(self, name)}")
@@ -94,7 +102,7 @@ def make_model(config: Config, checkpoint: Checkpoint) -> PPO:
     """A new PPO model, or the checkpoint's."""
     settings = ResidualSettings(config.residual_limit, config.hold)
     arms = BeltArmVectorEnv(config.arms, randomization="train", autoreset_mode="SameStep")
-    env = ResidualVecEnv(arms, CONTROLLERS[config.base](), settings, reward_scale=config.reward_scale)
+    env = ResidualVecEnv(arms, CONTROLLERS[config.base](), settings, reward_scale=config.reward_scale / config.hold)
     if config.resume:
         model = PPO.load(checkpoint.model, env=env, device=config.device)
         env.seed(config.seed + model.num_timesteps % 1_000_003)  # other arms than the run began with
@@ -109,9 +117,10 @@ def make_model(config: Config, checkpoint: Checkpoint) -> PPO:
         gamma=config.gamma,
         gae_lambda=config.gae_lambda,
         clip_range=config.clip_range,
+        ent_coef=config.entropy,
         policy_kwargs={
             "net_arch": list(config.hidden),
-            "activation_fn": torch.nn.Tanh,
+            "activation_fn": ACTIVATIONS[config.activation],
             "log_std_init": config.initial_log_std,
         },
         seed=config.seed,
@@ -121,6 +130,7 @@ def make_model(config: Config, checkpoint: Checkpoint) -> PPO:
 
 def train(config: Config) -> None:
     """Run the training, from the beginning or from the checkpoint."""
+    config.check()
     torch.set_num_threads(config.threads)
     checkpoint = Checkpoint(config.out)
     progress = checkpoint.load_progress() if config.resume else None
@@ -135,6 +145,7 @@ def train(config: Config) -> None:
         config.base,
         ResidualSettings(config.residual_limit, config.hold),
         config.hidden,
+        config.activation,
         provenance={
             "command": shlex.join(["python", "train/ppo.py", *sys.argv[1:]]),
             "version": __version__,

@@ -1,0 +1,194 @@
+"""The scripts, run as a user runs them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TINY = (
+    "--arms",
+    "8",
+    "--rollout-steps",
+    "8",
+    "--batch-size",
+    "32",
+    "--validation-every",
+    "128",
+    "--validation-arms",
+    "4",
+)
+
+
+def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / script), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    result = run("train/ppo.py", "--out", "run", "--total-steps", "256", *TINY, cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert "eval/compare.py --policy" in result.stdout
+    return folder / "run"
+
+
+def test_training_leaves_a_policy_a_checkpoint_and_logs(trained: Path) -> None:
+    files = {path.name for path in trained.iterdir()}
+    assert {"best", "last", "checkpoint.zip", "progress.json", "config.json", "validation.csv"} <= files
+    assert "progress.csv" in files
+    assert any(name.startswith("events.out.tfevents") for name in files)
+    assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["128", "256"]
+    assert not list(trained.rglob(".*"))  # no temporary files
+
+
+def test_resume_goes_on_where_the_run_stopped(trained: Path) -> None:
+    result = run("train/ppo.py", "--out", str(trained), "--total-steps", "384", "--resume", *TINY, cwd=trained)
+    assert result.returncode == 0, result.stderr
+    assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["128", "256", "384"]
+    assert json.loads((trained / "progress.json").read_text())["steps"] == 384
+
+
+def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None:
+    result = run("train/ppo.py", "--out", "again", "--total-steps", "256", *TINY, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    first, second = (read_csv(folder / "validation.csv")[1] for folder in (trained, tmp_path / "again"))
+    assert first["cost"] == second["cost"]
+
+
+def test_resume_from_nothing_is_refused(tmp_path: Path) -> None:
+    result = run("train/ppo.py", "--out", "nowhere", "--resume", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "nothing to resume in nowhere" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "run" / "validation.csv").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(interrupt)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "--resume" in output
+    steps = json.loads((tmp_path / "run" / "progress.json").read_text())["steps"]
+    assert f"interrupted at {steps} steps" in output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--arms", "0"), "--arms must be at least 1, got 0"),
+        (("--seed", "-1"), "--seed must lie within"),
+        (("--residual-limit", "3"), "got 3.0"),
+        (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
+    ],
+)
+def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    result = run("train/ppo.py", *arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def compared(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("compared")
+    result = run("eval/compare.py", "--episodes", "6", "--policy", str(trained / "best"), "--out", "out", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return folder / "out", result.stdout
+
+
+def test_comparison_writes_everything(compared: tuple[Path, str]) -> None:
+    folder, output = compared
+    names = {"results.json", "episodes.csv", "summary.md", "tip_error.png", "residual.png", "torque.png", "bars.png"}
+    assert {path.name for path in folder.iterdir()} == names
+    for method in ("paper", "rigid", "ppo"):
+        assert method in output
+    assert (folder / "bars.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_results_follow_their_schema(compared: tuple[Path, str]) -> None:
+    results = json.loads((compared[0] / "results.json").read_text())
+    assert {"version", "provenance", "rows"} <= set(results)
+    assert {(row["method"], row["split"]) for row in results["rows"]} == {
+        (method, split) for method in ("paper", "rigid", "ppo") for split in ("nominal", "randomized")
+    }
+    for row in results["rows"]:
+        assert row["kind"] == ("learned" if row["method"] == "ppo" else "classical")
+        assert (row["episodes"], row["seeds"]) == (6, 1)
+        assert set(row["metrics"]) == {
+            *("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "tip_acc_rms", "settling_s"),
+            *("failure_share", "torque_rms", "torque_rate_rms", "saturated_share", "cost"),
+        }
+        for value in row["metrics"].values():
+            assert value["low"] <= value["iqm"] <= value["high"]
+
+
+def test_episodes_agree_with_the_results(compared: tuple[Path, str]) -> None:
+    rows = read_csv(compared[0] / "episodes.csv")
+    assert len(rows) == 3 * 2 * 6
+    costs = sorted(float(row["cost"]) for row in rows if (row["method"], row["split"]) == ("paper", "nominal"))
+    results = json.loads((compared[0] / "results.json").read_text())["rows"]
+    iqm = next(r for r in results if (r["method"], r["split"]) == ("paper", "nominal"))["metrics"]["cost"]["iqm"]
+    assert iqm == pytest.approx(sum(costs[1:5]) / 4, rel=1e-5)  # 6 episodes: one cut off at either end
+
+
+def test_comparison_is_reproducible(compared: tuple[Path, str], trained: Path, tmp_path: Path) -> None:
+    result = run("eval/compare.py", "--episodes", "6", "--policy", str(trained / "best"), "--out", "out", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "out" / "episodes.csv").read_bytes() == (compared[0] / "episodes.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--policy", "nowhere"), "no policy bundle at nowhere"),
+        (("--episodes", "2"), "--episodes must lie within 4 and"),
+        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
+    ],
+)
+def test_bad_comparison_options(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    result = run("eval/compare.py", *arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("script", ["train/ppo.py", "eval/compare.py", "eval/bench.py", "eval/readme.py"])
+def test_help_explains_the_options(script: str, tmp_path: Path) -> None:
+    result = run(script, "--help", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "--" in result.stdout
+
+
+def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
+    result = run("eval/readme.py", "--check", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+def test_bench_prints_ratios(tmp_path: Path) -> None:
+    environment = {**os.environ, "COLUMNS": "200"}
+    command = [sys.executable, str(ROOT / "eval/bench.py"), "--arms", "64", "--repetitions", "1", "--steps", "2"]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "vector step, N = 64" in result.stdout
+    assert "CartPole-v1" in result.stdout
