@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from beltarm_env import _layout as at
 from beltarm_env import observation
-from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env.cost import MAX_COST
-from beltarm_env.kernel import begin_episodes, observe_arms, tip_errors
+from beltarm_env._constants import CONTROL_PERIOD
+from beltarm_env.kernel import begin_episodes, episode_totals, new_scratch, observe_arms, tip_errors
 from beltarm_env.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.params import (
@@ -33,6 +32,16 @@ Indices = NDArray[np.intp]
 MODELS = ("lumped",)
 DRAWS = len(FIELDS) + MOVE_DRAWS
 """Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
+TOTALS = (
+    "total_cost",
+    "total_cost_position",
+    "total_cost_velocity",
+    "total_cost_torque_rate",
+    "episode_steps",
+    "tip_error_rms",
+    "tip_error_max",
+)
+"""What is told of an episode at its end: costs with the charge for steps not taken, and tip errors [m]."""
 
 
 def _choice(name: str, value: object, allowed: tuple[str, ...]) -> int:
@@ -70,6 +79,7 @@ class ArmBatch:
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
         self.blocks = at.empty_blocks(num_arms)
+        self.scratch, self.tile = new_scratch()
         self.table = np.tile(self._bounds[0], (num_arms, 1))
         bounds = observation.bounds(sensors)
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
@@ -118,7 +128,7 @@ class ArmBatch:
         """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""
         chosen = np.zeros(len(self.blocks), dtype=np.bool_)
         chosen[arms // at.LANES] = True
-        observe_arms(self.blocks, observations, chosen, self.profile, self.tier)
+        observe_arms(self.blocks, self.tile, observations, chosen, self.profile, self.tier)
 
     @property
     def all_arms(self) -> Indices:
@@ -154,20 +164,11 @@ class ArmBatch:
         """Reference of one arm at its joint, `time` seconds into its move."""
         return Reference(*reference_at(self.profile, MoveShape(*self.moves[arm].tolist()), float(time)))
 
-    def totals(self, arms: Indices, terminated: NDArray[np.bool_]) -> dict[str, Floats]:
-        """What the episodes of some arms came to: summed costs, and tip error RMS and maximum [m]."""
-        steps, *_ = at.rows(self.blocks, at.STEP, 1, arms).T
-        position, velocity, torque_rate, squared, largest = at.rows(self.blocks, at.TOTALS, 5, arms).T
-        charge = np.where(terminated, MAX_COST * (EPISODE_STEPS - steps), 0.0)
-        return {
-            "total_cost": position + velocity + torque_rate + charge,
-            "total_cost_position": position,
-            "total_cost_velocity": velocity,
-            "total_cost_torque_rate": torque_rate,
-            "episode_steps": steps,
-            "tip_error_rms": np.sqrt(squared / steps),
-            "tip_error_max": largest,
-        }
+    def totals(self, arms: Indices, terminated: NDArray[np.bool_]) -> Floats:
+        """What the episodes of some arms came to: shape (len(TOTALS), num_arms), zero for the other arms."""
+        totals = np.zeros((len(TOTALS), self.num_arms))
+        episode_totals(self.blocks, arms, terminated, totals)
+        return totals
 
 
 def _checked(what: str, given: object, allowed: tuple[str, ...]) -> Mapping[str, Any]:

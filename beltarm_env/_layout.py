@@ -14,17 +14,18 @@ from beltarm_env._jit import inlined
 from beltarm_env.dynamics import ArmState, Plant
 from beltarm_env.reference import MoveShape
 
-LANES = 64
+LANES = 136
 
 STATE = 0
 PLANT = STATE + len(ArmState._fields)
+KINEMATICS = PLANT + Plant._fields.index("gear")  # the rest of the plant: not in the equations of motion
 MOVE = PLANT + len(Plant._fields)
 SUBSTEPS = MOVE + len(MoveShape._fields)  # integration steps per sample
 RESOLUTION = SUBSTEPS + 1  # encoder [rad per count]
 DELAY = RESOLUTION + 1  # of the measurements [samples]
 STEP = DELAY + 1  # samples since the episode's start
-TORQUE = STEP + 1  # last torque applied [N m]
-COUNTS = TORQUE + 1  # encoder counts now, 1, 2 and 3 samples ago
+ACTION = STEP + 1  # last torque applied, over its limit
+COUNTS = ACTION + 1  # encoder counts now, 1, 2 and 3 samples ago
 TIP_SPEEDS = COUNTS + 4  # tachometer now, 1 and 2 samples ago [m/s]
 TOTALS = TIP_SPEEDS + 3  # over the episode: the three cost terms, squared tip error, largest tip error
 ROWS = TOTALS + 5
@@ -76,6 +77,7 @@ def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
         block[at + 8 * LANES],
         block[at + 9 * LANES],
         block[at + 10 * LANES],
+        block[at + 11 * LANES],
     )
 
 
@@ -98,6 +100,7 @@ def store_plant(block: NDArray[np.float64], lane: int, plant: Plant) -> None:
     block[at + 5 * LANES] = plant.inertia_swing
     block[at + 6 * LANES] = plant.stiffness
     block[at + 7 * LANES] = plant.damping
-    block[at + 8 * LANES] = plant.double_link
-    block[at + 9 * LANES] = plant.hand
-    block[at + 10 * LANES] = plant.torque_limit
+    block[at + 8 * LANES] = plant.gear
+    block[at + 9 * LANES] = plant.double_link
+    block[at + 10 * LANES] = plant.hand
+    block[at + 11 * LANES] = plant.torque_limit

@@ -32,15 +32,15 @@ class StepCost(NamedTuple):
 
 
 @inlined
-def step_cost(tip: TipMotion, angle: float, speed: float, torque: float, last_torque: float, plant: Plant) -> StepCost:
+def step_cost(tip: TipMotion, angle: float, speed: float, action: float, last_action: float, plant: Plant) -> StepCost:
     """Cost of one step.
 
     Args:
         tip: Motion of the arm's end.
         angle: Reference joint angle [rad].
         speed: Reference joint speed [rad/s].
-        torque: Torque held over the step [N m].
-        last_torque: Torque held over the step before [N m].
+        action: Torque held over the step, over its limit.
+        last_action: The same of the step before.
         plant: Coefficients of the arm.
     """
     x, x_speed = reference_tip(angle, speed, plant)
@@ -52,5 +52,5 @@ def step_cost(tip: TipMotion, angle: float, speed: float, torque: float, last_to
         error,
         position if position < MAX_TERM else MAX_TERM,
         velocity if velocity < MAX_TERM else MAX_TERM,
-        TORQUE_RATE_WEIGHT * abs(torque - last_torque) / plant.torque_limit,
+        TORQUE_RATE_WEIGHT * abs(action - last_action),
     )

@@ -38,6 +38,7 @@ class Plant(NamedTuple):
     inertia_swing: float  # S         [kg m^2]     the sin^2 term of M2, payload included
     stiffness: float  # K_s       [N m/rad]
     damping: float  # D_s       [N m s/rad]
+    gear: float  # G         beside 1 / G: a division in every equation would take longer
     double_link: float  # 2 l       [m]
     hand: float  # l_3       [m]
     torque_limit: float  # [N m]
@@ -45,36 +46,25 @@ class Plant(NamedTuple):
 
 @inlined
 def sin_cos(angle: float) -> tuple[float, float]:
-    """Sine and cosine by Taylor series: error below 1e-15 for |angle| <= 2 rad, which covers the workspace.
+    """Sine and cosine from Taylor series of the half angle: error below 1e-15 for |angle| <= 2 rad, the workspace.
 
     Written out because a call into the maths library would keep the loop over arms from being vectorised, and because
-    its result may differ between the scalar and the vector variant of such a library.
+    its result may differ between the scalar and the vector variant of such a library. Terms are summed in groups
+    (Estrin), which do not wait for each other.
     """
-    z = angle * angle
-    s = -1 / 25852016738884976640000
-    s = s * z + 1 / 51090942171709440000
-    s = s * z - 1 / 121645100408832000
-    s = s * z + 1 / 355687428096000
-    s = s * z - 1 / 1307674368000
-    s = s * z + 1 / 6227020800
-    s = s * z - 1 / 39916800
-    s = s * z + 1 / 362880
-    s = s * z - 1 / 5040
-    s = s * z + 1 / 120
-    s = s * z - 1 / 6
-    c = 1 / 620448401733239439360000
-    c = c * z - 1 / 1124000727777607680000
-    c = c * z + 1 / 2432902008176640000
-    c = c * z - 1 / 6402373705728000
-    c = c * z + 1 / 20922789888000
-    c = c * z - 1 / 87178291200
-    c = c * z + 1 / 479001600
-    c = c * z - 1 / 3628800
-    c = c * z + 1 / 40320
-    c = c * z - 1 / 720
-    c = c * z + 1 / 24
-    c = c * z - 1 / 2
-    return angle + angle * z * s, 1 + z * c
+    half = 0.5 * angle
+    z = half * half
+    z2 = z * z
+    z4 = z2 * z2
+    s0 = (1 - z * (1 / 6)) + z2 * (1 / 120 - z * (1 / 5040))
+    s1 = (1 / 362880 - z * (1 / 39916800)) + z2 * (1 / 6227020800 - z * (1 / 1307674368000))
+    s2 = 1 / 355687428096000
+    c0 = (1 - z * (1 / 2)) + z2 * (1 / 24 - z * (1 / 720))
+    c1 = (1 / 40320 - z * (1 / 3628800)) + z2 * (1 / 479001600 - z * (1 / 87178291200))
+    c2 = 1 / 20922789888000
+    sine = half * (s0 + z4 * (s1 + z4 * s2))
+    cosine = c0 + z4 * (c1 + z4 * c2)
+    return 2 * sine * cosine, 1 - 2 * sine * sine
 
 
 @inlined

@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env._batch import DRAWS, ArmBatch
+from beltarm_env._batch import DRAWS, TOTALS, ArmBatch
 from beltarm_env.kernel import step_arm
 from beltarm_env.moves import MOVE_FIELDS
 from beltarm_env.params import ArmParams, Ranges
@@ -18,6 +18,18 @@ from beltarm_env.reference import Reference
 from beltarm_env.sensors import ENCODER_COUNTS
 
 _ARM = np.array([0])
+_HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
+
+
+def _as_action(action: object) -> NDArray[np.float64]:
+    """What was passed to `step` instead of an array of shape (1,), if it can be read as one."""
+    try:
+        array = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (1,):
+        raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}")
+    return array
 
 
 class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -178,16 +190,16 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self._running:
             raise ResetNeeded("no episode is running: call reset() before step()")
-        try:
-            (fraction,) = action
-            fraction = float(fraction)
-        except (TypeError, ValueError):
-            raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}") from None
-        if not -1e300 < fraction < 1e300:
+        if type(action) is not np.ndarray or action.shape != (1,) or action.dtype.kind not in "fiu":
+            fraction = _as_action(action).item()
+        else:
+            fraction = action.item()
+        if not -_HUGE < fraction < _HUGE:
             raise ValueError(f"action must be finite, got {action!r}")
         result = np.empty(self._size, np.float32)
+        batch = self._batch
         reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
-            self._batch.blocks[0], fraction, result, self._profile, self._tier
+            batch.blocks, batch.scratch, batch.tile, float(fraction), result, self._profile, self._tier
         )
         info: dict[str, Any] = {
             "tip_error": error,
@@ -197,8 +209,8 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         }
         if terminated or truncated:
             self._running = False
-            totals = self._batch.totals(_ARM, np.array([terminated]))
-            info.update({name: float(value[0]) for name, value in totals.items()})
+            totals = batch.totals(_ARM, np.array([terminated]))
+            info.update(zip(TOTALS, totals[:, 0].tolist(), strict=True))
         if self.render_mode == "human":
             self.render()
         return result, reward, terminated, truncated, info

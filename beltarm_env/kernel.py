@@ -7,41 +7,41 @@ vectorises.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import _layout as at
 from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env._jit import compiled
+from beltarm_env._jit import compiled, inlined
 from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant
-from beltarm_env._observe import observe_block
+from beltarm_env._observe import MOST_ENTRIES, observe_block
 from beltarm_env.cost import MAX_COST, step_cost
 from beltarm_env.kinematics import outside_workspace, reference_tip, tip_motion
-from beltarm_env.motion import move_block
+from beltarm_env.motion import WORK_ROWS, move_block
 from beltarm_env.observation import TIP
 from beltarm_env.params import integration_substeps, plant_of
-from beltarm_env.reference import reference_at
+from beltarm_env.reference import QUINTIC, SCURVE, TRAPEZOID, reference_at
 from beltarm_env.sensors import to_counts
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-# Scratch rows of a step, in a block of their own.
-COMMAND = 0  # action, then torque [N m]
-TERMS = COMMAND + 1  # tip error and the three cost terms
+# Scratch rows of a step.
+ACTION = 0  # torque over its limit
+TERMS = ACTION + 1  # tip error and the three cost terms
 REWARD = TERMS + 4
 TERMINATED = REWARD + 1
 TRUNCATED = TERMINATED + 1
-SCRATCH_ROWS = TRUNCATED + 1
+_WORK = TRUNCATED + 1  # rows of `motion`
+_SCRATCH_ROWS = _WORK + WORK_ROWS
 
 
-@compiled
-def _apply_commands(block: Floats, scratch: Floats, count: int) -> None:
-    """Motor torques from actions, which are cut to [-1, 1]."""
-    for j in range(count):
-        fraction = min(max(scratch[COMMAND * LANES + j], -1.0), 1.0)
-        scratch[COMMAND * LANES + j] = load_plant(block, j).torque_limit * fraction
+def new_scratch() -> tuple[Floats, Singles]:
+    """Memory that the kernels work in, for one block at a time; allocated once because allocation takes time."""
+    return np.zeros(_SCRATCH_ROWS * LANES), np.zeros(MOST_ENTRIES * LANES, dtype=np.float32)
 
 
 @compiled
@@ -61,20 +61,20 @@ def _sense(block: Floats, count: int, tier: int) -> None:
             block[at.TIP_SPEEDS * LANES + j] = tip.x_speed
 
 
-@compiled
-def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
+@inlined
+def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int) -> None:
     """Cost of the step, the episode's totals, and whether it is over."""
     for j in range(count):
         x = load_state(block, at.STATE, j)
         plant = load_plant(block, j)
-        torque = scratch[COMMAND * LANES + j]
+        action = scratch[ACTION * LANES + j]
         step = block[at.STEP * LANES + j] + 1.0
         reference = reference_at(profile, load_move(block, j), step * CONTROL_PERIOD)
         cost = step_cost(
-            tip_motion(x, plant), reference.angle, reference.speed, torque, block[at.TORQUE * LANES + j], plant
+            tip_motion(x, plant), reference.angle, reference.speed, action, block[at.ACTION * LANES + j], plant
         )
         block[at.STEP * LANES + j] = step
-        block[at.TORQUE * LANES + j] = torque
+        block[at.ACTION * LANES + j] = action
         scratch[TERMS * LANES + j] = cost.tip_error
         scratch[(TERMS + 1) * LANES + j] = cost.position
         scratch[(TERMS + 2) * LANES + j] = cost.velocity
@@ -93,19 +93,30 @@ def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
 
 
 @compiled
-def _step_block(block: Floats, scratch: Floats, observations: Singles, profile: int, tier: int) -> None:
+def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
+    if profile == TRAPEZOID:  # constants from here on, so that each loop holds the equations of one profile only
+        _charge_profile(block, scratch, count, TRAPEZOID)
+    elif profile == SCURVE:
+        _charge_profile(block, scratch, count, SCURVE)
+    else:
+        _charge_profile(block, scratch, count, QUINTIC)
+
+
+@compiled
+def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int) -> None:
     """One control period for the arms of one block; actions are in scratch, results go to scratch."""
     count = len(observations)
-    _apply_commands(block, scratch, count)
-    move_block(block, scratch[COMMAND * LANES : (COMMAND + 1) * LANES], count)
+    move_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count)
     _sense(block, count, tier)
     _charge(block, scratch, count, profile)
-    observe_block(block, observations, profile, tier)
+    observe_block(block, tile, observations, profile, tier)
 
 
 @compiled
 def step_arms(
     blocks: Floats,
+    scratch: Floats,
+    tile: Singles,
     actions: Floats,
     observations: Singles,
     rewards: Floats,
@@ -119,6 +130,8 @@ def step_arms(
 
     Args:
         blocks: The arms, as `_layout` describes.
+        scratch: From `new_scratch`.
+        tile: From `new_scratch`.
         actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
         observations: Shape (N, size).
         rewards: Shape (N,).
@@ -128,30 +141,48 @@ def step_arms(
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
     """
-    scratch = np.empty(SCRATCH_ROWS * LANES)
     for k in range(len(blocks)):
         low = k * LANES
-        count = min(LANES, len(actions) - low)
-        for j in range(count):
-            scratch[COMMAND * LANES + j] = actions[low + j]
-        _step_block(blocks[k], scratch, observations[low : low + count], profile, tier)
-        for j in range(count):
-            rewards[low + j] = scratch[REWARD * LANES + j]
-            terminated[low + j] = scratch[TERMINATED * LANES + j] != 0.0
-            truncated[low + j] = scratch[TRUNCATED * LANES + j] != 0.0
-        for row in range(4):
-            for j in range(count):
-                terms[row, low + j] = scratch[(TERMS + row) * LANES + j]
+        high = min(low + LANES, len(actions))
+        _take_actions(actions[low:high], scratch)
+        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier)
+        _give_flags(scratch, TERMINATED, terminated[low:high])
+        _give_flags(scratch, TRUNCATED, truncated[low:high])
+        _give(scratch, REWARD, rewards[low:high])
+        for row in range(len(terms)):
+            _give(scratch, TERMS + row, terms[row, low:high])
+
+
+@compiled
+def _take_actions(actions: Floats, scratch: Floats) -> None:
+    for j in range(len(actions)):
+        scratch[ACTION * LANES + j] = min(max(actions[j], -1.0), 1.0)
+
+
+@compiled
+def _give(scratch: Floats, row: int, values: Floats) -> None:
+    source = scratch[row * LANES : (row + 1) * LANES]
+    for j in range(len(values)):
+        values[j] = source[j]
+
+
+@compiled
+def _give_flags(scratch: Floats, row: int, flags: Flags) -> None:
+    source = scratch[row * LANES : (row + 1) * LANES]
+    for j in range(len(flags)):
+        flags[j] = source[j] != 0.0
 
 
 @compiled
 def step_arm(
-    block: Floats, action: float, observation: Singles, profile: int, tier: int
+    blocks: Floats, scratch: Floats, tile: Singles, action: float, observation: Singles, profile: int, tier: int
 ) -> tuple[float, bool, bool, float, float, float, float]:
-    """Step the arm in lane 0 of `block` by one control period.
+    """Step a single arm, lane 0 of the first block, by one control period.
 
     Args:
-        block: One block, as `_layout` describes.
+        blocks: The arm, as `_layout` describes.
+        scratch: From `new_scratch`.
+        tile: From `new_scratch`.
         action: Torque over the torque limit, cut to [-1, 1].
         observation: Written in place, shape (size,).
         profile: Index into `reference.PROFILES`.
@@ -160,9 +191,8 @@ def step_arm(
     Returns:
         Reward, terminated, truncated, tip error [m], and the three cost terms.
     """
-    scratch = np.empty(SCRATCH_ROWS * LANES)
-    scratch[COMMAND * LANES] = action
-    _step_block(block, scratch, observation.reshape(1, -1), profile, tier)
+    scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
+    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier)
     return (
         scratch[REWARD * LANES],
         scratch[TERMINATED * LANES] != 0.0,
@@ -215,13 +245,36 @@ def begin_episodes(
 
 
 @compiled
-def observe_arms(blocks: Floats, observations: Singles, chosen: Flags, profile: int, tier: int) -> None:
+def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, totals: Floats) -> None:
+    """What episodes came to, written to the columns of some arms.
+
+    Args:
+        blocks: The arms, as `_layout` describes.
+        arms: Which ones, shape (n,).
+        terminated: Which arms left the workspace and are charged for the steps that are left, shape (N,).
+        totals: Cost, its position, velocity and torque-rate terms, steps, RMS and largest tip error [m], shape (7, N).
+    """
+    for arm in arms:
+        block, j = blocks[arm // LANES], arm % LANES
+        steps = block[at.STEP * LANES + j]
+        cost = MAX_COST * (EPISODE_STEPS - steps) if terminated[arm] else 0.0
+        for k in range(3):
+            totals[1 + k, arm] = block[(at.TOTALS + k) * LANES + j]
+            cost += totals[1 + k, arm]
+        totals[0, arm] = cost
+        totals[4, arm] = steps
+        totals[5, arm] = math.sqrt(block[(at.TOTALS + 3) * LANES + j] / steps)
+        totals[6, arm] = block[(at.TOTALS + 4) * LANES + j]
+
+
+@compiled
+def observe_arms(blocks: Floats, tile: Singles, observations: Singles, chosen: Flags, profile: int, tier: int) -> None:
     """Write the observations of all arms in those blocks where `chosen`, shape (blocks,), is true."""
     for k in range(len(blocks)):
         if chosen[k]:
             low = k * LANES
             high = min(low + LANES, len(observations))
-            observe_block(blocks[k], observations[low:high], profile, tier)
+            observe_block(blocks[k], tile, observations[low:high], profile, tier)
 
 
 @compiled

@@ -21,74 +21,101 @@ Floats = NDArray[np.float64]
 MAX_MODE_CHANGES = 8
 """Within one integration step; more than two or three do not occur, and the rest would be taken in the last mode."""
 
+_VECTOR = 8  # arms that the widest vector units take at once
+
 # Rows of the working block: state and plant as in `_layout`, then
 _TORQUE = at.MOVE  # [N m]
 _DIRECTION = _TORQUE + 1  # friction mode
 _REMAINING = _DIRECTION + 1  # time left of the step [s]
 _NEXT = _REMAINING + 1  # state after the whole step in this mode
-_LANE = _NEXT + 4  # where the arm came from
-_ROWS = _LANE + 1
+_MARGIN = _NEXT + 4  # negative once the mode has been left
+_LANE = _MARGIN + 1  # where the arm came from
+WORK_ROWS = _LANE + 1
 
 
 @compiled
-def move_block(block: Floats, torques: Floats, count: int) -> None:
+def move_block(block: Floats, work: Floats, actions: Floats, count: int) -> None:
     """Advance the first `count` arms of a block by one control period.
 
     Args:
         block: As `_layout` describes.
-        torques: Motor torques [N m], shape (LANES,).
+        work: Room for WORK_ROWS rows.
+        actions: Motor torques over their limits, shape (LANES,).
         count: Number of arms.
     """
-    work = np.empty(_ROWS * LANES)
-    most = 1.0
-    for j in range(count):
-        most = max(most, block[at.SUBSTEPS * LANES + j])
-    for substep in range(int(most)):
-        _step(block, work, torques, count, substep)
+    for substep in range(_most_substeps(block, count)):
+        _step(block, work, actions, count, substep)
         pending = _gather_unfinished(block, work, count)
         for _ in range(MAX_MODE_CHANGES):
             if pending == 0:
                 break
-            _step_past_mode_change(work, pending)
+            _step_past_mode_change(work, _pad(work, pending))
             pending = _put_back_finished(block, work, pending)
         for i in range(pending):
             _put_back(block, work, i)
 
 
 @compiled
-def _step(block: Floats, work: Floats, torques: Floats, count: int, substep: int) -> None:
-    """Step all arms in the friction mode they begin in; an arm that needs fewer substeps takes one of no length."""
+def _most_substeps(block: Floats, count: int) -> int:
+    stiff = 0  # counted first, because that loop is vectorised and hardly ever finds one
+    for j in range(count):
+        stiff += 1 if block[at.SUBSTEPS * LANES + j] > 1.0 else 0
+    if stiff == 0:
+        return 1
+    most = 1.0
+    for j in range(count):
+        most = max(most, block[at.SUBSTEPS * LANES + j])
+    return int(most)
+
+
+@compiled
+def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int) -> None:
+    """Step all arms in the friction mode they begin in, keeping the states before the step in `work`.
+
+    An arm that needs fewer substeps takes one of no length.
+    """
     for j in range(count):
         x = load_state(block, at.STATE, j)
         plant = load_plant(block, j)
         substeps = block[at.SUBSTEPS * LANES + j]
         dt = CONTROL_PERIOD / substeps if substep < substeps else 0.0
-        direction = sliding_direction(x, torques[j], plant)
-        work[_TORQUE * LANES + j] = torques[j]
+        torque = actions[j] * plant.torque_limit
+        direction = sliding_direction(x, torque, plant)
+        work[_TORQUE * LANES + j] = torque
         work[_DIRECTION * LANES + j] = direction
         work[_REMAINING * LANES + j] = dt
-        store_state(work, _NEXT, j, rk4_step(x, torques[j], direction, dt, plant))
+        y = rk4_step(x, torque, direction, dt, plant)
+        work[_MARGIN * LANES + j] = mode_margin(y, torque, direction, plant)
+        store_state(work, at.STATE, j, x)
+        store_state(block, at.STATE, j, y)
 
 
 @compiled
 def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
-    """Keep in `work` the arms that left their friction mode; write the others' states to `block`."""
-    for j in range(count):
-        y = load_state(work, _NEXT, j)
-        margin = mode_margin(y, work[_TORQUE * LANES + j], work[_DIRECTION * LANES + j], load_plant(block, j))
-        work[_LANE * LANES + j] = margin
+    """Close the ranks in `work` to the arms that left their friction mode within the step."""
     pending = 0
     for j in range(count):
-        if work[_LANE * LANES + j] < 0.0:
-            for row in range(at.MOVE):
+        if work[_MARGIN * LANES + j] < 0.0:
+            for row in range(at.PLANT):
+                work[row * LANES + pending] = work[row * LANES + j]
+                work[(_NEXT + row) * LANES + pending] = block[row * LANES + j]
+            for row in range(at.PLANT, at.KINEMATICS):
                 work[row * LANES + pending] = block[row * LANES + j]
-            for row in range(_TORQUE, _LANE):
+            for row in range(_TORQUE, _NEXT):
                 work[row * LANES + pending] = work[row * LANES + j]
             work[_LANE * LANES + pending] = j
             pending += 1
-        else:
-            store_state(block, at.STATE, j, load_state(work, _NEXT, j))
     return pending
+
+
+@compiled
+def _pad(work: Floats, pending: int) -> int:
+    """Fill up with copies of the first arm to whole vectors, since a remainder would be stepped one by one."""
+    padded = -(-pending // _VECTOR) * _VECTOR
+    for row in range(WORK_ROWS):
+        for i in range(pending, padded):
+            work[row * LANES + i] = work[row * LANES]
+    return padded
 
 
 @compiled
@@ -116,7 +143,7 @@ def _put_back_finished(block: Floats, work: Floats, pending: int) -> int:
         y = load_state(work, _NEXT, i)
         margin = mode_margin(y, work[_TORQUE * LANES + i], work[_DIRECTION * LANES + i], load_plant(work, i))
         if margin < 0.0:
-            for row in range(_ROWS):
+            for row in range(WORK_ROWS):
                 work[row * LANES + unfinished] = work[row * LANES + i]
             unfinished += 1
         else:

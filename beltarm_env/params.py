@@ -147,6 +147,7 @@ def plant_of(row: Floats) -> Plant:
         swing + 4 * link * link * payload,
         stiffness,
         2 * damping_ratio * math.sqrt(stiffness * (arm + swing)),
+        gear,
         2 * link,
         hand,
         limit,

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env._batch import DRAWS, ArmBatch
+from beltarm_env._batch import DRAWS, TOTALS, ArmBatch
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernel import step_arms
 from beltarm_env.params import ArmParams, Ranges
@@ -22,6 +22,7 @@ from beltarm_env.sensors import ENCODER_COUNTS
 
 Flags = NDArray[np.bool_]
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
+_NONE = np.empty(0, dtype=np.intp)
 
 
 class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -86,7 +87,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self.sensors = sensors
         self._size = observation.size(sensors)
         self._generators: list[np.random.Generator] = []
-        self._over = np.zeros(self.num_envs, dtype=np.bool_)
+        self._ended = _NONE  # arms whose episode ended in the last step
         self._renderers = None
 
     def reset(
@@ -111,7 +112,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
         self._seed(seed, arms)
         self._batch.reset(arms, self._draws(arms), options)
-        self._over[arms] = False
+        self._ended = np.setdiff1d(self._ended, arms)
         result = np.empty((self.num_envs, self._size), np.float32)
         self._batch.observe(result, self._batch.all_arms)
         return result, {}
@@ -130,9 +131,10 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """
         if not self._generators:
             raise ResetNeeded("no episode is running: call reset() before step()")
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
-            arm = int(np.argmax(self._over))
-            raise ResetNeeded(f"the episode of arm {arm} is over: reset it with options={{'reset_mask': mask}}")
+        if self.autoreset_mode is AutoresetMode.DISABLED and len(self._ended):
+            raise ResetNeeded(
+                f"the episode of arm {self._ended[0]} is over: reset it with options={{'reset_mask': mask}}"
+            )
         fractions = self._checked_actions(actions)
         count = self.num_envs
         result = np.empty((count, self._size), np.float32)
@@ -140,42 +142,49 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
         terms = np.empty((len(TERMS), count))
         batch = self._batch
-        step_arms(batch.blocks, fractions, result, rewards, terminated, truncated, terms, batch.profile, batch.tier)
+        step_arms(
+            batch.blocks,
+            batch.scratch,
+            batch.tile,
+            fractions,
+            result,
+            rewards,
+            terminated,
+            truncated,
+            terms,
+            batch.profile,
+            batch.tier,
+        )
         stepped = np.ones(count, np.bool_)
-        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._over.any():
-            stepped = ~self._over
-            rewards[self._over] = 0.0
-            terminated[self._over] = truncated[self._over] = False
-            terms[:, self._over] = 0.0
-            self._restart(np.flatnonzero(self._over), result)
+        restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
+        if len(restarted):
+            stepped[restarted] = False
+            rewards[restarted] = 0.0
+            terminated[restarted] = truncated[restarted] = False
+            terms[:, restarted] = 0.0
+            self._restart(restarted, result)
         info: dict[str, Any] = {}
         for name, values in zip(TERMS, terms, strict=True):
             info[name], info[f"_{name}"] = values, stepped.copy()
-        self._over = terminated | truncated
-        if self._over.any():
-            info = self._finished(info, result, terminated)
+        over = terminated | truncated
+        self._ended = np.flatnonzero(over)
+        if len(self._ended):
+            info = self._finished(info, result, over, terminated)
         return result, rewards, terminated, truncated, info
 
-    def _finished(self, info: dict[str, Any], result: NDArray[np.float32], terminated: Flags) -> dict[str, Any]:
+    def _finished(
+        self, info: dict[str, Any], result: NDArray[np.float32], over: Flags, terminated: Flags
+    ) -> dict[str, Any]:
         """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
-        arms = np.flatnonzero(self._over)
-        totals = self._batch.totals(arms, terminated[arms])
-        for name, values in totals.items():
-            info[name] = np.zeros(self.num_envs)
-            info[name][arms] = values
-            info[f"_{name}"] = self._over.copy()
+        for name, values in zip(TOTALS, self._batch.totals(self._ended, terminated), strict=True):
+            info[name], info[f"_{name}"] = values, over.copy()
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             return info
         final = np.full(self.num_envs, None, dtype=object)
-        for arm in arms:
+        for arm in self._ended:
             final[arm] = result[arm].copy()
-        self._restart(arms, result)
-        return {
-            "final_obs": final,
-            "_final_obs": self._over.copy(),
-            "final_info": info,
-            "_final_info": self._over.copy(),
-        }
+        self._restart(self._ended, result)
+        return {"final_obs": final, "_final_obs": over.copy(), "final_info": info, "_final_info": over.copy()}
 
     def _restart(self, arms: NDArray[np.intp], result: NDArray[np.float32]) -> None:
         """Begin new random episodes and put their first observations into `result`."""
