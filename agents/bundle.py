@@ -129,6 +129,10 @@ def read_spec(folder: Path) -> tuple[BundleSpec, dict[str, Any]]:
             sensors=content["sensors"],
             provenance=content["provenance"],
         )
+        if not all(isinstance(width, int) and 0 < width <= 65536 for width in spec.hidden):
+            raise ValueError(f"hidden layers must have a whole positive width, got {list(spec.hidden)}")
+        if not isinstance(content["weights"]["file"], str) or not isinstance(content["weights"]["sha256"], str):
+            raise ValueError("it does not name its weights")
         known = spec.algorithm in _ALGORITHMS and spec.base in CONTROLLERS and spec.activation in ACTIVATIONS
         if not known or spec.entries() != content["entries"]:
             raise ValueError("it was made for another algorithm, base controller or observation layout")

@@ -47,9 +47,11 @@ class ResidualSettings:
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        if not 0 < self.limit <= 2:
+        number = isinstance(self.limit, int | float) and not isinstance(self.limit, bool)
+        if not (number and 0 < self.limit <= 2):
             raise ValueError(f"residual limit must lie in (0, 2] of the torque limit, got {self.limit!r}")
-        if not (isinstance(self.hold, int) and 1 <= self.hold <= 100):
+        whole = isinstance(self.hold, int) and not isinstance(self.hold, bool)
+        if not (whole and 1 <= self.hold <= 100):
             raise ValueError(f"residual hold must be a whole number of samples from 1 to 100, got {self.hold!r}")
 
 
@@ -68,6 +70,20 @@ def augment(observation: Singles, base_action: Singles, torsion: NDArray[np.floa
 def combine(base_action: Singles, residual: Singles, limit: float) -> Singles:
     """The action applied; a zero residual gives the base's, bit for bit."""
     return (base_action + np.float32(limit) * residual).clip(-1, 1)
+
+
+def checked_residual(residual: object, count: int) -> Singles:
+    """Residuals of shape (count, 1).
+
+    Raises:
+        ValueError: If they have another shape or are not finite numbers.
+    """
+    array = np.asarray(residual)
+    if array.shape != (count, 1) or array.dtype.kind not in "fiu":
+        raise ValueError(f"residuals must be numbers of shape ({count}, 1), got {array.dtype} of shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"residuals must be finite, got {array[~np.isfinite(array)][0]}")
+    return array.astype(np.float32, copy=False)
 
 
 class Policy(Protocol):

@@ -12,7 +12,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.residual import BaseController, ResidualSettings, augment, combine, residual_observation_space
+from agents.residual import (
+    BaseController,
+    ResidualSettings,
+    augment,
+    checked_residual,
+    combine,
+    residual_observation_space,
+)
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 
 Singles = NDArray[np.float32]
@@ -23,7 +30,8 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
 
     def __init__(self, env: gym.Env[Singles, Singles], base: BaseController, settings: ResidualSettings) -> None:
         super().__init__(env)
-        assert isinstance(env.unwrapped, BeltArmEnv)
+        if not isinstance(env.unwrapped, BeltArmEnv):
+            raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
         self.base = base
         self.settings = settings
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -41,7 +49,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
 
     def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
         """Hold a residual for `hold` samples, or until the episode ends."""
-        residual = np.asarray(action, np.float32).reshape(1, 1)
+        residual = checked_residual(np.asarray(action)[None], 1)
         total, samples = 0.0, 0
         while True:
             command = combine(self._base_action, residual, self.settings.limit)
@@ -120,9 +128,14 @@ class ResidualVecEnv(VecEnv):
                 start |= mask
         return observation, start
 
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Refused unless empty: arms and moves are drawn at random here."""
+        if options:
+            raise NotImplementedError(f"ResidualVecEnv draws its episodes at random; options {options!r} are not used")
+
     def step_async(self, actions: Singles) -> None:
         """Take the residuals, shape (n, 1)."""
-        self._residual = np.asarray(actions, np.float32)
+        self._residual = checked_residual(actions, self.num_envs)
 
     def step_wait(self) -> tuple[Singles, Singles, NDArray[np.bool_], list[dict[str, Any]]]:
         """Hold the residuals for `hold` samples."""

@@ -13,6 +13,7 @@ from beltarm_env import _layout as at
 from beltarm_env import observation
 from beltarm_env._constants import CONTROL_PERIOD
 from beltarm_env.kernel import begin_episodes, episode_totals, new_scratch, observe_arms, tip_errors
+from beltarm_env.kinematics import HIGHEST, LOWEST
 from beltarm_env.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.params import (
@@ -28,6 +29,8 @@ from beltarm_env.reference import PROFILES, MoveShape, Reference, reference_at
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+_FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
 MODELS = ("lumped",)
 DRAWS = len(FIELDS) + MOVE_DRAWS
@@ -120,7 +123,8 @@ class ArmBatch:
         if given_move:
             check_moves(self.profile, moves)
 
-        states = _states(options.get("state"), moves[:, 0] * table[:, FIELDS.index("gear_ratio")])
+        gear = table[:, FIELDS.index("gear_ratio")]
+        states = _states(options.get("state"), moves[:, 0] * gear, gear)
         self.table[arms] = table
         begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay)
 
@@ -184,24 +188,45 @@ def _checked(what: str, given: object, allowed: tuple[str, ...]) -> Mapping[str,
 
 def _column(name: str, value: object, count: int) -> Floats:
     """A scalar or one value per arm, as an array of shape (count,)."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a number, or one per arm, got {value!r}") from None
+    array = _numbers(name, value)
     if array.shape not in ((), (count,)):
         raise ValueError(f"{name} must be one number or have shape ({count},), got shape {array.shape}")
     return np.broadcast_to(array, (count,)).copy()
 
 
-def _states(given: object, at_rest: Floats) -> Floats:
+def _numbers(name: str, value: object) -> Floats:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must consist of numbers, got {value!r}")
+    return array.astype(np.float64)
+
+
+def _states(given: object, at_rest: Floats, gear: Floats) -> Floats:
     """Initial states, shape (n, 4): as given, or at rest at motor angles `at_rest`."""
     states = np.zeros((len(at_rest), 4))
     states[:, 0] = at_rest
     if given is None:
         return states
-    array = np.asarray(given, dtype=np.float64)
+    array = _numbers("state", given)
     if array.shape not in ((4,), states.shape):
         raise ValueError(f"state must have shape (4,) or {states.shape}, got {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"state must be finite, got {array!r}")
-    return np.broadcast_to(array, states.shape).copy()
+        raise ValueError(f"state must be finite, got {array.tolist()}")
+    states[:] = array
+    joint, arm = states[:, 0] / gear, states[:, 0] / gear - states[:, 2]
+    inside = np.all([joint >= LOWEST, joint <= HIGHEST, arm >= LOWEST, arm <= HIGHEST], axis=0)
+    if not inside.all():
+        raise ValueError(
+            f"state must have joint and arm angle within {LOWEST:.3f} and {HIGHEST:.3f} rad, "
+            f"got {states[int(np.argmin(inside))].tolist()}"
+        )
+    slow = np.all(np.abs(states[:, [1, 3]]) <= _FASTEST, axis=1)
+    if not slow.all():
+        raise ValueError(
+            f"state must have speeds of at most {_FASTEST[0]:.0f} rad/s (motor) and {_FASTEST[1]:.0f} rad/s (torsion), "
+            f"got {states[int(np.argmin(slow))].tolist()}"
+        )
+    return states

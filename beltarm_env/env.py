@@ -24,12 +24,12 @@ _HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
 def _as_action(action: object) -> NDArray[np.float64]:
     """What was passed to `step` instead of an array of shape (1,), if it can be read as one."""
     try:
-        array = np.asarray(action, dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(action)
+    except ValueError:
         array = np.empty(0)
-    if array.shape != (1,):
+    if array.shape != (1,) or array.dtype.kind not in "fiu":
         raise ValueError(f"action must be one number in an array of shape (1,), got {action!r}")
-    return array
+    return array.astype(np.float64)
 
 
 class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):

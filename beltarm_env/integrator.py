@@ -11,7 +11,7 @@ from __future__ import annotations
 from beltarm_env._jit import inlined
 from beltarm_env.dynamics import ArmState, Plant, accelerations, driving_torque, sliding_direction
 
-_ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
+_ROOT_ITERATIONS = 8  # of Newton on a cubic that is nearly a straight line
 
 
 @inlined

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from beltarm_env import _layout as at
 from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env._jit import compiled, inlined
-from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant
+from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant, store_state
 from beltarm_env._observe import MOST_ENTRIES, observe_block
 from beltarm_env.cost import MAX_COST, step_cost
-from beltarm_env.kinematics import outside_workspace, reference_tip, tip_motion
+from beltarm_env.kinematics import contained, outside_workspace, reference_tip, tip_motion
 from beltarm_env.motion import WORK_ROWS, move_block
 from beltarm_env.observation import TIP
 from beltarm_env.params import integration_substeps, plant_of
@@ -46,12 +46,13 @@ def new_scratch() -> tuple[Floats, Singles]:
 
 @compiled
 def _sense(block: Floats, count: int, tier: int) -> None:
-    """Shift the sensors' histories by one sample and read them anew."""
+    """Shift the sensors' histories by one sample and read them anew, from states that did not run away."""
     for j in range(count):
         block[(at.COUNTS + 3) * LANES + j] = block[(at.COUNTS + 2) * LANES + j]
         block[(at.COUNTS + 2) * LANES + j] = block[(at.COUNTS + 1) * LANES + j]
         block[(at.COUNTS + 1) * LANES + j] = block[at.COUNTS * LANES + j]
-        x = load_state(block, at.STATE, j)
+        x = contained(load_state(block, at.STATE, j), load_plant(block, j))
+        store_state(block, at.STATE, j, x)
         block[at.COUNTS * LANES + j] = to_counts(x.motor_angle, block[at.RESOLUTION * LANES + j])
     if tier == TIP:
         for j in range(count):
@@ -194,13 +195,13 @@ def step_arm(
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
     _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier)
     return (
-        scratch[REWARD * LANES],
-        scratch[TERMINATED * LANES] != 0.0,
-        scratch[TRUNCATED * LANES] != 0.0,
-        scratch[TERMS * LANES],
-        scratch[(TERMS + 1) * LANES],
-        scratch[(TERMS + 2) * LANES],
-        scratch[(TERMS + 3) * LANES],
+        float(scratch[REWARD * LANES]),
+        bool(scratch[TERMINATED * LANES] != 0.0),
+        bool(scratch[TRUNCATED * LANES] != 0.0),
+        float(scratch[TERMS * LANES]),
+        float(scratch[(TERMS + 1) * LANES]),
+        float(scratch[(TERMS + 2) * LANES]),
+        float(scratch[(TERMS + 3) * LANES]),
     )
 
 

@@ -52,8 +52,29 @@ def reference_tip(angle: float, speed: float, plant: Plant) -> tuple[float, floa
 
 WORKSPACE_MARGIN = 0.25
 """How far joint and arm angle may leave 0 to 90 degrees before the episode ends [rad]."""
-_LOWEST = -WORKSPACE_MARGIN
-_HIGHEST = 0.5 * 3.141592653589793 + WORKSPACE_MARGIN
+LOWEST = -WORKSPACE_MARGIN
+HIGHEST = 0.5 * 3.141592653589793 + WORKSPACE_MARGIN
+
+
+_LARGEST = 1e9  # of any state; only an integration that runs away gets there
+
+
+@inlined
+def contained(state: ArmState, plant: Plant) -> ArmState:
+    """The state, or a resting one outside the workspace if the integration ran away (or is not a number).
+
+    It takes an arm far from any real one to get there, such as one whose inertia swings by a factor of 10 000; its
+    episode then ends, and what is observed of it stays finite.
+    """
+    largest = max(abs(state.motor_angle), abs(state.motor_speed), abs(state.torsion), abs(state.torsion_speed))
+    number = state.motor_angle + state.motor_speed + state.torsion + state.torsion_speed
+    sane = (largest < _LARGEST) & (number == number)
+    return ArmState(
+        state.motor_angle if sane else (HIGHEST + WORKSPACE_MARGIN) * plant.gear,
+        state.motor_speed if sane else 0.0,
+        state.torsion if sane else 0.0,
+        state.torsion_speed if sane else 0.0,
+    )
 
 
 @inlined
@@ -61,4 +82,4 @@ def outside_workspace(state: ArmState, plant: Plant) -> bool:
     """Whether the joint angle theta_1 or the arm angle phi lies outside the workspace (or is not a number)."""
     joint = state.motor_angle * plant.inverse_gear
     arm = joint - state.torsion
-    return not ((joint >= _LOWEST) & (joint <= _HIGHEST) & (arm >= _LOWEST) & (arm <= _HIGHEST))
+    return not ((joint >= LOWEST) & (joint <= HIGHEST) & (arm >= LOWEST) & (arm <= HIGHEST))

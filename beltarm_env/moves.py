@@ -80,31 +80,54 @@ def shortest_duration(profile: int, length: float, ramp_share: float) -> float:
 
 
 @inlined
-def _other_end(end: float, uniform: float) -> float:
-    """A point at least `SHORTEST` from `end`, uniform over what the workspace leaves on both sides."""
-    below = max(end - SHORTEST, 0.0)
-    above = max(WORKSPACE - SHORTEST - end, 0.0)
-    position = uniform * (below + above)
-    return position if position < below else end + SHORTEST + (position - below)
+def _longest_move(profile: int, duration: float, ramp_share: float) -> float:
+    """Longest feasible move in `duration` seconds [rad]: `peak_torque` is quadratic in the length as well."""
+    acceleration, speed = _peaks(profile, 1.0, duration, ramp_share * duration)
+    linear = _INERTIA * acceleration + _VISCOUS * speed
+    quadratic = _CENTRIFUGAL * speed * speed
+    spare = MOST_TORQUE - _COULOMB
+    return 2 * spare / (linear + math.sqrt(linear * linear + 4 * quadratic * spare))
 
 
 @inlined
-def _draw_ends(uniforms: Floats, start: float, goal: float) -> tuple[float, float]:
-    """Start and goal, where not given (NaN) uniform over the pairs at least `SHORTEST` apart."""
+def _shortest_with_ramps(profile: int, length: float, ramp_time: float) -> float:
+    """Shortest duration [s] of a feasible move with ramps of a given time: `peak_torque` is quadratic in its speed."""
+    if profile == QUINTIC:
+        return shortest_duration(profile, length, 0.5)
+    acceleration, _ = _peaks(profile, 1.0, ramp_time + 1.0, ramp_time)  # at a cruising speed of 1 rad/s
+    linear = _INERTIA * acceleration + _VISCOUS
+    spare = MOST_TORQUE - _COULOMB
+    cruise = 2 * spare / (linear + math.sqrt(linear * linear + 4 * _CENTRIFUGAL * spare))
+    return ramp_time + length / cruise
+
+
+@inlined
+def _other_end(end: float, uniform: float, longest: float) -> float:
+    """A point between `SHORTEST` and `longest` from `end`, uniform over what the workspace leaves on both sides."""
+    below = max(min(end, longest) - SHORTEST, 0.0)
+    above = max(min(WORKSPACE - end, longest) - SHORTEST, 0.0)
+    position = uniform * (below + above)
+    return end - SHORTEST - position if position < below else end + SHORTEST + (position - below)
+
+
+@inlined
+def _draw_ends(uniforms: Floats, start: float, goal: float, longest: float) -> tuple[float, float]:
+    """Start and goal, where not given (NaN) uniform over the pairs between `SHORTEST` and `longest` apart."""
     if start == start and goal == goal:
         return start, goal
     if start == start:
-        return start, _other_end(start, uniforms[0])
+        return start, _other_end(start, uniforms[0], longest)
     if goal == goal:
-        return _other_end(goal, uniforms[0]), goal
-    length = WORKSPACE - (WORKSPACE - SHORTEST) * math.sqrt(uniforms[0])
+        return _other_end(goal, uniforms[0], longest), goal
+    least, most = WORKSPACE - max(longest, SHORTEST), WORKSPACE - SHORTEST  # room that is left beside the move
+    length = WORKSPACE - math.sqrt(least * least + (most * most - least * least) * uniforms[0])
     low = uniforms[1] * (WORKSPACE - length)
     return (low, low + length) if uniforms[2] < 0.5 else (low + length, low)
 
 
 @compiled
 def draw_moves(profile: int, uniforms: Floats, given: Floats) -> Floats:
-    """Draw moves; those without given values are all feasible.
+    """Draw moves, feasible wherever what is given allows it.
 
     Args:
         profile: Index into `reference.PROFILES`.
@@ -117,15 +140,25 @@ def draw_moves(profile: int, uniforms: Floats, given: Floats) -> Floats:
     table = np.empty((len(uniforms), 4))
     for i in range(len(uniforms)):
         u = uniforms[i]
-        start, goal = _draw_ends(u, given[i, 0], given[i, 1])
         duration, ramp_time = given[i, 2], given[i, 3]
-        length = max(abs(goal - start), SHORTEST)
         ramp_share = _LEAST_RAMP_SHARE + (_MOST_RAMP_SHARE - _LEAST_RAMP_SHARE) * u[4]
+        longest = WORKSPACE
+        if duration > 0.0:  # given: longer ramps, and then a shorter move, where it would take too much torque
+            steady_share = ramp_time / duration if ramp_time > 0.0 else _MOST_RAMP_SHARE
+            longest = min(_longest_move(profile, duration, steady_share), WORKSPACE)
+        elif ramp_time > 0.0:
+            longest = min(_longest_move(profile, LONGEST_TIME, ramp_time / LONGEST_TIME), WORKSPACE)
+        start, goal = _draw_ends(u, given[i, 0], given[i, 1], longest)
+        length = max(abs(goal - start), SHORTEST)
         if duration != duration:
             quickest = _FASTEST_SHORT + (_FASTEST_LONG - _FASTEST_SHORT) * (length - SHORTEST) / (WORKSPACE - SHORTEST)
-            duration = max(quickest * (1 + _SLOWDOWN * u[3]), shortest_duration(profile, length, ramp_share))
-            if ramp_time == ramp_time:
-                duration = max(duration, 2 * ramp_time)
+            duration = quickest * (1 + _SLOWDOWN * u[3])
+            if ramp_time > 0.0:
+                duration = max(duration, 2 * ramp_time, _shortest_with_ramps(profile, length, ramp_time))
+            else:
+                duration = max(duration, shortest_duration(profile, length, ramp_share))
+        elif duration < shortest_duration(profile, length, ramp_share):
+            ramp_share = _MOST_RAMP_SHARE
         if ramp_time != ramp_time:
             ramp_time = ramp_share * duration
         table[i, 0] = start
@@ -160,7 +193,7 @@ def check_moves(profile: int, table: Floats) -> None:
     for move, span in zip(table, length, strict=True):
         needed = peak_torque(profile, float(span), float(move[2]), float(move[3]))
         if needed > MOST_TORQUE + _ROUNDING:
-            least = shortest_duration(profile, float(span), float(move[3] / move[2]))
+            least = math.ceil(1000 * shortest_duration(profile, float(span), float(move[3] / move[2]))) / 1000
             raise ValueError(
                 f"infeasible move {_describe(*move)}: the nominal rigid arm needs {needed:.3f} N m, more than "
                 f"{TORQUE_SHARE:.0%} of its limit, {MOST_TORQUE:.3f} N m; with ramps of the same share, allow "

@@ -17,6 +17,7 @@ from beltarm_env.dynamics import Plant
 Floats = NDArray[np.float64]
 Ranges = Mapping[str, tuple[float, float]]
 
+_LARGEST = 1e9  # beyond any arm, and far from overflowing
 _MAY_BE_ZERO = {"motor_viscous_friction", "coulomb_friction", "hand_length", "arm_inertia_swing", "payload_mass"}
 _MAY_BE_ZERO |= {"belt_damping_ratio"}
 
@@ -51,9 +52,11 @@ class ArmParams:
                 raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
             object.__setattr__(self, field.name, float(value))
             may_be_zero = field.name in _MAY_BE_ZERO
-            if not (math.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
+            if not (value > 0 or (may_be_zero and value == 0)) or value > _LARGEST:
                 allowed = "not negative" if may_be_zero else "positive"
-                raise ValueError(f"ArmParams.{field.name} must be finite and {allowed}, got {value!r}")
+                raise ValueError(
+                    f"ArmParams.{field.name} must be finite, {allowed} and at most {_LARGEST:.0e}, got {value!r}"
+                )
 
 
 FIELDS = tuple(field.name for field in fields(ArmParams))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +23,14 @@ from beltarm_env.sensors import ENCODER_COUNTS
 Flags = NDArray[np.bool_]
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 _NONE = np.empty(0, dtype=np.intp)
+
+
+def _masked(names: Sequence[str], values: NDArray[np.float64], mask: Flags) -> dict[str, Any]:
+    """Info entries in Gymnasium's form: an array per name, and beside it which arms it holds for."""
+    info: dict[str, Any] = {}
+    for name, row in zip(names, values, strict=True):
+        info[name], info[f"_{name}"] = row, mask.copy()
+    return info
 
 
 class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -68,7 +76,11 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
         self.num_envs = int(num_envs)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            allowed = ", ".join(repr(mode.value) for mode in AutoresetMode)
+            raise ValueError(f"autoreset_mode must be one of {allowed}, got {autoreset_mode!r}") from None
         self.metadata = {**BeltArmEnv.metadata, "render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
         self.render_mode = render_mode
         self._batch = ArmBatch(
@@ -87,6 +99,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self.sensors = sensors
         self._size = observation.size(sensors)
         self._generators: list[np.random.Generator] = []
+        self._ready = False  # all arms reset at least once
         self._ended = _NONE  # arms whose episode ended in the last step
         self._renderers = None
 
@@ -97,21 +110,24 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
         Args:
             seed: Arm *i* is seeded with `seed + i`, or with `seed[i]`; None goes on with the arms' own generators.
-            options: As in `BeltArmEnv.reset`, each value a scalar or one per arm reset (`state`: shape (4,) or
-                (num_envs, 4)); and `reset_mask`, a bool array of shape (num_envs,): which arms to reset.
+            options: As in `BeltArmEnv.reset`, each value a scalar or one per arm that is reset (`state`: shape (4,) or
+                (arms, 4)); and `reset_mask`, a bool array of shape (num_envs,): which arms to reset.
 
         Raises:
             ValueError: On an unknown name, a value out of range or a wrong shape.
             TypeError: If a value has a wrong type.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise TypeError(f"options must be a mapping, got {options!r}")
         options = dict(options or {})
         arms = self._batch.all_arms
         if "reset_mask" in options:
             arms = np.flatnonzero(self._checked_mask(options.pop("reset_mask")))
-            if len(self._generators) == 0:
+            if not self._ready:
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
         self._seed(seed, arms)
         self._batch.reset(arms, self._draws(arms), options)
+        self._ready = True
         self._ended = np.setdiff1d(self._ended, arms)
         result = np.empty((self.num_envs, self._size), np.float32)
         self._batch.observe(result, self._batch.all_arms)
@@ -129,7 +145,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             ResetNeeded: Before the first reset, or, with autoreset disabled, if an episode is over.
             ValueError: If the actions have another shape or are not finite.
         """
-        if not self._generators:
+        if not self._ready:
             raise ResetNeeded("no episode is running: call reset() before step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and len(self._ended):
             raise ResetNeeded(
@@ -163,11 +179,9 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             terminated[restarted] = truncated[restarted] = False
             terms[:, restarted] = 0.0
             self._restart(restarted, result)
-        info: dict[str, Any] = {}
-        for name, values in zip(TERMS, terms, strict=True):
-            info[name], info[f"_{name}"] = values, stepped.copy()
         over = terminated | truncated
         self._ended = np.flatnonzero(over)
+        info = _masked(TERMS, terms, stepped)
         if len(self._ended):
             info = self._finished(info, result, over, terminated)
         return result, rewards, terminated, truncated, info
@@ -176,15 +190,22 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self, info: dict[str, Any], result: NDArray[np.float32], over: Flags, terminated: Flags
     ) -> dict[str, Any]:
         """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
-        for name, values in zip(TOTALS, self._batch.totals(self._ended, terminated), strict=True):
-            info[name], info[f"_{name}"] = values, over.copy()
+        totals = _masked(TOTALS, self._batch.totals(self._ended, terminated), over)
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
-            return info
-        final = np.full(self.num_envs, None, dtype=object)
+            return {**info, **totals}
+        terms = np.stack([info[name] for name in TERMS])
+        final_info = {**_masked(TERMS, np.where(over, terms, 0.0), over), **totals}
+        final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in self._ended:
-            final[arm] = result[arm].copy()
+            final_observations[arm] = result[arm].copy()
         self._restart(self._ended, result)
-        return {"final_obs": final, "_final_obs": over.copy(), "final_info": info, "_final_info": over.copy()}
+        return {
+            **_masked(TERMS, np.where(over, 0.0, terms), ~over),
+            "final_obs": final_observations,
+            "_final_obs": over.copy(),
+            "final_info": final_info,
+            "_final_info": over.copy(),
+        }
 
     def _restart(self, arms: NDArray[np.intp], result: NDArray[np.float32]) -> None:
         """Begin new random episodes and put their first observations into `result`."""
@@ -229,7 +250,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """One frame of shape (height, width, 3) per arm, or None without a render mode."""
         if self.render_mode is None:
             return None
-        if not self._generators:
+        if not self._ready:
             raise ResetNeeded("there are no arms to draw yet: call reset() before render()")
         from beltarm_env.rendering import Renderer
 

@@ -1,6 +1,7 @@
 """Input that is refused: each with a specific exception that names the value and what is allowed."""
 
 import errno
+import hashlib
 import json
 import math
 import os
@@ -61,7 +62,7 @@ SETTINGS: list[Refusal] = [
     ({"randomization": {"payload_mass": 0.1}}, TypeError, ("payload_mass", "0.1", "pair")),
     ({"randomization": {"payload_mass": (0.1,)}}, TypeError, ("payload_mass", "(0.1,)", "pair")),
     ({"randomization": {"payload_mass": ("a", "b")}}, TypeError, ("payload_mass", "'a'", "number")),
-    ({"randomization": {"belt_stiffness": (30, 1e12)}}, ValueError, ("rad/s", "belt_stiffness", "at most")),
+    ({"randomization": {"belt_stiffness": (30, 1e9)}}, ValueError, ("rad/s", "belt_stiffness", "at most")),
     ({"encoder_counts": 0}, ValueError, ("encoder_counts", "0", "from 1")),
     ({"encoder_counts": -4000}, ValueError, ("encoder_counts", "-4000", "from 1")),
     ({"encoder_counts": 1000.5}, ValueError, ("encoder_counts", "1000.5", "whole")),
@@ -156,7 +157,7 @@ OPTIONS: list[Refusal] = [
     ({"params": {"payload_mass": -0.1}}, ValueError, ("payload_mass", "-0.1", "not negative")),
     ({"params": {"payload_mass": NAN}}, ValueError, ("payload_mass", "nan", "finite")),
     ({"params": {"belt_stiffness": 0}}, ValueError, ("belt_stiffness", "0", "positive")),
-    ({"params": {"belt_stiffness": 1e12}}, ValueError, ("rad/s", "belt_stiffness", "at most")),
+    ({"params": {"belt_stiffness": 1e9}}, ValueError, ("rad/s", "belt_stiffness", "at most")),
     ({"params": {"payload_mass": "heavy"}}, TypeError, ("payload_mass", "'heavy'", "number")),
     ({"params": {"payload_mass": "0.1"}}, TypeError, ("payload_mass", "'0.1'", "number")),
     ({"params": {"payload_mass": True}}, TypeError, ("payload_mass", "True", "number")),
@@ -234,14 +235,19 @@ BAD_RESET = [
 
 @pytest.mark.parametrize("options", BAD_RESET, ids=str)
 def test_a_refused_reset_leaves_a_running_episode_as_it_was(options: dict[str, Any]):
-    env = BeltArmEnv()
+    env, envs = BeltArmEnv(), BeltArmVectorEnv(2)
     env.reset(seed=0)
+    envs.reset(seed=0)
     env.step(np.ones(1, np.float32))
-    before = env.state.tolist(), env.params, env.move, env.time
-    with pytest.raises(ValueError):
-        env.reset(options=options)
-    assert (env.state.tolist(), env.params, env.move, env.time) == before
+    envs.step(np.ones((2, 1), np.float32))
+    before = env.state.tolist(), env.params, env.move, env.time, envs.state.tolist(), envs.params, envs.moves.tolist()
+    for reset in (env.reset, envs.reset):
+        with pytest.raises(ValueError):
+            reset(options=options)
+    after = env.state.tolist(), env.params, env.move, env.time, envs.state.tolist(), envs.params, envs.moves.tolist()
+    assert after == before
     env.step(np.ones(1, np.float32))
+    envs.step(np.ones((2, 1), np.float32))
 
 
 @pytest.mark.parametrize("mask", [[True, False, True], np.ones(2, np.bool_), np.ones(3), True, None], ids=repr)
@@ -280,6 +286,14 @@ def test_steps_before_a_reset_that_worked(options: dict[str, Any] | None):
     refused(ResetNeeded, ("reset()",), lambda: envs.reset(options=mask))
 
 
+def test_steps_after_the_end():
+    env = BeltArmEnv()
+    env.reset(seed=0)
+    for _ in range(EPISODE_STEPS):
+        env.step(np.zeros(1, np.float32))
+    refused(ResetNeeded, ("reset()",), lambda: env.step(np.zeros(1, np.float32)))
+
+
 @pytest.mark.parametrize("value", [NAN, INF, -INF])
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_actions_that_are_not_finite(kind: Any, value: float):
@@ -300,14 +314,12 @@ ODD_ACTIONS: list[Any] = [
     b"5",
     ["0.5"],
     np.array(["0.5"]),
-    [None],
     [1j],
     [],
     [0.1, 0.2],
     np.zeros((1, 1), np.float32),
     np.float32(0.5),
     np.array(0.5),
-    {0.5: "torque"},
 ]
 
 
@@ -500,8 +512,6 @@ def foreign_weights(bundle: Path) -> None:
 
 
 def not_weights(bundle: Path, data: bytes) -> None:
-    import hashlib
-
     (bundle / "weights-x.safetensors").write_bytes(data)
     edit(bundle, rehash=True, weights={"file": "weights-x.safetensors", "sha256": hashlib.sha256(data).hexdigest()})
 
@@ -584,7 +594,7 @@ def test_nan_in_the_weights(bundle: Path):
     policy = build_policy(SPEC)
     with torch.no_grad():
         next(policy.parameters())[:] = NAN
-    with pytest.raises(ValueError, match="finite|nan"):
+    with pytest.raises(ValueError, match=r"finite|nan"):
         save_bundle(bundle, SPEC, policy)
         rollout(load_controller(bundle)[0], 1, seed=0)
 
@@ -661,7 +671,7 @@ def test_unwritable_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code
 def test_folder_that_is_a_file(tmp_path: Path):
     path = tmp_path / "results"
     path.write_text("mine")
-    with pytest.raises(OSError, match="results.*choose another"):
+    with pytest.raises(OSError, match=r"results.*choose another"):
         require_writable(path)
     assert path.read_text() == "mine"
 
@@ -697,11 +707,3 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
     assert not [name for name in os.listdir(bundle) if name.startswith(".")]
     save_bundle(bundle, SPEC, build_policy(SPEC))
     assert len(os.listdir(bundle)) == 2
-
-
-def test_after_the_last_step_too():
-    env = BeltArmEnv()
-    env.reset(seed=0)
-    for _ in range(EPISODE_STEPS):
-        env.step(np.zeros(1, np.float32))
-    refused(ResetNeeded, ("reset()",), lambda: env.step(np.zeros(1, np.float32)))

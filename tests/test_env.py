@@ -499,7 +499,10 @@ def test_encoder_error_is_below_half_a_count():
 
 def test_entries_are_cut_at_their_bounds():
     env = make(sensors="full")
-    observation, _ = env.reset(seed=0, options={"state": [120.0, 9000.0, 1.9, 900.0], "move": LONG_MOVE})
+    strong = {"params": {"torque_limit": 50.0}, "state": [60.0, 2000.0, 0.0, 200.0], "move": LONG_MOVE}
+    env.reset(seed=0, options=strong)
+    observation, *_ = env.step(np.ones(1, np.float32))
+    assert env.state[1] > 2000 and env.state[3] > 200
     assert observation in env.observation_space
     told = decode(observation, "full")
     assert told["motor_speed"] == close(2000.0)

@@ -1,0 +1,449 @@
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.vec_env import VecMonitor
+
+from agents.bundle import BundleSpec, build_policy, load_controller, read_spec, save_bundle
+from agents.residual import ResidualController, ResidualSettings, augment, combine, residual_observation_space
+from agents.residual_env import ResidualEnv, ResidualVecEnv
+from baselines import CONTROLLERS
+from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.observation import index, size
+from beltarm_env.rollout import Recording, rollout
+
+BASES = ("paper", "rigid")
+SETTINGS = ResidualSettings()
+HOLDS = EPISODE_STEPS // SETTINGS.hold
+ARMS: dict[str, Any] = {"randomization": "train", "profile": "scurve"}
+OUTWARD = ResidualSettings(limit=2.0, hold=7)  # with a residual of 1: the full torque until the arm has left
+Singles = NDArray[np.float32]
+torch.set_num_threads(1)  # threads cost more than they give in networks this small
+
+
+def one(settings: ResidualSettings = SETTINGS, base: str = "paper", **arm: Any) -> ResidualEnv:
+    return ResidualEnv(BeltArmEnv(**{**ARMS, **arm}), CONTROLLERS[base](), settings)
+
+
+def many(count: int, settings: ResidualSettings = SETTINGS, base: str = "paper", **options: Any) -> ResidualVecEnv:
+    """A batch that begins at the moves' start, seeded with 30, 31, ..."""
+    arms = BeltArmVectorEnv(count, autoreset_mode="SameStep", **ARMS)
+    batch = ResidualVecEnv(arms, CONTROLLERS[base](), settings, **{"stagger": False, **options})
+    batch.seed(30)
+    return batch
+
+
+def observed(batch: ResidualVecEnv) -> Singles:
+    observations = batch.reset()
+    assert isinstance(observations, np.ndarray)
+    return observations
+
+
+def stepped(batch: ResidualVecEnv, residuals: Singles) -> tuple[Singles, Singles, NDArray[np.bool_], list[Any]]:
+    observations, rewards, done, infos = batch.step(residuals)
+    assert isinstance(observations, np.ndarray)
+    return observations, rewards, done, infos
+
+
+def random_residuals(count: int, seed: int = 0) -> Singles:
+    """Shape (holds of an episode, count, 1); changing slowly, so that they move the arms."""
+    levels = np.random.default_rng(seed).uniform(-1, 1, (HOLDS // 10, count, 1))
+    return np.repeat(levels, 10, axis=0).astype(np.float32)
+
+
+def base_run(base: str, count: int) -> Recording:
+    return rollout(CONTROLLERS[base](), count, seed=30, **ARMS)
+
+
+def lively_policy(spec: BundleSpec | None = None, seed: int = 0) -> BasePolicy:
+    """Random weights, the last layer's as large as training makes them."""
+    torch.manual_seed(seed)
+    policy = build_policy(spec or BundleSpec("ppo", "paper", SETTINGS, (16, 16)))
+    with torch.no_grad():
+        policy.get_parameter("action_net.weight").mul_(100)
+    policy.set_training_mode(False)
+    return policy
+
+
+class Silent:
+    """A policy whose residual is zero."""
+
+    def predict(self, observation: Singles, state: Any = None, episode_start: Any = None, deterministic: bool = True):
+        return np.zeros((len(observation), 1), np.float32), state
+
+
+# A zero residual
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_zero_residual_is_the_base_for_one_arm(base: str):
+    env, expected = one(base=base), base_run(base, 1)
+    env.reset(seed=30)
+    inner = env.unwrapped
+    assert isinstance(inner, BeltArmEnv)
+    total, truncated = 0.0, False
+    for hold in range(HOLDS):
+        _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
+        total += reward
+        assert np.array_equal(inner.state, expected.state[SETTINGS.hold * (hold + 1) - 1, 0])
+    assert truncated
+    assert -total == pytest.approx(expected.cost[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_zero_residual_is_the_base_for_a_batch(base: str):
+    batch, expected = many(5, base=base), base_run(base, 5)
+    observed(batch)
+    for hold in range(HOLDS - 1):
+        stepped(batch, np.zeros((5, 1), np.float32))
+        assert np.array_equal(batch.env.state, expected.state[SETTINGS.hold * (hold + 1) - 1])
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_zero_residual_is_the_base_as_a_controller(base: str):
+    expected = base_run(base, 5)
+    recording = rollout(ResidualController(CONTROLLERS[base](), Silent(), SETTINGS), 5, seed=30, **ARMS)
+    for name in Recording.__slots__:
+        assert np.array_equal(getattr(recording, name), getattr(expected, name)), name
+    assert (np.ptp(expected.state[:, :, 0], axis=0) > 10).all(), "the arms should have moved"
+
+
+def test_the_bases_differ():
+    assert not np.array_equal(base_run("paper", 1).state, base_run("rigid", 1).state)
+
+
+def test_zero_residual_adds_nothing():
+    base = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
+    assert combine(base, np.zeros_like(base), 0.7).tobytes() == base.tobytes()
+
+
+def test_residual_is_scaled_and_the_sum_cut():
+    base, residual = np.array([[0.1], [0.9], [-0.9]], np.float32), np.array([[-1], [1], [-0.5]], np.float32)
+    assert combine(base, residual, 0.5).ravel().tolist() == pytest.approx([-0.4, 1.0, -1.0])
+
+
+# One arm, a batch, and a controller agree
+
+
+def test_batch_agrees_with_single_arms_bit_for_bit():
+    count = 5
+    batch, singles = many(count), [one() for _ in range(count)]
+    done = np.zeros(count, np.bool_)
+    observations = observed(batch)
+    assert np.array_equal(observations, [single.reset(seed=30 + i)[0] for i, single in enumerate(singles)])
+    for residuals in 0.6 * random_residuals(count):
+        observations, rewards, done, infos = stepped(batch, residuals)
+        for i, single in enumerate(singles):
+            seen, reward, terminated, truncated, _ = single.step(residuals[i])
+            assert rewards[i] == np.float32(reward) and done[i] == (terminated or truncated)
+            if not done[i]:
+                assert observations[i].tobytes() == seen.tobytes()
+                continue
+            assert truncated, "an arm that leaves within a hold starts its new episode there, see below"
+            assert infos[i]["terminal_observation"].tobytes() == seen.tobytes()
+            assert observations[i].tobytes() == single.reset()[0].tobytes()
+    assert done.all()
+
+
+def test_a_policy_acts_alike_in_training_and_as_a_controller():
+    count, policy = 4, lively_policy()
+    recording = rollout(ResidualController(CONTROLLERS["paper"](), policy, SETTINGS), count, seed=30, **ARMS)
+    assert recording.finished.all()
+    assert not np.allclose(recording.state, base_run("paper", count).state)
+    batch = many(count)
+    observations, total, done = observed(batch), np.zeros(count), np.zeros(count, np.bool_)
+    for hold in range(HOLDS):
+        residuals, _ = policy.predict(observations, deterministic=True)
+        observations, rewards, done, _ = stepped(batch, residuals)
+        total += rewards
+        if not done.any():
+            assert np.array_equal(batch.env.state, recording.state[SETTINGS.hold * (hold + 1) - 1])
+    assert done.all()
+    assert -total == pytest.approx(recording.cost, rel=1e-5)
+
+
+def test_controller_holds_the_residual_and_restarts_with_an_episode():
+    class Counting(Silent):
+        calls = 0
+
+        def predict(self, observation: Singles, *_: Any, **__: Any):
+            self.calls += 1
+            return np.full((len(observation), 1), self.calls / 10, np.float32), None
+
+    controller = ResidualController(CONTROLLERS["paper"](), Counting(), ResidualSettings(limit=1.0, hold=3))
+    seen, memory, residuals = np.zeros((2, size()), np.float32), None, []
+    for step in range(8):
+        start = np.array([step == 0, step in (0, 4)])
+        action, memory = controller.predict(seen, memory, start)
+        residuals.append(np.round(10 * action[:, 0]).astype(int).tolist())
+    assert residuals == [[1, 1], [1, 1], [1, 1], [2, 2], [2, 3], [2, 3], [4, 3], [4, 5]]
+
+
+def test_prediction_is_deterministic_and_leaves_its_arguments_alone():
+    controller = ResidualController(CONTROLLERS["paper"](), lively_policy(), SETTINGS)
+    seen = np.random.default_rng(0).normal(size=(3, size())).astype(np.float32)
+    before = seen.copy()
+    _, memory = controller.predict(seen)
+    first, second = controller.predict(seen, memory), controller.predict(seen, memory)
+    assert np.array_equal(first[0], second[0]) and np.array_equal(first[1].residual, second[1].residual)
+    assert np.array_equal(seen, before)
+    assert first[0].dtype == np.float32 and first[0].shape == (3, 1)
+
+
+# The batch as Stable-Baselines3 sees it
+
+
+def test_what_the_agent_observes_is_what_the_base_knows():
+    batch = many(3)
+    observations, base, memory = observed(batch), CONTROLLERS["paper"](), None
+    plain = BeltArmVectorEnv(3, **ARMS)
+    seen, _ = plain.reset(seed=30)
+    for _ in range(30):
+        action, memory = base.predict(seen, memory)
+        torsion = base.torsion_estimate(memory)
+        assert np.array_equal(observations, augment(seen, action, torsion))
+        assert np.array_equal(observations[:, :-3], seen)
+        assert np.array_equal(observations[:, -3:-2], action)
+        assert np.allclose(observations[:, -2:] * [0.05, 1.0], torsion, atol=1e-6)
+        observations, *_ = stepped(batch, np.zeros((3, 1), np.float32))
+        for sample in range(SETTINGS.hold):
+            seen, *_ = plain.step(action)
+            if sample < SETTINGS.hold - 1:
+                action, memory = base.predict(seen, memory)
+
+
+def test_spaces():
+    batch = many(2)
+    assert batch.observation_space == residual_observation_space() == one().observation_space
+    assert batch.action_space == one().action_space
+    for residuals in random_residuals(2)[:30]:
+        seen, *_ = stepped(batch, residuals) if batch._memory is not None else (observed(batch),)
+        assert all(row in batch.observation_space for row in seen)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+@pytest.mark.parametrize("hold", [1, 4, 7])
+def test_reward_is_the_scaled_sum_over_a_hold(hold: int, scale: float):
+    batch = many(3, replace(SETTINGS, hold=hold), reward_scale=scale)
+    observed(batch)
+    plain, base = BeltArmVectorEnv(3, **ARMS), CONTROLLERS["paper"]()
+    seen, _ = plain.reset(seed=30)
+    memory = None
+    for residuals in random_residuals(3)[:40]:
+        total = np.zeros(3)
+        for _ in range(hold):
+            action, memory = base.predict(seen, memory)
+            seen, rewards, *_ = plain.step(np.clip(action + np.float32(0.5) * residuals, -1, 1))
+            total += rewards
+        told = stepped(batch, residuals)[1]
+        assert told.dtype == np.float32
+        assert told == pytest.approx(scale * total, rel=1e-6)
+
+
+def test_the_end_of_an_episode():
+    batch = many(3)
+    seen, infos, elapsed = observed(batch), [], index("elapsed_time")
+    for hold in range(HOLDS):
+        seen, _, done, infos = stepped(batch, np.zeros((3, 1), np.float32))
+        assert done.all() == (hold == HOLDS - 1) and done.any() == done.all()
+        assert infos[0] == {} or done[0]
+    for arm in range(3):
+        info = infos[arm]
+        assert info["TimeLimit.truncated"] is True
+        assert info["terminal_observation"][elapsed] == pytest.approx(1.8)
+        assert info["terminal_observation"] in batch.observation_space
+        assert info["episode"]["l"] == EPISODE_STEPS
+        assert seen[arm, elapsed] == 0
+    assert base_run("paper", 3).cost == pytest.approx([-info["episode"]["r"] for info in infos])
+
+
+def test_an_arm_that_leaves_within_a_hold():
+    """Its reward ends with its episode, and the residual with it: the new one begins under the base alone."""
+    batch, single = many(2, OUTWARD), one(OUTWARD)
+    seen, infos, outward = observed(batch), [], np.array([[1.0], [0.0]], np.float32)
+    last, _ = single.reset(seed=30)
+    terminated = False
+    while not terminated:
+        last, reward, terminated, *_ = single.step(outward[0])
+        seen, rewards, done, infos = stepped(batch, outward)
+        assert rewards[0] == np.float32(reward)
+        assert done.tolist() == [terminated, False]
+    info = infos[0]
+    assert np.array_equal(info["terminal_observation"], last)
+    assert info["TimeLimit.truncated"] is False
+    samples = OUTWARD.hold - info["episode"]["l"] % OUTWARD.hold
+    assert 0 < samples < OUTWARD.hold, "the arm should have left within a hold"
+    inner, base, memory = single.unwrapped, CONTROLLERS["paper"](), None
+    observation, _ = inner.reset()
+    for _ in range(samples):
+        action, memory = base.predict(observation[None], memory)
+        observation = inner.step(action[0])[0]
+    assert np.array_equal(seen[0, :-3], observation)
+
+
+@pytest.mark.parametrize("hold", [4, 7])
+@pytest.mark.parametrize("count", [1, 10])
+def test_staggering_spreads_the_arms_over_the_episode(count: int, hold: int):
+    batch = many(count, replace(SETTINGS, hold=hold), stagger=True)
+    phases = np.sort(observed(batch)[:, index("elapsed_time")])
+    gaps = np.diff(phases, append=phases[0] + 1.8)
+    assert gaps == pytest.approx(np.full(count, 1.8 / count), abs=2 * hold * 0.0015)
+    again = many(count, replace(SETTINGS, hold=hold), stagger=True)
+    batch.seed(30)
+    assert np.array_equal(observed(batch), observed(again))
+
+
+def test_without_staggering_all_arms_begin_at_the_start():
+    assert not observed(many(4))[:, index("elapsed_time")].any()
+
+
+def test_staggered_arms_go_on_as_if_they_had_been_alone():
+    """After its restart each arm is a fresh episode under the base, whose memory restarted too."""
+    batch = many(4, stagger=True)
+    observations = observed(batch)
+    steps = np.rint(observations[:, index("elapsed_time")] / 0.0015).astype(int)
+    for arm in range(4):
+        env, base = BeltArmEnv(**ARMS), CONTROLLERS["paper"]()
+        move = dict(zip(env.move, batch.env.moves[arm], strict=True))
+        seen, _ = env.reset(options={"params": asdict(batch.env.params[arm]), "move": move})
+        action, memory = base.predict(seen[None], None)
+        for _ in range(steps[arm]):
+            seen = env.step(action[0])[0]
+            action, memory = base.predict(seen[None], memory)
+        assert np.array_equal(observations[arm], augment(seen[None], action, base.torsion_estimate(memory))[0])
+
+
+def test_same_seed_same_run_and_seeds_are_used_once():
+    first, second = many(3), many(3)
+    assert np.array_equal(observed(first), observed(second))
+    assert np.array_equal(stepped(first, random_residuals(3)[0])[0], stepped(second, random_residuals(3)[0])[0])
+    following = observed(first)
+    assert np.array_equal(following, observed(second))
+    first.seed(30)
+    assert not np.array_equal(following, observed(first))
+
+
+def test_nothing_returned_is_shared():
+    batch = many(3)
+    returned = [observed(batch)]
+    for residuals in random_residuals(3)[:3]:
+        seen, rewards, done, _ = stepped(batch, residuals)
+        returned += [seen, rewards, done]
+    assert all(not np.shares_memory(a, b) for k, a in enumerate(returned) for b in returned[k + 1 :])
+
+
+def test_the_rest_of_the_vec_env_protocol():
+    batch = many(3)
+    assert batch.get_attr("render_mode") == [None] * 3
+    assert batch.get_attr("sensors", indices=[0, 2]) == ["encoder"] * 2
+    assert batch.env_is_wrapped(ResidualEnv) == [False] * 3
+    with pytest.raises(NotImplementedError, match="sensors"):
+        batch.set_attr("sensors", "tip")
+    with pytest.raises(NotImplementedError, match="step"):
+        batch.env_method("step")
+    batch.close()
+    batch.close()
+
+
+def test_sb3_is_content_with_the_single_environment():
+    check_env(one(), warn=True, skip_render_check=True)
+
+
+def test_monitor_of_sb3_counts_the_returns():
+    batch = VecMonitor(many(2))
+    batch.reset()
+    infos: list[Any] = []
+    for _ in range(HOLDS):
+        *_, infos = batch.step(np.zeros((2, 1), np.float32))
+    for arm in range(2):
+        episode = infos[arm]["episode"]
+        assert episode["r"] == pytest.approx(-base_run("paper", 2).cost[arm], rel=1e-5)
+
+
+def test_ppo_learns_on_it():
+    batch = many(8, stagger=True, reward_scale=0.01)
+    model = PPO(
+        "MlpPolicy",
+        batch,
+        n_steps=40,
+        batch_size=80,
+        n_epochs=2,
+        policy_kwargs={"net_arch": [16]},
+        seed=0,
+        device="cpu",
+    )
+    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+    model.learn(640)
+    assert model.num_timesteps == 640
+    after = list(model.policy.parameters())
+    assert all(torch.isfinite(parameter).all() for parameter in after)
+    assert all(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
+    assert model.ep_info_buffer and all(episode["l"] == EPISODE_STEPS for episode in model.ep_info_buffer)
+
+
+# Bundles
+
+
+SPECS = [
+    BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
+    BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", {"seed": 3, "note": "ζ"}),
+    BundleSpec("ppo", "paper", ResidualSettings(2.0, 10), (), "elu", "full", {"nested": {"list": [1, 2.5, None]}}),
+]
+
+
+@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.activation)
+def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSpec):
+    policy = lively_policy(spec)
+    save_bundle(tmp_path, spec, policy)
+    loaded, told = load_controller(tmp_path)
+    assert told == spec == read_spec(tmp_path)[0]
+    original = ResidualController(CONTROLLERS[spec.base](), policy, spec.residual)  # pyright: ignore[reportArgumentType]
+    sensors: Any = spec.sensors
+    expected = rollout(original, 3, seed=1, sensors=sensors, **ARMS)
+    recording = rollout(loaded, 3, seed=1, sensors=sensors, **ARMS)
+    assert recording.torque.tobytes() == expected.torque.tobytes()
+    assert recording.state.tobytes() == expected.state.tobytes()
+
+
+def test_content_hash_depends_on_content_alone(tmp_path: Path):
+    spec, policy = SPECS[0], lively_policy()
+    first = save_bundle(tmp_path / "a", spec, policy)
+    assert save_bundle(tmp_path / "b", spec, policy) == first == save_bundle(tmp_path / "a", spec, policy)
+    files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
+    assert files[0] == files[1]
+    loaded, told = load_controller(tmp_path / "a")
+    assert isinstance(loaded.policy, BasePolicy)
+    assert save_bundle(tmp_path / "c", told, loaded.policy) == first
+    others = [
+        save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), policy),
+        save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), policy),
+        save_bundle(tmp_path / "d", spec, lively_policy(seed=1)),
+    ]
+    assert len({first, *others}) == 4
+
+
+def test_saving_again_replaces_the_bundle(tmp_path: Path):
+    save_bundle(tmp_path, SPECS[0], lively_policy())
+    save_bundle(tmp_path, SPECS[0], lively_policy(seed=1))
+    assert len(list(tmp_path.iterdir())) == 2
+    seen = np.ones((1, size()), np.float32)
+    expected = ResidualController(CONTROLLERS["paper"](), lively_policy(seed=1), SETTINGS).predict(seen)[0]  # pyright: ignore[reportArgumentType]
+    assert np.array_equal(load_controller(tmp_path)[0].predict(seen)[0], expected)
+
+
+def test_no_pickle_in_a_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    save_bundle(tmp_path, SPECS[0], lively_policy())
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("unpickled")
+
+    for name in ("pickle.load", "pickle.loads", "pickle.Unpickler", "torch.load"):
+        monkeypatch.setattr(name, refuse)
+    load_controller(tmp_path)
