@@ -6,6 +6,8 @@ peer are what to compare between machines.
 
 from __future__ import annotations
 
+import csv
+import json
 import os
 import subprocess
 import sys
@@ -39,6 +41,8 @@ class Config:
     """Repetitions, of which the best counts."""
     steps: int = 300
     """Steps per repetition of a batch; single arms take a hundred times as many."""
+    training: bool = False
+    """Also run `train/ppo.py` with its defaults, and see when its policy halves the paper's figures; takes minutes."""
 
 
 def best_time(run: Callable[[], object], repetitions: int) -> float:
@@ -133,6 +137,24 @@ def accuracy() -> tuple[float, int]:
     return worst, changes
 
 
+def training() -> tuple[float, float, str]:
+    """Seconds until cost, tip RMS and residual vibration are all halved on validation arms, and of the whole run.
+
+    Also returns the ratios to the base controller that the best policy reached.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, str(ROOT / "train" / "ppo.py"), "--out", folder]
+        subprocess.run([*command, "--validation-every", "100000"], check=True, stdout=subprocess.DEVNULL)
+        with (Path(folder) / "validation.csv").open(newline="", encoding="utf-8") as file:
+            rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+        provenance = json.loads((Path(folder) / "best" / "policy.json").read_text())["provenance"]
+    base = provenance["validation_of_base"]
+    halved = [row["seconds"] for row in rows if all(row[name] <= 0.5 * base[name] for name in base)]
+    reached = provenance["reached"]["validation"]
+    shown = ", ".join(f"{name} {reached[name] / base[name]:.2f}x" for name in base)
+    return min(halved, default=float("inf")), rows[-1]["seconds"], shown
+
+
 def main() -> None:
     """Command line."""
     config = tyro.cli(Config, description=__doc__)
@@ -163,6 +185,12 @@ def main() -> None:
     table.add_row("import beltarm_env", f"{min(run[0] for run in warm):.2f} s", "-", "-")
     table.add_row("make, reset, first step: warm cache", f"{min(run[1] for run in warm):.2f} s", "-", "-")
     table.add_row("make, reset, first step: cold cache", f"{cold:.1f} s", "-", "-")
+    if config.training:
+        half, whole, reached = training()
+        table.add_row(
+            "training until cost, tip RMS and residual are halved", f"{half:.0f} s", "the paper's controller", "0.50x"
+        )
+        table.add_row("training, whole run", f"{whole:.0f} s", "the paper's controller", reached)
     console.print(table)
 
 

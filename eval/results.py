@@ -68,6 +68,7 @@ class Comparison:
     """All outcomes of one run."""
 
     outcomes: list[Outcome]
+    against_best: dict[str, dict[str, dict[str, Paired]]]  # by split, method and metric
     provenance: dict[str, Any]
 
     def on(self, split: str) -> list[Outcome]:
@@ -80,17 +81,23 @@ class Comparison:
 
     def best_classical(self, split: str) -> Outcome:
         """The classical method of the lowest cost."""
-        classical = [outcome for outcome in self.on(split) if outcome.method.kind == "classical"]
-        return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm)
+        return best_classical(self.on(split))
 
-    def against_best_classical(self, split: str) -> dict[str, dict[str, Paired]]:
-        """Every other method against the best classical one, scenario by scenario: method name, metric."""
-        best = self.best_classical(split)
-        return {
-            outcome.method.name: {name: paired(outcome.metrics[name], best.metrics[name]) for name in PAIRED_METRICS}
-            for outcome in self.on(split)
-            if outcome is not best
-        }
+
+def best_classical(outcomes: list[Outcome]) -> Outcome:
+    """The classical method of the lowest cost among the outcomes of one split."""
+    classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
+    return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm)
+
+
+def against_best_classical(outcomes: list[Outcome]) -> dict[str, dict[str, Paired]]:
+    """Every other method of one split against the best classical one, scenario by scenario: by method and metric."""
+    best = best_classical(outcomes)
+    return {
+        outcome.method.name: {name: paired(outcome.metrics[name], best.metrics[name]) for name in PAIRED_METRICS}
+        for outcome in outcomes
+        if outcome is not best
+    }
 
 
 def provenance(command: str, seconds: float, policies: list[Path]) -> dict[str, Any]:
@@ -147,7 +154,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
             },
         }
         for split in comparison.splits()
-        for method, pairs in comparison.against_best_classical(split).items()
+        for method, pairs in comparison.against_best[split].items()
     ]
     return {"version": splits.VERSION, "provenance": comparison.provenance, "rows": rows, "paired": against}
 

@@ -24,7 +24,7 @@ class Split:
 
 SPLITS = {
     "nominal": Split(8_000_000, "the nominal arm, random moves", {"randomization": "off"}),
-    "randomized": Split(8_100_000, "arms drawn from the training ranges, random moves", {"randomization": "train"}),
+    "randomized": Split(8_100_000, "arms from the training ranges, random moves", {"randomization": "train"}),
 }
 EPISODES = 200
 QUICK_EPISODES = 24

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import bootstrap, trim_mean
+from scipy.stats import bootstrap
 
 Floats = NDArray[np.float64]
 
@@ -29,8 +29,10 @@ class Estimate:
 
 
 def interquartile_mean(values: Floats) -> float:
-    """Mean of the middle half of all values."""
-    return float(trim_mean(values.ravel(), 0.25))
+    """Mean of the middle half of all values, as `scipy.stats.trim_mean` has it, without its cost per call."""
+    ordered = np.sort(values, axis=None)
+    cut = len(ordered) // 4
+    return float(ordered[cut : len(ordered) - cut].mean())
 
 
 def estimate(values: Floats, mean: bool = False) -> Estimate:

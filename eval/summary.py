@@ -21,16 +21,22 @@ COLUMNS = {
     "saturated_share": ("saturated", "%"),
     "cost": ("cost", "-"),
 }
-_TERMINAL = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "settling_s", "failure_share", "cost")
+_TERMINAL = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "failure_share", "cost")
 _DIGITS = {"tip_acc_rms": 2, "settling_s": 2, "torque_rms": 3, "torque_rate_rms": 1, "cost": 0}
 _PERCENT = ("failure_share", "saturated_share")
 
 
-def cell(name: str, value: Estimate) -> str:
-    """An estimate with its interval, such as `4.8 [4.5, 5.2]`."""
+def _numbers(name: str, value: Estimate) -> tuple[str, str, str]:
+    """Estimate, lower and upper end, rounded as suits the metric."""
     factor = 100 if name in _PERCENT else 1
     digits = _DIGITS.get(name, 0 if name in _PERCENT else 1)
     point, low, high = (f"{factor * number:.{digits}f}" for number in (value.iqm, value.low, value.high))
+    return point, low, high
+
+
+def cell(name: str, value: Estimate) -> str:
+    """An estimate with its interval, such as `4.8 [4.5, 5.2]`."""
+    point, low, high = _numbers(name, value)
     return f"{point} [{low}, {high}]"
 
 
@@ -47,16 +53,15 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         table.add_column("method", no_wrap=True)
         for name in _TERMINAL:
             title, unit = COLUMNS[name]
-            table.add_column(f"{title}\n{unit}", justify="right")
+            table.add_column(f"{title}\n{'' if unit == '-' else unit}", justify="right", no_wrap=True)
         for outcome in outcomes:
             shown = []
             for name in _TERMINAL:
                 value = outcome.estimates[name]
-                point, interval = cell(name, value).split(" ", 1)
-                best = value.iqm == _best(outcomes, name)
-                shown.append(
-                    f"[bold]{point}[/bold]\n{_escaped(interval)}" if best else f"{point}\n{_escaped(interval)}"
-                )
+                point, low, high = _numbers(name, value)
+                if value.iqm == _best(outcomes, name):
+                    point = f"[bold]{point}[/bold]"
+                shown.append(f"{point}\n{low}–{high}")
             table.add_row(outcome.method.name, *shown)
         console.print(table)
     console.print(
@@ -75,7 +80,7 @@ def verdicts(comparison: Comparison) -> list[str]:
     lines = []
     for split in comparison.splits():
         best = comparison.best_classical(split)
-        for method, pairs in comparison.against_best_classical(split).items():
+        for method, pairs in comparison.against_best[split].items():
             parts = []
             for name in PAIRED_METRICS:
                 title, unit = COLUMNS[name]

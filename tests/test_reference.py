@@ -249,10 +249,16 @@ class TestDrawnMoves:
 
     @ALL
     @settings(deadline=None, max_examples=100)
-    @given(uniforms=UNIFORMS, duration=st.floats(0.35, LONGEST_TIME))
-    def test_with_a_given_duration_are_feasible(self, profile: int, uniforms: list[float], duration: float):
+    @given(
+        uniforms=UNIFORMS,
+        duration=st.floats(0.35, LONGEST_TIME),
+        end=st.just({}) | st.dictionaries(st.sampled_from(["start", "goal"]), st.floats(0, WORKSPACE), max_size=1),
+    )
+    def test_with_a_given_duration_are_feasible(
+        self, profile: int, uniforms: list[float], duration: float, end: dict[str, float]
+    ):
         assert shortest_duration(profile, SHORTEST, 0.35) < 0.35, "else no move would be"
-        check_moves(profile, draw(profile, uniforms, duration=duration))
+        check_moves(profile, draw(profile, uniforms, duration=duration, **end))
 
     @ALL
     @settings(deadline=None, max_examples=100)

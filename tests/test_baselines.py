@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from baselines import CONTROLLERS, PaperController, PaperGains, rigid_controller
+from baselines.paper import TorsionSimulation
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
+from beltarm_env.observation import decode
+from beltarm_env.rollout import rollout
+
+
+def observations(count: int = 6, steps: int = 300) -> np.ndarray:
+    """What a few arms observe under random torques, shape (steps, count, size)."""
+    env = BeltArmVectorEnv(count, randomization="train")
+    seen = [env.reset(seed=5)[0]]
+    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[:steps]
+    seen += [env.step(torque)[0] for torque in torques]
+    return np.stack(seen)
+
+
+def test_first_torque_is_equation_11_with_table_2():
+    seen = observations(steps=1)[0]
+    action, memory = PaperController().predict(seen)
+    told = decode(seen)
+    u_1 = 88 * told["reference_acceleration"] + 20 * told["motor_speed_error"] + 25 * told["motor_angle_error"]
+    torque = 6.3e-5 * u_1 + 3.5e-4 * told["motor_speed"] + 0.032 * np.sign(told["reference_speed"])
+    np.testing.assert_allclose(action[:, 0], torque / 0.3, atol=1e-7)
+    assert (memory.torsion == 0).all()
+
+
+def test_vibration_feedback_is_k4_times_the_simulated_rate():
+    paper, rigid = PaperController(), rigid_controller()
+    of_paper = of_rigid = None
+    for seen in observations():
+        with_feedback, of_paper = paper.predict(seen, of_paper)
+        without, of_rigid = rigid.predict(seen, of_rigid)
+        free = (np.abs(with_feedback) < 1) & (np.abs(without) < 1)
+        expected = without[:, 0] - 0.15 * of_paper.torsion_rate / 0.3
+        np.testing.assert_allclose(with_feedback[free[:, 0], 0], expected[free[:, 0]], atol=1e-6)
+    assert of_paper is not None and np.abs(of_paper.torsion_rate).max() > 0.01
+
+
+def test_torsion_simulation_solves_the_arm_behind_the_belt():
+    # Joint speed constant within each sample, as the simulation assumes; M2 at the joint angle, its slope left out.
+    params = ArmParams(belt_damping_ratio=0.05)
+    simulation = TorsionSimulation(params)
+    damping = 2 * 0.05 * np.sqrt(33 * 0.07)
+    speeds = np.random.default_rng(1).uniform(-2, 2, 40)
+    joint, last, torsion, rate, exact = 0.8, 0.0, np.zeros(1), np.zeros(1), np.zeros(2)
+    for speed in speeds:
+        joint += speed * CONTROL_PERIOD
+        torsion, rate = simulation.advance(torsion, rate, np.array([speed - last]), np.array([joint]))
+        m2 = 0.01 + 0.06 * np.sin(joint) ** 2
+        exact[1] += speed - last
+        motion = solve_ivp(
+            lambda _, y, m2=m2: [y[1], -(33 * y[0] + damping * y[1]) / m2],
+            (0, CONTROL_PERIOD),
+            exact,
+            rtol=1e-11,
+            atol=1e-13,
+        )
+        exact, last = motion.y[:, -1], speed
+    np.testing.assert_allclose([torsion[0], rate[0]], exact, rtol=1e-8)
+
+
+def test_simulated_torsion_follows_the_true_one_on_the_nominal_arm():
+    env = BeltArmVectorEnv(8, autoreset_mode="Disabled")
+    seen, _ = env.reset(seed=3)
+    controller, memory = PaperController(), None
+    true, simulated = [], []
+    for _ in range(300):
+        action, memory = controller.predict(seen, memory)
+        true.append(env.state[:, 2])
+        simulated.append(controller.torsion_estimate(memory)[:, 0])
+        seen, *_ = env.step(action)
+    error = np.std(np.array(true) - np.array(simulated))
+    assert error < 0.3 * np.std(true)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_batch_is_so_many_single_controllers(name: str):
+    seen = observations()
+    controller = CONTROLLERS[name]()
+    batch = None
+    single = [None] * seen.shape[1]
+    for step in seen:
+        actions, batch = controller.predict(step, batch)
+        for arm in range(len(step)):
+            action, single[arm] = controller.predict(step[arm : arm + 1], single[arm])
+            np.testing.assert_array_equal(action[0], actions[arm])
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_nothing_is_remembered_beyond_an_episode(name: str):
+    first, second = observations(steps=50), observations(steps=50)[::-1]
+    controller = CONTROLLERS[name]()
+    memory = None
+    for step in first:
+        _, memory = controller.predict(step, memory)
+    fresh = None
+    for k, step in enumerate(second):
+        start = np.full(len(step), k == 0)
+        used, memory = controller.predict(step, memory, start)
+        new, fresh = controller.predict(step, fresh, start)
+        np.testing.assert_array_equal(used, new)
+
+
+def test_gains_must_be_finite():
+    with pytest.raises(ValueError, match=r"PaperGains.angle must be finite, got nan"):
+        PaperGains(angle=float("nan"))
+
+
+def test_vibration_feedback_damps_the_nominal_arm_during_the_move():
+    ringing = {
+        name: rollout(make(), 64, seed=42, randomization="off").metrics()["tip_acc_rms"].mean()
+        for name, make in CONTROLLERS.items()
+    }
+    assert ringing["paper"] < 0.8 * ringing["rigid"]
+
+
+class Full:
+    """Full torque, which drives the arm out of its workspace."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.ones((len(observation), 1), np.float32), state
+
+
+def test_an_arm_that_leaves_its_workspace_stays_there_and_fails():
+    run = rollout(Full(), 4, seed=0)
+    metrics = run.metrics()
+    assert not run.finished.any()
+    assert (metrics["failure_share"] == 1).all() and (metrics["settling_s"] == 1.8).all()
+    np.testing.assert_array_equal(run.state[-1], run.state[-2])
+    assert (run.cost > 10_000).all()
+    assert np.isfinite(run.tip_error).all()
