@@ -78,6 +78,7 @@ class ArmBatch:
         self.profile = _choice("profile", profile, PROFILES)
         _choice("model", model, MODELS)
         self._bounds = range_bounds(resolve_ranges(randomization))
+        self._spans = self._bounds[1] - self._bounds[0]
         check_ranges_integrable(self._bounds)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
@@ -105,7 +106,7 @@ class ArmBatch:
         given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 
-        table = self._bounds[0] + uniforms[:, : len(FIELDS)] * (self._bounds[1] - self._bounds[0])
+        table = self._bounds[0] + uniforms[:, : len(FIELDS)] * self._spans
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for extreme in (column.min(), column.max()):

@@ -113,8 +113,14 @@ def observe_block(block: Floats, tile: Singles, observations: Singles, profile: 
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
     """
+    _entries(block, tile, len(observations), profile, tier)
+    _transpose(tile, observations)
+
+
+@compiled
+def _transpose(tile: Singles, observations: Singles) -> None:
+    """Copy a tile, one row per entry, to observations, one row per arm."""
     count, entries = observations.shape
-    _entries(block, tile, count, profile, tier)
     for j in range(count):
         for k in range(_COMMON):  # a constant, so that LLVM unrolls it
             observations[j, k] = tile[k * LANES + j]

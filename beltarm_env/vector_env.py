@@ -213,7 +213,10 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._batch.observe(result, arms)
 
     def _draws(self, arms: NDArray[np.intp]) -> NDArray[np.float64]:
-        return np.stack([self._generators[arm].random(DRAWS) for arm in arms])
+        draws = np.empty((len(arms), DRAWS))
+        for row, arm in zip(draws, arms.tolist(), strict=True):
+            self._generators[arm].random(out=row)
+        return draws
 
     def _seed(self, seed: int | Sequence[int | None] | None, arms: NDArray[np.intp]) -> None:
         if seed is None or isinstance(seed, int | np.integer):
