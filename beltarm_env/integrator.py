@@ -11,7 +11,7 @@ from __future__ import annotations
 from beltarm_env._jit import inlined
 from beltarm_env.dynamics import ArmState, Plant, accelerations, driving_torque, sliding_direction
 
-_ROOT_ITERATIONS = 8  # of Newton on a cubic that is nearly a straight line
+_ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
 
 
 @inlined
@@ -57,12 +57,18 @@ def mode_margin(x: ArmState, torque: float, direction: float, plant: Plant) -> f
 
 
 @inlined
-def _mode_margin_rate(x: ArmState, torque: float, direction: float, plant: Plant) -> float:
-    """Time derivative of `mode_margin`."""
+def _distance(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant) -> float:
+    """`mode_margin` towards one side, which makes it smooth: a motor that sticks breaks away to `exit_side`."""
+    sticking = plant.coulomb_friction - exit_side * driving_torque(x, torque, plant)
+    return direction * x.motor_speed if direction != 0.0 else sticking
+
+
+@inlined
+def _distance_rate(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant) -> float:
+    """Time derivative of `_distance`."""
     motor, torsional = accelerations(x, torque, direction, plant)
     belt_torque_rate = plant.stiffness * x.torsion_speed + plant.damping * torsional
-    pull = belt_torque_rate * plant.inverse_gear
-    sticking = pull if driving_torque(x, torque, plant) > 0.0 else -pull
+    sticking = exit_side * belt_torque_rate * plant.inverse_gear
     return direction * motor if direction != 0.0 else sticking
 
 
@@ -82,7 +88,7 @@ def _hermite_root(start: float, start_slope: float, end: float, end_slope: float
         low = u if value > 0.0 else low
         high = high if value > 0.0 else u
         newton = u - value / (slope if slope != 0.0 else 1.0)
-        u = newton if (newton > low) & (newton < high) else 0.5 * (low + high)
+        u = newton if (newton >= low) & (newton <= high) else 0.5 * (low + high)
     return u
 
 
@@ -103,14 +109,14 @@ def step_to_mode_change(
     Returns:
         State at that instant, the mode from then on, and the time that is left of `dt`.
     """
+    exit_side = 1.0 if driving_torque(y, torque, plant) > 0.0 else -1.0
     fraction = _hermite_root(
-        mode_margin(x, torque, direction, plant),
-        dt * _mode_margin_rate(x, torque, direction, plant),
-        mode_margin(y, torque, direction, plant),
-        dt * _mode_margin_rate(y, torque, direction, plant),
+        _distance(x, torque, direction, exit_side, plant),
+        dt * _distance_rate(x, torque, direction, exit_side, plant),
+        _distance(y, torque, direction, exit_side, plant),
+        dt * _distance_rate(y, torque, direction, exit_side, plant),
     )
     z = rk4_step(x, torque, direction, fraction * dt, plant)
     at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
-    freed = 1.0 if driving_torque(at_rest, torque, plant) > 0.0 else -1.0
-    following = sliding_direction(at_rest, torque, plant) if direction != 0.0 else freed
+    following = sliding_direction(at_rest, torque, plant) if direction != 0.0 else exit_side
     return at_rest, following, dt - fraction * dt
