@@ -95,6 +95,18 @@ def save_bundle(folder: Path, spec: BundleSpec, policy: BasePolicy) -> str:
     return content["content_hash"]
 
 
+def annotate(folder: Path, **provenance: Any) -> None:
+    """Add to the provenance of a bundle, once more is known of the run that it came from.
+
+    Raises:
+        BundleError: If there is no sound bundle.
+    """
+    _, content = read_spec(folder)
+    content["provenance"].update(provenance)
+    content["content_hash"] = _content_hash(content)
+    write_text(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
+
+
 def _content_hash(content: dict[str, Any]) -> str:
     rest = {key: value for key, value in content.items() if key != "content_hash"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

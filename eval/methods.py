@@ -44,10 +44,10 @@ def learned_method(folders: list[Path]) -> Method:
     names = {_method_name(spec.algorithm, spec.base) for _, spec in loaded}
     if len(names) > 1:
         raise ValueError(f"the policies given are of different methods ({', '.join(sorted(names))}); compare one a run")
-    reached = [(spec.provenance.get("reached", {}), spec.residual.hold) for _, spec in loaded]
+    whole = [(spec.provenance.get("run", {}), spec.residual.hold) for _, spec in loaded]
     training = {
-        "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in reached],
-        "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in reached],
+        "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in whole],
+        "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in whole],
     }
     return Method(names.pop(), "learned", [controller for controller, _ in loaded], training)
 

@@ -112,6 +112,7 @@ def _residual_plot(traces: Traces, colours: dict[str, str]) -> Figure:
 
 def _bars(comparison: Comparison, colours: dict[str, str]) -> Figure:
     figure, axes = plt.subplots(1, len(_BARS), figsize=(3.1 * len(_BARS), 3.6), layout="constrained")
+    figure.suptitle("Interquartile means with 95 % intervals; lower is better", fontsize=10, color="0.4")
     splits = comparison.splits()
     width = 0.8 / len(colours)
     for axis, name in zip(axes, _BARS, strict=True):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +21,7 @@ import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.bundle import ACTIVATIONS, BundleSpec, save_bundle
+from agents.bundle import ACTIVATIONS, BundleSpec, annotate, save_bundle
 from agents.files import require_writable, write_text
 from agents.residual import ResidualSettings
 from agents.residual_env import ResidualVecEnv
@@ -170,7 +170,9 @@ def train(config: Config) -> None:
             command = shlex.join(["python", "train/ppo.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"])
             print(f"interrupted at {model.num_timesteps} steps, saved in {config.out}; to go on:\n  {command}")
             sys.exit(130)
-    save_bundle(config.out / "last", spec, model.policy)
+    run = {"steps": model.num_timesteps, "seconds": round(monitor.seconds, 1)}
+    save_bundle(config.out / "last", replace(spec, provenance={**spec.provenance, "run": run}), model.policy)
+    annotate(checkpoint.best, run=run)
     print(f"{model.num_timesteps} steps in {monitor.seconds:.0f} s; best policy: {config.out / 'best'}")
     print(f"compare it: python eval/compare.py --policy {config.out / 'best'}")
 
