@@ -165,9 +165,9 @@ def fastest_rate(plant: Plant) -> float:
     return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
 
 
-MAX_SUBSTEPS = 100
+MAX_SUBSTEPS = 400
 """Most integration steps per sample."""
-_STEP_ANGLE = 0.4  # largest product of rate and integration step; RK4 is stable up to 2.8
+_STEP_ANGLE = 0.12  # largest product of rate and integration step: one step for any arm of the training ranges
 
 
 @inlined

@@ -71,8 +71,9 @@ class EventLocatedArm:
                 self.mode = mode
             friction = None if direction == 0 else direction * tau_c
 
-            def stops(_: float, y: np.ndarray) -> float:
-                return y[1]
+            def stops(t: float, y: np.ndarray, start=time, direction=direction) -> float:
+                # Just broken away, the motor has no speed yet: that is not a stop.
+                return y[1] if t > start or y[1] != 0 else direction * 1e-300
 
             def breaks_away(_: float, y: np.ndarray) -> float:
                 return abs(pull(y)) - tau_c

@@ -4,6 +4,7 @@ import ast
 import os
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 
@@ -20,11 +21,11 @@ DEPENDENCIES = {"gymnasium", "numpy", "numba"}
 OPTIONAL = {"pygame"}
 
 
-def python(code: str, folder: Path, path: Path = ROOT, **environment: str) -> str:
+def python(code: str, folder: Path, path: Path | str = ROOT, *options: str, **environment: str) -> str:
     """Output of a Python process of its own, without what this one has in its environment; warnings are errors."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA"))}
     result = subprocess.run(
-        [sys.executable, "-P", "-W", "error", "-c", code],
+        [sys.executable, "-P", *options, "-W", "error", "-c", code],
         cwd=folder,
         env={**kept, "PYTHONPATH": str(path), **environment},
         capture_output=True,
@@ -181,7 +182,9 @@ print(envs.step(numpy.zeros((2, 1)))[0].shape)
 
 def test_installed_wheel_runs_an_episode_elsewhere(installed: Path, tmp_path: Path):
     """Without compiling, which would take most of this suite's time and is tested everywhere else."""
-    output = python(EPISODE, tmp_path, installed, NUMBA_DISABLE_JIT="1").splitlines()
+    # Without site, whose .pth files would bring in the checkout of an editable install.
+    path = f"{installed}{os.pathsep}{sysconfig.get_path('purelib')}"
+    output = python(EPISODE, tmp_path, path, "-S", NUMBA_DISABLE_JIT="1").splitlines()
     assert output == [str(installed / "beltarm_env" / "__init__.py"), "[]", "1200 True True", "(2, 22)"]
 
 
