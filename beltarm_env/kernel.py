@@ -16,13 +16,13 @@ from beltarm_env import _layout as at
 from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env._jit import compiled, inlined
 from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant, store_state
-from beltarm_env._observe import MOST_ENTRIES, observe_block
+from beltarm_env._observe import TILE_ROWS, observe_block
 from beltarm_env.cost import MAX_COST, step_cost
 from beltarm_env.kinematics import contained, outside_workspace, reference_tip, tip_motion
 from beltarm_env.motion import WORK_ROWS, move_block
 from beltarm_env.observation import TIP
 from beltarm_env.params import integration_substeps, plant_of
-from beltarm_env.reference import QUINTIC, SCURVE, TRAPEZOID, reference_at
+from beltarm_env.reference import TRAPEZOID, reference_at
 from beltarm_env.sensors import to_counts
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ _SCRATCH_ROWS = _WORK + WORK_ROWS
 
 def new_scratch() -> tuple[Floats, Singles]:
     """Memory that the kernels work in, for one block at a time; allocated once because allocation takes time."""
-    return np.zeros(_SCRATCH_ROWS * LANES), np.zeros(MOST_ENTRIES * LANES, dtype=np.float32)
+    return np.zeros(_SCRATCH_ROWS * LANES), np.zeros(TILE_ROWS * LANES, dtype=np.float32)
 
 
 @compiled
@@ -95,12 +95,10 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int) ->
 
 @compiled
 def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
-    if profile == TRAPEZOID:  # constants from here on, so that each loop holds the equations of one profile only
+    if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
         _charge_profile(block, scratch, count, TRAPEZOID)
-    elif profile == SCURVE:
-        _charge_profile(block, scratch, count, SCURVE)
     else:
-        _charge_profile(block, scratch, count, QUINTIC)
+        _charge_profile(block, scratch, count, profile)
 
 
 @compiled

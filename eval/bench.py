@@ -100,6 +100,26 @@ print(imported - began, time.perf_counter() - imported)
 """
 
 
+_EMPTY = """
+import time
+began = time.perf_counter()
+import numba
+
+@numba.njit
+def nothing(x):
+    return x
+
+nothing(1.0)
+print(time.perf_counter() - began)
+"""
+
+
+def numba_start_up() -> float:
+    """Seconds numba takes to be imported and to compile a function that does nothing."""
+    result = subprocess.run([sys.executable, "-c", _EMPTY], capture_output=True, text=True, check=True)
+    return float(result.stdout)
+
+
 def start_up(cache: Path) -> tuple[float, float]:
     """Seconds of `import beltarm_env`, and from there to the end of the first step, in a process of its own."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
@@ -182,9 +202,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         _, cold = start_up(Path(folder))
         warm = [start_up(Path(folder)) for _ in range(3)]
+    numba_alone = min(numba_start_up() for _ in range(3))
+    peer = f"numba, empty function: {numba_alone:.2f} s"
+    first = min(run[1] for run in warm)
     table.add_row("import beltarm_env", f"{min(run[0] for run in warm):.2f} s", "-", "-")
-    table.add_row("make, reset, first step: warm cache", f"{min(run[1] for run in warm):.2f} s", "-", "-")
-    table.add_row("make, reset, first step: cold cache", f"{cold:.1f} s", "-", "-")
+    table.add_row("make, reset, first step: warm cache", f"{first:.2f} s", peer, f"{numba_alone / first:.2f}x")
+    table.add_row("make, reset, first step: cold cache", f"{cold:.1f} s", peer, f"{numba_alone / cold:.2f}x")
     if config.training:
         half, whole, reached = training()
         table.add_row(
