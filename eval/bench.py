@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,19 +45,20 @@ class Config:
     """Also run `train/ppo.py` with its defaults, and see when its policy halves the paper's figures; takes minutes."""
 
 
-def best_time(run: Callable[[], object], repetitions: int) -> float:
-    """Shortest wall-clock of a call [s], after one call to warm up."""
-    run()
+def best_times(runs: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
+    """Shortest wall-clock of each call [s]; they take turns, so that a busy machine slows all of them."""
     times = []
-    for _ in range(repetitions):
-        began = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - began)
-    return min(times)
+    for repetition in range(repetitions + 1):
+        for run in runs:
+            began = time.perf_counter()
+            run()
+            if repetition > 0:  # the first warms up
+                times.append(time.perf_counter() - began)
+    return [min(times[k :: len(runs)]) for k in range(len(runs))]
 
 
-def batch_step(name: str, config: Config, **settings: Any) -> float:
-    """Seconds per step of a vector environment under random actions."""
+def batch_steps(name: str, config: Config, **settings: Any) -> Callable[[], None]:
+    """Steps of a vector environment under random actions."""
     env = gym.make_vec(name, num_envs=config.arms, vectorization_mode="vector_entry_point", **settings)
     env.action_space.seed(0)
     env.reset(seed=0)
@@ -67,24 +68,23 @@ def batch_step(name: str, config: Config, **settings: Any) -> float:
         for step in range(config.steps):
             env.step(actions[step % 16])
 
-    return best_time(run, config.repetitions) / config.steps
+    return run
 
 
-def single_step(name: str, config: Config, **settings: Any) -> float:
-    """Seconds per step of one environment through `make`, episodes restarted as they end."""
+def single_steps(name: str, config: Config, **settings: Any) -> Callable[[], None]:
+    """Steps of one environment through `make`, episodes restarted as they end."""
     env = gym.make(name, **settings)
     env.action_space.seed(0)
     env.reset(seed=0)
     actions = [env.action_space.sample() for _ in range(16)]
-    steps = 100 * config.steps
 
     def run() -> None:
-        for step in range(steps):
+        for step in range(100 * config.steps):
             _, _, terminated, truncated, _ = env.step(actions[step % 16])
             if terminated or truncated:
                 env.reset()
 
-    return best_time(run, config.repetitions) / steps
+    return run
 
 
 _FIRST_STEP = """
@@ -181,14 +181,16 @@ def main() -> None:
     console = Console()
     table = Table("what", "measured", "peer", "ratio", title=f"{os.cpu_count()} cores", title_justify="left")
 
-    arms, cart = batch_step("BeltArm-v0", config, randomization="train"), batch_step("CartPole-v1", config)
+    batches = [batch_steps("BeltArm-v0", config, randomization="train"), batch_steps("CartPole-v1", config)]
+    arms, cart = (time / config.steps for time in best_times(batches, config.repetitions))
     table.add_row(
         f"vector step, N = {config.arms}",
         f"{config.arms / arms / 1e6:.1f} M steps/s",
         f"CartPole-v1: {config.arms / cart / 1e6:.1f} M steps/s",
         f"{cart / arms:.2f}x",
     )
-    arm, cart = single_step("BeltArm-v0", config), single_step("CartPole-v1", config)
+    singles = [single_steps("BeltArm-v0", config), single_steps("CartPole-v1", config)]
+    arm, cart = (time / (100 * config.steps) for time in best_times(singles, config.repetitions))
     table.add_row(
         "single step through make", f"{1e6 * arm:.2f} us", f"CartPole-v1: {1e6 * cart:.2f} us", f"{cart / arm:.2f}x"
     )
