@@ -84,6 +84,7 @@ class ArmBatch:
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
+        self._nothing = np.full((num_arms, 4), np.nan)  # no value given: of a move, of a state
         self.table = np.tile(self._bounds[0], (num_arms, 1))
         bounds = observation.bounds(sensors)
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
@@ -115,7 +116,7 @@ class ArmBatch:
         if given_params:
             check_integrable(table)
 
-        given = np.full((count, len(MOVE_FIELDS)), np.nan)
+        given = self._nothing[:count].copy() if given_move else self._nothing[:count]
         for name, value in given_move.items():
             given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
             if not np.isfinite(column).all():
@@ -124,8 +125,9 @@ class ArmBatch:
         if given_move:
             check_moves(self.profile, moves)
 
-        gear = table[:, FIELDS.index("gear_ratio")]
-        states = _states(options.get("state"), moves[:, 0] * gear, gear)
+        states = self._nothing[:count]
+        if options.get("state") is not None:
+            states = _states(options["state"], table[:, FIELDS.index("gear_ratio")])
         self.table[arms] = table
         begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay)
 
@@ -205,12 +207,9 @@ def _numbers(name: str, value: object) -> Floats:
     return array.astype(np.float64)
 
 
-def _states(given: object, at_rest: Floats, gear: Floats) -> Floats:
-    """Initial states, shape (n, 4): as given, or at rest at motor angles `at_rest`."""
-    states = np.zeros((len(at_rest), 4))
-    states[:, 0] = at_rest
-    if given is None:
-        return states
+def _states(given: object, gear: Floats) -> Floats:
+    """Initial states as given, shape (n, 4), for arms with gear ratios of shape (n,)."""
+    states = np.empty((len(gear), 4))
     array = _numbers("state", given)
     if array.shape not in ((4,), states.shape):
         raise ValueError(f"state must have shape (4,) or {states.shape}, got {array.shape}")

@@ -18,6 +18,7 @@ from beltarm_env._jit import compiled, inlined
 from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant, store_state
 from beltarm_env._observe import TILE_ROWS, observe_block
 from beltarm_env.cost import MAX_COST, step_cost
+from beltarm_env.dynamics import ArmState
 from beltarm_env.kinematics import contained, outside_workspace, reference_tip, tip_motion
 from beltarm_env.motion import WORK_ROWS, move_block
 from beltarm_env.observation import TIP
@@ -220,7 +221,7 @@ def begin_episodes(
         arms: Which ones, shape (n,).
         table: Their parameters, shape (n, len(FIELDS)).
         moves: Their moves, shape (n, 4).
-        states: Their states, shape (n, 4).
+        states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
         delay: Of the measurements [samples].
     """
@@ -229,10 +230,13 @@ def begin_episodes(
         plant = plant_of(table[i])
         for row in range(at.ROWS):
             block[row * LANES + j] = 0.0
+        x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
+        if x.motor_angle != x.motor_angle:
+            x = ArmState(moves[i, 0] * plant.gear, 0.0, 0.0, 0.0)
+        store_state(block, at.STATE, j, x)
         for k in range(4):
-            block[(at.STATE + k) * LANES + j] = states[i, k]
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
-            before = states[i, 0] - k * CONTROL_PERIOD * states[i, 1]
+            before = x.motor_angle - k * CONTROL_PERIOD * x.motor_speed
             block[(at.COUNTS + k) * LANES + j] = to_counts(before, resolution)
         store_plant(block, j, plant)
         tip_speed = tip_motion(load_state(block, at.STATE, j), plant).x_speed
