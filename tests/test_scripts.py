@@ -192,3 +192,16 @@ def test_bench_prints_ratios(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert "vector step, N = 64" in result.stdout
     assert "CartPole-v1" in result.stdout
+
+
+def readme_examples() -> list[str]:
+    blocks = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
+    return [block.split("```")[0] for block in blocks]
+
+
+@pytest.mark.parametrize("number", range(len(readme_examples())))
+def test_examples_of_the_readme_run(number: int, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-W", "error::UserWarning:beltarm_env", "-c", readme_examples()[number]]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr

@@ -81,7 +81,7 @@ class Config:
     device: str = "cpu"
     """Where the networks live."""
     resume: bool = False
-    """Go on with the run in `out`."""
+    """Go on with the run in `out`, on fresh arms; PPO's own settings stay those that it began with."""
 
     def check(self) -> None:
         """Check what PPO itself does not.
