@@ -28,8 +28,9 @@ _NONE = np.empty(0, dtype=np.intp)
 def _masked(names: Sequence[str], values: NDArray[np.float64], mask: Flags) -> dict[str, Any]:
     """Info entries in Gymnasium's form: an array per name, and beside it which arms it holds for."""
     info: dict[str, Any] = {}
-    for name, row in zip(names, values, strict=True):
-        info[name], info[f"_{name}"] = row, mask.copy()
+    masks = np.repeat(mask[np.newaxis], len(names), axis=0)
+    for name, row, of_row in zip(names, values, masks, strict=True):
+        info[name], info[f"_{name}"] = row, of_row
     return info
 
 
