@@ -37,9 +37,9 @@ class Config:
 
     arms: int = 4096
     """Arms of the batch."""
-    repetitions: int = 7
+    repetitions: int = 25
     """Repetitions, of which the best counts."""
-    steps: int = 300
+    steps: int = 100
     """Steps per repetition of a batch; single arms take a hundred times as many."""
     training: bool = False
     """Also run `train/ppo.py` with its defaults, and see when its policy halves the paper's figures; takes minutes."""
