@@ -17,22 +17,12 @@ from numpy.typing import NDArray
 
 from agents.files import write_atomically, write_text
 from beltarm_env import __version__
+from beltarm_env.metrics import METRICS as EPISODE_METRICS
 from eval import splits
 from eval.methods import Method
 from eval.statistics import Estimate, Paired, estimate, paired
 
-METRICS = (
-    "tip_rms_mm",
-    "tip_max_mm",
-    "residual_pp_mm",
-    "tip_acc_rms",
-    "settling_s",
-    "failure_share",
-    "torque_rms",
-    "torque_rate_rms",
-    "saturated_share",
-    "cost",
-)
+METRICS = tuple(name for name in EPISODE_METRICS if name not in ("residual_radial_pp_mm", "residual_lateral_pp_mm"))
 """Metrics of `results.json`; `episodes.csv` also has the two parts of the residual vibration."""
 _SHARES = ("failure_share", "saturated_share")  # plain means: the middle half of zeros and ones says nothing
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
