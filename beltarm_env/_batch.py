@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from beltarm_env import _layout as at
 from beltarm_env import observation
 from beltarm_env._constants import CONTROL_PERIOD
+from beltarm_env.dynamics import MODELS
 from beltarm_env.kernel import begin_episodes, episode_totals, new_scratch, observe_arms, tip_errors
 from beltarm_env.kinematics import HIGHEST, LOWEST
 from beltarm_env.moves import DRAWS as MOVE_DRAWS
@@ -32,7 +33,6 @@ Indices = NDArray[np.intp]
 
 _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
-MODELS = ("lumped",)
 DRAWS = len(FIELDS) + MOVE_DRAWS
 """Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
 TOTALS = (
@@ -76,10 +76,10 @@ class ArmBatch:
         self.num_arms = num_arms
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
-        _choice("model", model, MODELS)
+        self.model = MODELS[tuple(MODELS)[_choice("model", model, tuple(MODELS))]]
         self._bounds = range_bounds(resolve_ranges(randomization))
         self._spans = self._bounds[1] - self._bounds[0]
-        check_ranges_integrable(self._bounds)
+        check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
         self.blocks = at.empty_blocks(num_arms)
@@ -114,7 +114,7 @@ class ArmBatch:
                 ArmParams(**{name: float(extreme)})
             table[:, FIELDS.index(name)] = column
         if given_params:
-            check_integrable(table)
+            check_integrable(table, self.model)
 
         given = self._nothing[:count].copy() if given_move else self._nothing[:count]
         for name, value in given_move.items():
@@ -129,7 +129,7 @@ class ArmBatch:
         if options.get("state") is not None:
             states = _states(options["state"], table[:, FIELDS.index("gear_ratio")])
         self.table[arms] = table
-        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay)
+        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
 
     def observe(self, observations: NDArray[np.float32], arms: Indices) -> None:
         """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""

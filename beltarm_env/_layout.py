@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env._jit import inlined
-from beltarm_env.dynamics import ArmState, Plant
+from beltarm_env.plant import ArmState, Plant
 from beltarm_env.reference import MoveShape
 
 LANES = 136
 
 STATE = 0
 PLANT = STATE + len(ArmState._fields)
-KINEMATICS = PLANT + Plant._fields.index("gear")  # the rest of the plant: not in the equations of motion
+KINEMATICS = PLANT + Plant._fields.index("double_link")  # the rest of the plant: not in the equations of motion
 MOVE = PLANT + len(Plant._fields)
 SUBSTEPS = MOVE + len(MoveShape._fields)  # integration steps per sample
 RESOLUTION = SUBSTEPS + 1  # encoder [rad per count]
@@ -78,6 +78,7 @@ def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
         block[at + 9 * LANES],
         block[at + 10 * LANES],
         block[at + 11 * LANES],
+        block[at + 12 * LANES],
     )
 
 
@@ -98,9 +99,10 @@ def store_plant(block: NDArray[np.float64], lane: int, plant: Plant) -> None:
     block[at + 3 * LANES] = plant.coulomb_friction
     block[at + 4 * LANES] = plant.inertia
     block[at + 5 * LANES] = plant.inertia_swing
-    block[at + 6 * LANES] = plant.stiffness
-    block[at + 7 * LANES] = plant.damping
-    block[at + 8 * LANES] = plant.gear
-    block[at + 9 * LANES] = plant.double_link
-    block[at + 10 * LANES] = plant.hand
-    block[at + 11 * LANES] = plant.torque_limit
+    block[at + 6 * LANES] = plant.link_inertia
+    block[at + 7 * LANES] = plant.stiffness
+    block[at + 8 * LANES] = plant.damping
+    block[at + 9 * LANES] = plant.gear
+    block[at + 10 * LANES] = plant.double_link
+    block[at + 11 * LANES] = plant.hand
+    block[at + 12 * LANES] = plant.torque_limit

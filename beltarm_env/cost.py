@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 from beltarm_env._jit import inlined
-from beltarm_env.dynamics import Plant
 from beltarm_env.kinematics import TipMotion, reference_tip
+from beltarm_env.plant import Plant
 
 POSITION_SCALE = 0.010  # [m]
 VELOCITY_SCALE = 0.200  # [m/s]

@@ -109,7 +109,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         *,
         sensors: Literal["encoder", "tip", "full"] = "encoder",
         profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
-        model: Literal["lumped"] = "lumped",
+        model: Literal["lumped", "lagrangian"] = "lumped",
         randomization: Literal["off", "train"] | Ranges = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,
@@ -120,7 +120,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Args:
             sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion.
             profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
-            model: The plant: "lumped", the paper's two-mass model.
+            model: The plant: "lumped", the paper's two-mass model, or "lagrangian", the full two-link arm.
             randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
             delay: Samples by which encoder and tachometer lag, 0 to 2.
@@ -199,7 +199,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         result = np.empty(self._size, np.float32)
         batch = self._batch
         reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
-            batch.blocks, batch.scratch, batch.tile, float(fraction), result, self._profile, self._tier
+            batch.blocks, batch.scratch, batch.tile, float(fraction), result, self._profile, self._tier, batch.model
         )
         info: dict[str, Any] = {
             "tip_error": error,

@@ -9,7 +9,8 @@ the instant, where the sample is split.
 from __future__ import annotations
 
 from beltarm_env._jit import inlined
-from beltarm_env.dynamics import ArmState, Plant, accelerations, driving_torque, sliding_direction
+from beltarm_env.dynamics import Model, accelerations, driving_torque, driving_torque_rate, sliding_direction
+from beltarm_env.plant import ArmState, Plant
 
 _ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
 
@@ -25,18 +26,18 @@ def _moved(x: ArmState, dt: float, slope: ArmState) -> ArmState:
 
 
 @inlined
-def _slope(x: ArmState, torque: float, direction: float, plant: Plant) -> ArmState:
-    motor, torsional = accelerations(x, torque, direction, plant)
+def _slope(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> ArmState:
+    motor, torsional = accelerations(x, torque, direction, plant, model)
     return ArmState(x.motor_speed, motor, x.torsion_speed, torsional)
 
 
 @inlined
-def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Plant) -> ArmState:
+def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Plant, model: Model) -> ArmState:
     """Classical fourth-order Runge-Kutta step of `dt` seconds within one friction mode, torque held."""
-    k1 = _slope(x, torque, direction, plant)
-    k2 = _slope(_moved(x, 0.5 * dt, k1), torque, direction, plant)
-    k3 = _slope(_moved(x, 0.5 * dt, k2), torque, direction, plant)
-    k4 = _slope(_moved(x, dt, k3), torque, direction, plant)
+    k1 = _slope(x, torque, direction, plant, model)
+    k2 = _slope(_moved(x, 0.5 * dt, k1), torque, direction, plant, model)
+    k3 = _slope(_moved(x, 0.5 * dt, k2), torque, direction, plant, model)
+    k4 = _slope(_moved(x, dt, k3), torque, direction, plant, model)
     weighted = ArmState(
         k1.motor_angle + 2 * (k2.motor_angle + k3.motor_angle) + k4.motor_angle,
         k1.motor_speed + 2 * (k2.motor_speed + k3.motor_speed) + k4.motor_speed,
@@ -47,28 +48,27 @@ def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Pla
 
 
 @inlined
-def mode_margin(x: ArmState, torque: float, direction: float, plant: Plant) -> float:
+def mode_margin(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> float:
     """How far the state is inside its friction mode: negative once the mode has been left.
 
     Sliding: the speed in the direction of sliding. Sticking: tau_c minus the torque that pulls at the motor.
     """
-    sticking = plant.coulomb_friction - abs(driving_torque(x, torque, plant))
+    sticking = plant.coulomb_friction - abs(driving_torque(x, torque, plant, model))
     return direction * x.motor_speed if direction != 0.0 else sticking
 
 
 @inlined
-def _distance(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant) -> float:
+def _distance(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
     """`mode_margin` towards one side, which makes it smooth: a motor that sticks breaks away to `exit_side`."""
-    sticking = plant.coulomb_friction - exit_side * driving_torque(x, torque, plant)
+    sticking = plant.coulomb_friction - exit_side * driving_torque(x, torque, plant, model)
     return direction * x.motor_speed if direction != 0.0 else sticking
 
 
 @inlined
-def _distance_rate(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant) -> float:
+def _distance_rate(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
     """Time derivative of `_distance`."""
-    motor, torsional = accelerations(x, torque, direction, plant)
-    belt_torque_rate = plant.stiffness * x.torsion_speed + plant.damping * torsional
-    sticking = exit_side * belt_torque_rate * plant.inverse_gear
+    motor, torsional = accelerations(x, torque, direction, plant, model)
+    sticking = -exit_side * driving_torque_rate(x, torsional, plant, model)
     return direction * motor if direction != 0.0 else sticking
 
 
@@ -94,7 +94,7 @@ def _hermite_root(start: float, start_slope: float, end: float, end_slope: float
 
 @inlined
 def step_to_mode_change(
-    x: ArmState, torque: float, direction: float, dt: float, y: ArmState, plant: Plant
+    x: ArmState, torque: float, direction: float, dt: float, y: ArmState, plant: Plant, model: Model
 ) -> tuple[ArmState, float, float]:
     """Step only as far as the motor stops or breaks away, given that it does within `dt`.
 
@@ -105,18 +105,19 @@ def step_to_mode_change(
         dt: Length of the step in which the mode is left [s].
         y: State after that whole step, taken in the old mode.
         plant: Coefficients of the arm.
+        model: Whose equations of motion.
 
     Returns:
         State at that instant, the mode from then on, and the time that is left of `dt`.
     """
-    exit_side = 1.0 if driving_torque(y, torque, plant) > 0.0 else -1.0
+    exit_side = 1.0 if driving_torque(y, torque, plant, model) > 0.0 else -1.0
     fraction = _hermite_root(
-        _distance(x, torque, direction, exit_side, plant),
-        dt * _distance_rate(x, torque, direction, exit_side, plant),
-        _distance(y, torque, direction, exit_side, plant),
-        dt * _distance_rate(y, torque, direction, exit_side, plant),
+        _distance(x, torque, direction, exit_side, plant, model),
+        dt * _distance_rate(x, torque, direction, exit_side, plant, model),
+        _distance(y, torque, direction, exit_side, plant, model),
+        dt * _distance_rate(y, torque, direction, exit_side, plant, model),
     )
-    z = rk4_step(x, torque, direction, fraction * dt, plant)
+    z = rk4_step(x, torque, direction, fraction * dt, plant, model)
     at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
-    following = sliding_direction(at_rest, torque, plant) if direction != 0.0 else exit_side
+    following = sliding_direction(at_rest, torque, plant, model) if direction != 0.0 else exit_side
     return at_rest, following, dt - fraction * dt

@@ -18,11 +18,12 @@ from beltarm_env._jit import compiled, inlined
 from beltarm_env._layout import LANES, load_move, load_plant, load_state, store_plant, store_state
 from beltarm_env._observe import TILE_ROWS, observe_block
 from beltarm_env.cost import MAX_COST, step_cost
-from beltarm_env.dynamics import ArmState
+from beltarm_env.dynamics import Model
 from beltarm_env.kinematics import contained, outside_workspace, reference_tip, tip_motion
 from beltarm_env.motion import WORK_ROWS, move_block
 from beltarm_env.observation import TIP
 from beltarm_env.params import integration_substeps, plant_of
+from beltarm_env.plant import ArmState
 from beltarm_env.reference import TRAPEZOID, reference_at
 from beltarm_env.sensors import to_counts
 
@@ -103,10 +104,12 @@ def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
 
 
 @compiled
-def _step_block(block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int) -> None:
+def _step_block(
+    block: Floats, scratch: Floats, tile: Singles, observations: Singles, profile: int, tier: int, model: Model
+) -> None:
     """One control period for the arms of one block; actions are in scratch, results go to scratch."""
     count = len(observations)
-    move_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count)
+    move_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count, model)
     _sense(block, count, tier)
     _charge(block, scratch, count, profile)
     observe_block(block, tile, observations, profile, tier)
@@ -125,6 +128,7 @@ def step_arms(
     terms: Floats,
     profile: int,
     tier: int,
+    model: Model,
 ) -> None:
     """Step N arms by one control period, results written in place.
 
@@ -140,12 +144,13 @@ def step_arms(
         terms: Tip error [m] and the three cost terms, shape (4, N).
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
+        model: Whose equations of motion.
     """
     for k in range(len(blocks)):
         low = k * LANES
         high = min(low + LANES, len(actions))
         _take_actions(actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier)
+        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model)
         _give_flags(scratch, TERMINATED, terminated[low:high])
         _give_flags(scratch, TRUNCATED, truncated[low:high])
         _give(scratch, REWARD, rewards[low:high])
@@ -175,7 +180,14 @@ def _give_flags(scratch: Floats, row: int, flags: Flags) -> None:
 
 @compiled
 def step_arm(
-    blocks: Floats, scratch: Floats, tile: Singles, action: float, observation: Singles, profile: int, tier: int
+    blocks: Floats,
+    scratch: Floats,
+    tile: Singles,
+    action: float,
+    observation: Singles,
+    profile: int,
+    tier: int,
+    model: Model,
 ) -> tuple[float, bool, bool, float, float, float, float]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
@@ -187,12 +199,13 @@ def step_arm(
         observation: Written in place, shape (size,).
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
+        model: Whose equations of motion.
 
     Returns:
         Reward, terminated, truncated, tip error [m], and the three cost terms.
     """
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
-    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier)
+    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model)
     return (
         float(scratch[REWARD * LANES]),
         bool(scratch[TERMINATED * LANES] != 0.0),
@@ -213,6 +226,7 @@ def begin_episodes(
     states: Floats,
     resolution: float,
     delay: int,
+    model: Model,
 ) -> None:
     """Begin a new episode in n arms.
 
@@ -224,6 +238,7 @@ def begin_episodes(
         states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
         delay: Of the measurements [samples].
+        model: Whose equations of motion.
     """
     for i in range(len(arms)):
         block, j = blocks[arms[i] // LANES], arms[i] % LANES
@@ -242,7 +257,7 @@ def begin_episodes(
         tip_speed = tip_motion(load_state(block, at.STATE, j), plant).x_speed
         for k in range(3):
             block[(at.TIP_SPEEDS + k) * LANES + j] = tip_speed
-        block[at.SUBSTEPS * LANES + j] = integration_substeps(plant)
+        block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
         block[at.RESOLUTION * LANES + j] = resolution
         block[at.DELAY * LANES + j] = delay
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from beltarm_env._jit import inlined
-from beltarm_env.dynamics import ArmState, Plant, sin_cos
+from beltarm_env.plant import ArmState, Plant, sin_cos
 
 
 class TipMotion(NamedTuple):

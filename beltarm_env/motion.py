@@ -13,7 +13,7 @@ from beltarm_env import _layout as at
 from beltarm_env._constants import CONTROL_PERIOD
 from beltarm_env._jit import compiled
 from beltarm_env._layout import LANES, load_plant, load_state, store_state
-from beltarm_env.dynamics import sliding_direction
+from beltarm_env.dynamics import Model, sliding_direction
 from beltarm_env.integrator import mode_margin, rk4_step, step_to_mode_change
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ WORK_ROWS = _LANE + 1
 
 
 @compiled
-def move_block(block: Floats, work: Floats, actions: Floats, count: int) -> None:
+def move_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
     """Advance the first `count` arms of a block by one control period.
 
     Args:
@@ -42,15 +42,16 @@ def move_block(block: Floats, work: Floats, actions: Floats, count: int) -> None
         work: Room for WORK_ROWS rows.
         actions: Motor torques over their limits, shape (LANES,).
         count: Number of arms.
+        model: Whose equations of motion.
     """
     for substep in range(_most_substeps(block, count)):
-        _step(block, work, actions, count, substep)
+        _step(block, work, actions, count, substep, model)
         pending = _gather_unfinished(block, work, count)
         for _ in range(MAX_MODE_CHANGES):
             if pending == 0:
                 break
-            _step_past_mode_change(work, _pad(work, pending))
-            pending = _put_back_finished(block, work, pending)
+            _step_past_mode_change(work, _pad(work, pending), model)
+            pending = _put_back_finished(block, work, pending, model)
         for i in range(pending):
             _put_back(block, work, i)
 
@@ -69,7 +70,7 @@ def _most_substeps(block: Floats, count: int) -> int:
 
 
 @compiled
-def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int) -> None:
+def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int, model: Model) -> None:
     """Step all arms in the friction mode they begin in, keeping the states before the step in `work`.
 
     An arm that needs fewer substeps takes one of no length.
@@ -80,12 +81,12 @@ def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int
         substeps = block[at.SUBSTEPS * LANES + j]
         dt = CONTROL_PERIOD / substeps if substep < substeps else 0.0
         torque = actions[j] * plant.torque_limit
-        direction = sliding_direction(x, torque, plant)
+        direction = sliding_direction(x, torque, plant, model)
         work[_TORQUE * LANES + j] = torque
         work[_DIRECTION * LANES + j] = direction
         work[_REMAINING * LANES + j] = dt
-        y = rk4_step(x, torque, direction, dt, plant)
-        work[_MARGIN * LANES + j] = mode_margin(y, torque, direction, plant)
+        y = rk4_step(x, torque, direction, dt, plant, model)
+        work[_MARGIN * LANES + j] = mode_margin(y, torque, direction, plant, model)
         store_state(work, at.STATE, j, x)
         store_state(block, at.STATE, j, y)
 
@@ -119,7 +120,7 @@ def _pad(work: Floats, pending: int) -> int:
 
 
 @compiled
-def _step_past_mode_change(work: Floats, pending: int) -> None:
+def _step_past_mode_change(work: Floats, pending: int, model: Model) -> None:
     """Step to the instant of stopping or breaking away, then over the rest in the mode that follows."""
     for i in range(pending):
         x = load_state(work, at.STATE, i)
@@ -127,21 +128,22 @@ def _step_past_mode_change(work: Floats, pending: int) -> None:
         torque = work[_TORQUE * LANES + i]
         plant = load_plant(work, i)
         z, direction, remaining = step_to_mode_change(
-            x, torque, work[_DIRECTION * LANES + i], work[_REMAINING * LANES + i], y, plant
+            x, torque, work[_DIRECTION * LANES + i], work[_REMAINING * LANES + i], y, plant, model
         )
         store_state(work, at.STATE, i, z)
-        store_state(work, _NEXT, i, rk4_step(z, torque, direction, remaining, plant))
+        store_state(work, _NEXT, i, rk4_step(z, torque, direction, remaining, plant, model))
         work[_DIRECTION * LANES + i] = direction
         work[_REMAINING * LANES + i] = remaining
 
 
 @compiled
-def _put_back_finished(block: Floats, work: Floats, pending: int) -> int:
+def _put_back_finished(block: Floats, work: Floats, pending: int, model: Model) -> int:
     """Write the arms that stayed in their mode to `block` and close the ranks of the others."""
     unfinished = 0
     for i in range(pending):
         y = load_state(work, _NEXT, i)
-        margin = mode_margin(y, work[_TORQUE * LANES + i], work[_DIRECTION * LANES + i], load_plant(work, i))
+        torque, direction = work[_TORQUE * LANES + i], work[_DIRECTION * LANES + i]
+        margin = mode_margin(y, torque, direction, load_plant(work, i), model)
         if margin < 0.0:
             for row in range(WORK_ROWS):
                 work[row * LANES + unfinished] = work[row * LANES + i]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from beltarm_env._constants import CONTROL_PERIOD
 from beltarm_env._jit import inlined
-from beltarm_env.dynamics import Plant
+from beltarm_env.dynamics import MODELS, Model, inverse_inertia
+from beltarm_env.plant import Plant
 
 Floats = NDArray[np.float64]
 Ranges = Mapping[str, tuple[float, float]]
@@ -126,6 +127,10 @@ def plant_of(row: Floats) -> Plant:
     """Coefficients of the equations of motion, for parameters in the order of `FIELDS`.
 
     The belt's damping D_s = 2 zeta sqrt(K_s M2(90 deg)) is a property of the belt: the payload does not enter.
+
+    For the full arm, link 2 is as heavy a uniform rod as M2(0) = m_2 l^2 / 3 and S = 2 m_2 l^2 both allow (of the
+    nominal arm it is all there is). Where S is larger, the rest is a mass at joint 3; where M2(0) is larger, an inertia
+    at joint 2 that turns with link 2.
     """
     gear, link, hand, inertia, viscous, coulomb, arm, swing, payload, stiffness, damping_ratio, limit = (
         row[0],
@@ -148,6 +153,7 @@ def plant_of(row: Floats) -> Plant:
         coulomb,
         arm,
         swing + 4 * link * link * payload,
+        min(0.5 * swing, 3 * arm),
         stiffness,
         2 * damping_ratio * math.sqrt(stiffness * (arm + swing)),
         gear,
@@ -158,9 +164,17 @@ def plant_of(row: Floats) -> Plant:
 
 
 @inlined
-def fastest_rate(plant: Plant) -> float:
+def _torsional_mobility(cos_phi: float, plant: Plant, model: Model) -> float:
+    """Torsional acceleration per belt torque while the motor slides [1/(kg m^2)]."""
+    joint, mutual, arm = inverse_inertia(cos_phi, plant, model)
+    return joint - 2 * mutual + arm
+
+
+@inlined
+def fastest_rate(plant: Plant, model: Model) -> float:
     """Bound of the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
-    compliance = plant.inverse_gear * plant.inverse_gear * plant.inverse_motor_inertia + 1 / plant.inertia
+    # A linear function of cos^2 over a concave one: largest at 0 or 90 degrees.
+    compliance = max(_torsional_mobility(0.0, plant, model), _torsional_mobility(1.0, plant, model))
     belt = max(math.sqrt(plant.stiffness * compliance), plant.damping * compliance)
     return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
 
@@ -171,12 +185,12 @@ _STEP_ANGLE = 0.12  # largest product of rate and integration step: one step for
 
 
 @inlined
-def integration_substeps(plant: Plant) -> float:
+def integration_substeps(plant: Plant, model: Model) -> float:
     """Integration steps per sample: one for any arm near the nominal, more for stiffer ones."""
-    return max(math.ceil(fastest_rate(plant) * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
+    return max(math.ceil(fastest_rate(plant, model) * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
 
 
-def check_integrable(table: Floats) -> None:
+def check_integrable(table: Floats, model: Model) -> None:
     """Check that all arms of a table, shape (n, len(FIELDS)), can be integrated.
 
     Raises:
@@ -184,47 +198,58 @@ def check_integrable(table: Floats) -> None:
     """
     for row in table:
         plant = plant_of(row)
-        if integration_substeps(plant) > MAX_SUBSTEPS:
+        if integration_substeps(plant, model) > MAX_SUBSTEPS:
             raise ValueError(
-                f"the arm's fastest rate is {fastest_rate(plant):.3g} rad/s; at most "
+                f"the arm's fastest rate is {fastest_rate(plant, model):.3g} rad/s; at most "
                 f"{MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD:.3g} rad/s can be integrated at {CONTROL_PERIOD} s per "
                 "step: lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia"
             )
 
 
-def check_ranges_integrable(bounds: Floats) -> None:
+def check_ranges_integrable(bounds: Floats, model: Model) -> None:
     """Check the fastest arm within some ranges, see `range_bounds` and `check_integrable`."""
     fastest = bounds[0].copy()
     for name in ("belt_stiffness", "belt_damping_ratio", "motor_viscous_friction", "arm_inertia_swing"):
         fastest[FIELDS.index(name)] = bounds[1, FIELDS.index(name)]
-    check_integrable(fastest[None])
+    check_integrable(fastest[None], model)
 
 
-def state_space(params: ArmParams, theta_1: float) -> tuple[Floats, Floats, Floats]:
+def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tuple[Floats, Floats, Floats]:
     """Linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at joint angle `theta_1` [rad], Coulomb friction left out.
 
-    Two differences from the print: the last entry of b in (6e) is printed -1/(M_a1 G), but (5a) with (6g) gives
-    +1/(M_a1 G); and the belt's damping D_s, absent from the paper, appears beside K_s (zero `belt_damping_ratio` gives
-    the paper's A).
+    With W the inverse mass matrix for (theta_1, phi), and tau_b = K_s theta_s + D_s omega_s:
+
+        domega_a/dt = W11 G^2 (tau_m - V_a1 omega_a) - (W11 - W12) G tau_b
+        domega_s/dt = (W11 - W12) G (tau_m - V_a1 omega_a) - (W11 - 2 W12 + W22) tau_b
+
+    For the lumped arm W11 = 1 / (M_a1 G^2), W12 = 0 and W22 = 1 / M2. Two differences from the print: the last entry of
+    b in (6e) is printed -1/(M_a1 G), but (5a) with (6g) gives +1/(M_a1 G); and the belt's damping D_s, absent from the
+    paper, appears beside K_s (zero `belt_damping_ratio` gives the paper's A).
+
+    Args:
+        params: The arm.
+        theta_1: Joint angle about which the model is linear [rad].
+        model: "lumped" or "lagrangian".
 
     Raises:
-        ValueError: If theta_1 lies outside 0 to pi/2.
+        ValueError: If theta_1 lies outside 0 to pi/2, or the model is unknown.
     """
     if not 0 <= theta_1 <= math.pi / 2:
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
+    if model not in MODELS:
+        raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
     plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
-    inverse_gear, inverse_inertia, v, _, m0, swing, k, d = plant[:8]
-    m2 = m0 + swing * math.sin(theta_1) ** 2
-    at_motor = inverse_inertia * inverse_gear
-    compliance = at_motor * inverse_gear + 1 / m2
+    w11, w12, w22 = inverse_inertia(math.cos(theta_1), plant, MODELS[model])
+    g, v, k, d = plant.gear, plant.viscous_friction, plant.stiffness, plant.damping
+    by_motor, mutual, by_belt = w11 * g * g, (w11 - w12) * g, w11 - 2 * w12 + w22
     a = np.array(
         [
             [0, 1, 0, 0],
-            [0, -v * inverse_inertia, -k * at_motor, -d * at_motor],
+            [0, -v * by_motor, -k * mutual, -d * mutual],
             [0, 0, 0, 1],
-            [0, -v * at_motor, -k * compliance, -d * compliance],
+            [0, -v * mutual, -k * by_belt, -d * by_belt],
         ]
     )
-    b = np.array([[0], [inverse_inertia], [0], [at_motor]])
+    b = np.array([[0], [by_motor], [0], [mutual]])
     c = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
     return a, b, c

@@ -48,7 +48,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         *,
         sensors: Literal["encoder", "tip", "full"] = "encoder",
         profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
-        model: Literal["lumped"] = "lumped",
+        model: Literal["lumped", "lagrangian"] = "lumped",
         randomization: Literal["off", "train"] | Ranges = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,
@@ -171,6 +171,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             terms,
             batch.profile,
             batch.tier,
+            batch.model,
         )
         stepped = np.ones(count, np.bool_)
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE

@@ -15,9 +15,10 @@ from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
 from beltarm_env import _layout as at
-from beltarm_env.dynamics import ArmState, Plant, accelerations
+from beltarm_env.dynamics import LAGRANGIAN, LUMPED, MODELS, Model, accelerations
 from beltarm_env.integrator import mode_margin, rk4_step, step_to_mode_change
 from beltarm_env.params import TRAIN_RANGES, plant_of
+from beltarm_env.plant import ArmState, Plant
 
 Floats = NDArray[np.float64]
 Torque = Callable[[float, Floats], float]
@@ -174,15 +175,16 @@ def tips(params: ArmParams, state: Floats, torques: list[float], substeps: int) 
 
 
 class TestIntegrator:
+    @pytest.mark.parametrize("model", [LUMPED, LAGRANGIAN])
     @pytest.mark.parametrize("direction", [-1.0, 0.0, 1.0])
-    def test_rk4_step_is_of_fourth_order_within_a_mode(self, direction: float):
+    def test_rk4_step_is_of_fourth_order_within_a_mode(self, direction: float, model: Model):
         arm = plant(payload_mass=0.1)
         start = ArmState(GEAR * 0.7, 60 * direction, 0.06, 1.5)
 
         def end(steps: int) -> Floats:
             x = start
             for _ in range(steps):
-                x = rk4_step(x, 0.1, direction, 0.048 / steps, arm)
+                x = rk4_step(x, 0.1, direction, 0.048 / steps, arm, model)
             return np.array(x) / [GEAR, GEAR, 1, 1]
 
         solutions = [end(steps) for steps in (8, 16, 32, 64)]
@@ -191,10 +193,11 @@ class TestIntegrator:
 
     def test_step_of_no_length_changes_nothing(self):
         x = ArmState(70.0, 3.0, 0.01, -0.2)
-        assert rk4_step(x, 0.2, 1.0, 0.0, plant()) == x
+        assert rk4_step(x, 0.2, 1.0, 0.0, plant(), LUMPED) == x
 
+    @pytest.mark.parametrize("model", [LUMPED, LAGRANGIAN])
     @pytest.mark.parametrize("coulomb_friction", [3e-4, 0.032])
-    def test_instant_of_stopping_is_located(self, coulomb_friction: float):
+    def test_instant_of_stopping_is_located(self, coulomb_friction: float, model: Model):
         arm = plant(coulomb_friction=coulomb_friction)
         rng = np.random.default_rng(0)
         stops = 0
@@ -202,12 +205,12 @@ class TestIntegrator:
             joint, torsion, torsion_speed = rng.uniform([0, -0.05, -2], [DEG_90, 0.05, 2])
             x = ArmState(GEAR * joint, rng.uniform(0, 1), torsion, torsion_speed)
             torque = rng.uniform(-LIMIT, LIMIT)
-            y = rk4_step(x, torque, 1.0, CONTROL_PERIOD, arm)
-            if mode_margin(y, torque, 1.0, arm) >= 0:
+            y = rk4_step(x, torque, 1.0, CONTROL_PERIOD, arm, model)
+            if mode_margin(y, torque, 1.0, arm, model) >= 0:
                 continue
             stops += 1
-            *_, remaining = step_to_mode_change(x, torque, 1.0, CONTROL_PERIOD, y, arm)
-            there = rk4_step(x, torque, 1.0, CONTROL_PERIOD - remaining, arm)
+            *_, remaining = step_to_mode_change(x, torque, 1.0, CONTROL_PERIOD, y, arm, model)
+            there = rk4_step(x, torque, 1.0, CONTROL_PERIOD - remaining, arm, model)
             # 15 ns of the sample: 4e-5 rad/s of the motor at most
             assert abs(there.motor_speed) < 1e-5 * abs(y.motor_speed - x.motor_speed), x
         assert stops > 500
@@ -373,19 +376,22 @@ class TestStateSpace:
 
     @pytest.mark.parametrize("theta_1", [0.0, DEG_45, DEG_90])
     @pytest.mark.parametrize("params", [{}, {"payload_mass": 0.3, "belt_damping_ratio": 0.05, "gear_ratio": 60.0}])
-    def test_agrees_with_finite_differences_of_the_simulated_arm(self, theta_1: float, params: dict[str, float]):
+    @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+    def test_agrees_with_finite_differences_of_the_simulated_arm(
+        self, theta_1: float, params: dict[str, float], model: str
+    ):
         arm = plant(**params, coulomb_friction=0.0)
         gear = 1 / arm.inverse_gear
 
         def rates(x: Floats, torque: float) -> Floats:
-            motor, torsional = accelerations(ArmState(*x.tolist()), torque, 1.0, arm)
+            motor, torsional = accelerations(ArmState(*x.tolist()), torque, 1.0, arm, MODELS[model])
             return np.array([x[1], motor, x[3], torsional])
 
         at_angle = np.array([gear * theta_1, 0.0, 0.0, 0.0])
         steps = 1e-6 * np.eye(4)
         jacobian = np.array([(rates(at_angle + d, 0.0) - rates(at_angle - d, 0.0)) / 2e-6 for d in steps]).T
         by_torque = (rates(at_angle, 1e-3) - rates(at_angle, -1e-3)) / 2e-3
-        a, b, c = state_space(ArmParams(**params), theta_1)
+        a, b, c = state_space(ArmParams(**params), theta_1, model)
         np.testing.assert_allclose(a, jacobian, rtol=1e-6, atol=1e-6)
         np.testing.assert_allclose(b[:, 0], by_torque, rtol=1e-9)
         np.testing.assert_array_equal(c, [[1, 0, 0, 0], [0, 1, 0, 0]])
@@ -394,6 +400,10 @@ class TestStateSpace:
     def test_angles_outside_the_workspace_are_refused(self, theta_1: float):
         with pytest.raises(ValueError, match=r"theta_1 must lie within 0 and pi/2 rad, got "):
             state_space(ArmParams(), theta_1)
+
+    def test_unknown_model_is_refused(self):
+        with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', got 'full'"):
+            state_space(ArmParams(), 0.0, "full")
 
 
 class TestStiction:

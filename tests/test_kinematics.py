@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.dynamics import ArmState, Plant, sin_cos
 from beltarm_env.kinematics import WORKSPACE_MARGIN, outside_workspace, reference_tip, tip_motion
 from beltarm_env.params import plant_of
+from beltarm_env.plant import ArmState, Plant, sin_cos
 
 Floats = NDArray[np.float64]
 
