@@ -1,12 +1,14 @@
 """Belt-driven flexible arm as a Gymnasium environment.
 
 `import beltarm_env` registers `BeltArm-v0`; after that `gymnasium.make("BeltArm-v0")` and
-`gymnasium.make_vec("BeltArm-v0", num_envs=64)` work. Worker processes use "beltarm_env:BeltArm-v0".
+`gymnasium.make_vec("BeltArm-v0", num_envs=64)` work. Worker processes use "beltarm_env:BeltArm-v0". With MuJoCo
+installed it also registers `BeltArmMuJoCo-v0`: the full arm, moved and drawn by MuJoCo.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -53,3 +55,11 @@ gym.register(
     vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
     order_enforce=False,
 )
+if find_spec("mujoco") is not None:
+    gym.register(
+        id="BeltArmMuJoCo-v0",
+        entry_point="beltarm_env.env:BeltArmEnv",
+        vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
+        order_enforce=False,
+        kwargs={"model": "mujoco"},
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from beltarm_env import _layout as at
 from beltarm_env import observation
 from beltarm_env._constants import CONTROL_PERIOD
-from beltarm_env.dynamics import MODELS
+from beltarm_env.dynamics import ELSEWHERE, MODELS, Model
 from beltarm_env.kernel import begin_episodes, episode_totals, new_scratch, observe_arms, tip_errors
 from beltarm_env.kinematics import HIGHEST, LOWEST
 from beltarm_env.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.params import (
     FIELDS,
+    MAX_SUBSTEPS,
     ArmParams,
     Ranges,
     check_integrable,
@@ -27,6 +28,10 @@ from beltarm_env.params import (
     resolve_ranges,
 )
 from beltarm_env.reference import PROFILES, MoveShape, Reference, reference_at
+
+if TYPE_CHECKING:
+    from beltarm_env.mujoco_rendering import MuJoCoRenderer
+    from beltarm_env.rendering import Renderer
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -45,6 +50,37 @@ TOTALS = (
     "tip_error_max",
 )
 """What is told of an episode at its end: costs with the charge for steps not taken, and tip errors [m]."""
+
+
+class Engine(Protocol):
+    """A physics engine beside the kernels."""
+
+    def begin(self, arms: Indices, table: Floats, states: Floats) -> None:
+        """Begin new episodes for arms with parameters (n, len(FIELDS)) from states (n, 4)."""
+        ...
+
+    def move(self, actions: Floats) -> Floats:
+        """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
+        ...
+
+
+def new_renderer(model: Model, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
+    """What draws an arm of this model."""
+    if model is ELSEWHERE:
+        from beltarm_env.mujoco_rendering import MuJoCoRenderer
+
+        return MuJoCoRenderer(render_mode, fps)
+    from beltarm_env.rendering import Renderer
+
+    return Renderer(render_mode, fps)
+
+
+def _engine(model: str, num_arms: int) -> Engine | None:
+    if model != "mujoco":
+        return None
+    from beltarm_env.mujoco_engine import MuJoCoArms
+
+    return MuJoCoArms(num_arms)
 
 
 def _choice(name: str, value: object, allowed: tuple[str, ...]) -> int:
@@ -84,6 +120,7 @@ class ArmBatch:
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
+        self.engine = _engine(model, num_arms)
         self._nothing = np.full((num_arms, 4), np.nan)  # no value given: of a move, of a state
         self.table = np.tile(self._bounds[0], (num_arms, 1))
         bounds = observation.bounds(sensors)
@@ -130,6 +167,26 @@ class ArmBatch:
             states = _states(options["state"], table[:, FIELDS.index("gear_ratio")])
         self.table[arms] = table
         begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
+        if self.engine is not None:
+            self.engine.begin(arms, table, self.states[arms])
+
+    def move(self, actions: Floats) -> None:
+        """Move all arms by one control period in `engine`, when it is not the kernels that do.
+
+        Args:
+            actions: Torque over the torque limit, shape (num_arms,), cut to [-1, 1].
+        """
+        assert self.engine is not None, "the kernels move these arms"
+        at.put_rows(self.blocks, at.STATE, self.engine.move(np.clip(actions, -1.0, 1.0)))
+
+    def set_substeps(self, substeps: int) -> None:
+        """Replace the number of integration steps per sample that the arms need by another, until they are reset.
+
+        Raises:
+            ValueError: If it is not a whole number from 1 to `MAX_SUBSTEPS`.
+        """
+        count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
+        at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
 
     def observe(self, observations: NDArray[np.float32], arms: Indices) -> None:
         """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""

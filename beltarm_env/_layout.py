@@ -44,6 +44,13 @@ def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.i
     return table[arms // LANES, first : first + count, arms % LANES]
 
 
+def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64]) -> None:
+    """Write rows from row `first` on, for all arms, from values of shape (arms, rows)."""
+    arms = np.arange(len(values))
+    table = blocks.reshape(len(blocks), ROWS, LANES)
+    table[arms // LANES, first : first + values.shape[1], arms % LANES] = values
+
+
 @inlined
 def load_state(block: NDArray[np.float64], row: int, lane: int) -> ArmState:
     """State of one lane, from four rows starting at `row`."""

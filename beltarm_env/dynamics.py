@@ -16,9 +16,11 @@ from beltarm_env.plant import ArmState, Plant
 Model = None | bool
 LUMPED: Final = None
 LAGRANGIAN: Final = True
-"""The models, told apart by type: numba compiles kernels of their own for each, without a choice in their loops, and
+"""The models are told apart by type: numba compiles kernels of their own for each, without a choice in their loops, and
 those of the full arm only if it is used."""
-MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": LAGRANGIAN}
+ELSEWHERE: Final = False
+"""The full arm, moved by another physics engine."""
+MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": LAGRANGIAN, "mujoco": ELSEWHERE}
 
 
 @inlined

@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env._batch import DRAWS, TOTALS, ArmBatch
+from beltarm_env._batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.kernel import step_arm
 from beltarm_env.moves import MOVE_FIELDS
 from beltarm_env.params import ArmParams, Ranges
@@ -109,7 +109,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         *,
         sensors: Literal["encoder", "tip", "full"] = "encoder",
         profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
-        model: Literal["lumped", "lagrangian"] = "lumped",
+        model: Literal["lumped", "lagrangian", "mujoco"] = "lumped",
         randomization: Literal["off", "train"] | Ranges = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,
@@ -120,7 +120,8 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Args:
             sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion.
             profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
-            model: The plant: "lumped", the paper's two-mass model, or "lagrangian", the full two-link arm.
+            model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
+                full arm moved and drawn by MuJoCo (extra `mujoco`).
             randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
             delay: Samples by which encoder and tachometer lag, 0 to 2.
@@ -198,6 +199,8 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise ValueError(f"action must be finite, got {action!r}")
         result = np.empty(self._size, np.float32)
         batch = self._batch
+        if batch.engine is not None:
+            batch.move(np.array([fraction], np.float64))
         reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
             batch.blocks, batch.scratch, batch.tile, float(fraction), result, self._profile, self._tier, batch.model
         )
@@ -223,9 +226,8 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._ready:
             raise ResetNeeded("there is no arm to draw yet: call reset() before render()")
         if self._renderer is None:
-            from beltarm_env.rendering import Renderer
-
-            self._renderer = Renderer(cast("Any", self.render_mode), self.metadata["render_fps"])
+            mode = cast("Any", self.render_mode)
+            self._renderer = new_renderer(self._batch.model, mode, self.metadata["render_fps"])
         return self._renderer.draw(self.params, self.state, self.reference(self.time).angle, self.time)
 
     def close(self) -> None:
@@ -253,6 +255,14 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def time(self) -> float:
         """Time since the episode's start [s]."""
         return float(self._batch.times[0])
+
+    def set_integration_steps(self, steps: int) -> None:
+        """Integrate this episode with another number of steps per control period, as convergence studies do.
+
+        Raises:
+            ValueError: If it is not a whole number from 1 to 400.
+        """
+        self._batch.set_substeps(steps)
 
     def reference(self, time: float) -> Reference:
         """Reference joint angle [rad], speed [rad/s] and acceleration [rad/s^2], `time` s after the move's start."""

@@ -109,7 +109,8 @@ def _step_block(
 ) -> None:
     """One control period for the arms of one block; actions are in scratch, results go to scratch."""
     count = len(observations)
-    move_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count, model)
+    if model is None or model:
+        move_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count, model)
     _sense(block, count, tier)
     _charge(block, scratch, count, profile)
     observe_block(block, tile, observations, profile, tier)

@@ -229,7 +229,7 @@ def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tup
     Args:
         params: The arm.
         theta_1: Joint angle about which the model is linear [rad].
-        model: "lumped" or "lagrangian".
+        model: "lumped", or "lagrangian" (of which "mujoco" is another implementation).
 
     Raises:
         ValueError: If theta_1 lies outside 0 to pi/2, or the model is unknown.

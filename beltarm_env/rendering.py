@@ -7,14 +7,13 @@ and the hand goes on from there by l_3 in the direction theta_s. The reference i
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
+from beltarm_env._window import Window, import_pygame
 from beltarm_env.params import ArmParams
 
 if TYPE_CHECKING:
@@ -54,21 +53,9 @@ class Renderer:
         Raises:
             DependencyNotInstalled: If pygame is missing.
         """
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # pygame imports pkg_resources, which warns
-                import pygame
-        except ImportError as error:
-            raise DependencyNotInstalled('rendering needs pygame: pip install "beltarm-env[render]"') from error
-        self._fps = fps
+        import_pygame()
         self._trace: list[tuple[float, Point]] = []
-        self._shown: int | None = None
-        self._human = self._window_open = render_mode == "human"
-        if self._human:
-            pygame.display.init()
-            pygame.display.set_mode((WIDTH, HEIGHT))
-            pygame.display.set_caption("BeltArm-v0")
-            self._clock = pygame.time.Clock()
+        self._window = Window("BeltArm-v0", (WIDTH, HEIGHT), fps) if render_mode == "human" else None
 
     def draw(
         self, params: ArmParams, state: NDArray[np.float64], reference_angle: float, time: float
@@ -91,7 +78,7 @@ class Renderer:
         error = 1e3 * (arm[3][0] - reference[3][0]), 1e3 * (arm[3][1] - reference[3][1])
         self._trace = [past for past in self._trace if time - TRACE_SECONDS <= past[0] < time]
         self._trace.append((time, error))
-        if self._human and not (self._window_open and self._due(time)):
+        if self._window is not None and not self._window.due(time):
             return None
         canvas = _Canvas()
         _draw_arms(canvas, params, arm, reference)
@@ -100,36 +87,20 @@ class Renderer:
         canvas.text(f"joint {math.degrees(joint_angle):z.1f}°", (130, _READOUT_TOP))
         canvas.text(f"tip error {math.hypot(*error):.2f} mm", (230, _READOUT_TOP))
         _draw_legend(canvas, params.payload_mass)
-        if self._human:
-            return self._show(canvas)
         pixels = bytearray(canvas.pygame.image.tobytes(canvas.finish(), "RGB"))
-        return np.frombuffer(pixels, np.uint8).reshape(HEIGHT, WIDTH, 3)
+        frame = np.frombuffer(pixels, np.uint8).reshape(HEIGHT, WIDTH, 3)
+        return frame if self._window is None else self._window.show(frame)
 
     def clear(self) -> None:
         """Forget the trace of the tip, for a new episode."""
         self._trace.clear()
-        self._shown = None
+        if self._window is not None:
+            self._window.restart()
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._window_open:
-            import pygame
-
-            self._window_open = False
-            pygame.display.quit()
-
-    def _due(self, time: float) -> bool:
-        previous, self._shown = self._shown, math.floor(time * self._fps + 1e-6)
-        return self._shown != previous
-
-    def _show(self, canvas: _Canvas) -> None:
-        display, event = canvas.pygame.display, canvas.pygame.event
-        if display.get_surface() is None or event.get(canvas.pygame.QUIT):
-            return self.close()
-        event.clear()  # else the queue fills up
-        display.get_surface().blit(canvas.finish(), (0, 0))
-        display.flip()
-        self._clock.tick(self._fps)
+        if self._window is not None:
+            self._window.close()
 
 
 class _Canvas:

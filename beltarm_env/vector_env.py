@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env._batch import DRAWS, TOTALS, ArmBatch
+from beltarm_env._batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernel import step_arms
 from beltarm_env.params import ArmParams, Ranges
@@ -48,7 +48,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         *,
         sensors: Literal["encoder", "tip", "full"] = "encoder",
         profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
-        model: Literal["lumped", "lagrangian"] = "lumped",
+        model: Literal["lumped", "lagrangian", "mujoco"] = "lumped",
         randomization: Literal["off", "train"] | Ranges = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,
@@ -159,6 +159,8 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
         terms = np.empty((len(TERMS), count))
         batch = self._batch
+        if batch.engine is not None:
+            batch.move(fractions)
         step_arms(
             batch.blocks,
             batch.scratch,
@@ -257,10 +259,9 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             return None
         if not self._ready:
             raise ResetNeeded("there are no arms to draw yet: call reset() before render()")
-        from beltarm_env.rendering import Renderer
-
         if self._renderers is None:
-            self._renderers = [Renderer("rgb_array", self.metadata["render_fps"]) for _ in range(self.num_envs)]
+            fps = self.metadata["render_fps"]
+            self._renderers = [new_renderer(self._batch.model, "rgb_array", fps) for _ in range(self.num_envs)]
         states, times = self.state, self._batch.times
         frames = []
         for arm, renderer in enumerate(self._renderers):

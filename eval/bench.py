@@ -132,10 +132,8 @@ def start_up(cache: Path) -> tuple[float, float]:
 
 def accuracy() -> tuple[float, int]:
     """Largest tip distance [m] to the event-located reference over stick-slip moves, and their changes of mode."""
-    sys.path.insert(0, str(ROOT / "tests"))
-    from event_located_arm import EventLocatedArm, tip
-
     from baselines import PaperController
+    from eval.event_located import EventLocatedArm, tip
 
     worst, changes = 0.0, 0
     for seed in range(5):
@@ -181,13 +179,23 @@ def main() -> None:
     console = Console()
     table = Table("what", "measured", "peer", "ratio", title=f"{os.cpu_count()} cores", title_justify="left")
 
-    batches = [batch_steps("BeltArm-v0", config, randomization="train"), batch_steps("CartPole-v1", config)]
-    arms, cart = (time / config.steps for time in best_times(batches, config.repetitions))
+    batches = [
+        batch_steps("BeltArm-v0", config, randomization="train"),
+        batch_steps("BeltArm-v0", config, randomization="train", model="lagrangian"),
+        batch_steps("CartPole-v1", config),
+    ]
+    arms, full, cart = (time / config.steps for time in best_times(batches, config.repetitions))
     table.add_row(
         f"vector step, N = {config.arms}",
         f"{config.arms / arms / 1e6:.1f} M steps/s",
         f"CartPole-v1: {config.arms / cart / 1e6:.1f} M steps/s",
         f"{cart / arms:.2f}x",
+    )
+    table.add_row(
+        f"vector step of the full arm, N = {config.arms}",
+        f"{config.arms / full / 1e6:.1f} M steps/s",
+        "lumped arm, the row above",
+        f"{arms / full:.2f}x",
     )
     singles = [single_steps("BeltArm-v0", config), single_steps("CartPole-v1", config)]
     arm, cart = (time / (100 * config.steps) for time in best_times(singles, config.repetitions))

@@ -7,18 +7,17 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from event_located_arm import EventLocatedArm, tip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
-from beltarm_env import _layout as at
 from beltarm_env.dynamics import LAGRANGIAN, LUMPED, MODELS, Model, accelerations
 from beltarm_env.integrator import mode_margin, rk4_step, step_to_mode_change
 from beltarm_env.params import TRAIN_RANGES, plant_of
 from beltarm_env.plant import ArmState, Plant
+from eval.event_located import EventLocatedArm, tip
 
 Floats = NDArray[np.float64]
 Torque = Callable[[float, Floats], float]
@@ -166,7 +165,7 @@ class TestAgainstEventLocatedIntegration:
 def tips(params: ArmParams, state: Floats, torques: list[float], substeps: int) -> Floats:
     """Tip positions after each of `torques`, held for a sample that is integrated in `substeps` steps."""
     env = arm_env(asdict(params), state)
-    env._batch.blocks.reshape(at.ROWS, at.LANES)[at.SUBSTEPS, 0] = substeps
+    env.set_integration_steps(substeps)
     positions = []
     for torque in torques:
         apply(env, torque)
@@ -402,7 +401,7 @@ class TestStateSpace:
             state_space(ArmParams(), theta_1)
 
     def test_unknown_model_is_refused(self):
-        with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', got 'full'"):
+        with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', 'mujoco', got 'full'"):
             state_space(ArmParams(), 0.0, "full")
 
 

@@ -6,7 +6,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from event_located_arm import tip
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env as gymnasium_check_env
@@ -18,6 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv
 from beltarm_env.cost import MAX_COST
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
+from eval.event_located import tip
 
 SENSORS = ("encoder", "tip", "full")
 PROFILES = ("trapezoid", "scurve", "quintic")

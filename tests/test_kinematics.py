@@ -3,7 +3,6 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from event_located_arm import tip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.kinematics import WORKSPACE_MARGIN, outside_workspace, reference_tip, tip_motion
 from beltarm_env.params import plant_of
 from beltarm_env.plant import ArmState, Plant, sin_cos
+from eval.event_located import tip
 
 Floats = NDArray[np.float64]
 

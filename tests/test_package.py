@@ -11,14 +11,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("torch", "stable_baselines3", "control", "scipy", "matplotlib", "pandas", "pygame", "tensorboard", "tyro")
+HEAVY = (
+    *("torch", "stable_baselines3", "control", "scipy", "matplotlib", "pandas", "pygame", "tensorboard", "tyro"),
+    *("mujoco", "sympy"),
+)
 LAYERS = {
     "beltarm_env": ("baselines", "agents", "train", "eval"),
     "baselines": ("agents", "train", "eval"),
     "agents": ("train", "eval"),
 }
 DEPENDENCIES = {"gymnasium", "numpy", "numba"}
-OPTIONAL = {"pygame"}
+OPTIONAL = {"pygame", "mujoco"}
 
 
 def python(code: str, folder: Path, path: Path | str = ROOT, *options: str, **environment: str) -> str:
@@ -147,7 +150,7 @@ def test_wheel_holds_the_environment_alone(wheel: Path):
     modules = {str(source.relative_to(ROOT)) for source in sources("beltarm_env")}
     extra = set(names) - distribution - modules
     assert modules <= set(names)
-    assert extra <= {"beltarm_env/py.typed"}
+    assert extra == {"beltarm_env/py.typed", "beltarm_env/assets/belt_arm.xml"}
     assert any(name.endswith("LICENSE") for name in distribution)
     assert "\nLicense-Expression: MIT\n" in metadata
 

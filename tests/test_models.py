@@ -1,0 +1,243 @@
+"""The full arm in the kernels, against the equations that SymPy derives and solutions that do not share its code."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, lagrangian, state_space
+from beltarm_env.dynamics import LAGRANGIAN, accelerations, driving_torque, driving_torque_rate
+from beltarm_env.params import FIELDS, TRAIN_RANGES, integration_substeps, plant_of
+from beltarm_env.plant import ArmState, Plant
+from eval.convergence import convergence
+from eval.event_located import EventLocatedArm, tip
+from eval.symbolic_arm import derive
+
+Floats = NDArray[np.float64]
+
+GEAR = 88.0
+DEG_45, DEG_90 = math.pi / 4, math.pi / 2
+UNEVEN = [
+    {},
+    {"payload_mass": 0.2},
+    {"arm_inertia": 0.008, "arm_inertia_swing": 0.072, "payload_mass": 0.1},  # a hand beside the rod
+    {"arm_inertia": 0.012, "arm_inertia_swing": 0.048, "gear_ratio": 60.0, "link_length": 0.3},  # a pulley beside it
+]
+
+arms = st.fixed_dictionaries({name: st.floats(*pair) for name, pair in TRAIN_RANGES.items()})
+states = st.tuples(st.floats(0, GEAR * 1.5), st.floats(-200, 200), st.floats(-0.1, 0.1), st.floats(-5, 5))
+
+
+def plant(params: ArmParams) -> Plant:
+    return plant_of(np.array([getattr(params, name) for name in FIELDS]))
+
+
+def full_arm(params: dict[str, float], state: Floats, **settings: Any) -> BeltArmEnv:
+    env = BeltArmEnv(model="lagrangian", **settings)
+    env.reset(seed=0, options={"params": params, "state": state})
+    return env
+
+
+def at_rest(joint: float, torsion: float = 0.0, gear: float = GEAR) -> Floats:
+    return np.array([gear * joint, 0.0, torsion, 0.0])
+
+
+class TestEquations:
+    def test_mass_matrix_and_coriolis_terms_as_documented(self):
+        equations = derive()
+        (_, phi), (omega_1, omega_phi) = equations.angles, equations.rates
+        motor, l, rod, end, pulley = equations.masses  # noqa: E741
+        m0, swing, link = rod * l**2 / 3 + pulley, 2 * rod * l**2 + 4 * l**2 * end, rod * l**2
+        square = sympy.cos(phi) ** 2
+        stated = sympy.Matrix([[motor + m0 + swing * square, link - 2 * m0 - swing * square], [0, 0]])
+        stated[1, 0], stated[1, 1] = stated[0, 1], 4 * m0 + swing - 2 * link
+        assert sympy.simplify(equations.mass_matrix - stated) == sympy.zeros(2)
+        turning = swing * sympy.sin(2 * phi)
+        bias = sympy.Matrix([-turning * omega_phi * (omega_1 - omega_phi), turning * omega_1**2 / 2])
+        assert sympy.simplify(equations.bias - bias) == sympy.zeros(2, 1)
+
+    @settings(deadline=None)
+    @given(arms, states, st.floats(-0.3, 0.3), st.sampled_from([-1, 0, 1]))
+    def test_accelerations(self, params: dict[str, float], state: tuple[float, ...], torque: float, direction: int):
+        params_ = ArmParams(**params)
+        x = ArmState(state[0], direction * abs(state[1]), state[2], state[3])
+        rates, friction = EventLocatedArm(params_, np.array(x), "lagrangian").rates(
+            torque, direction * params_.coulomb_friction if direction else None
+        )
+        motor, torsional = accelerations(x, torque, direction, plant(params_), LAGRANGIAN)
+        assert motor == pytest.approx(GEAR * rates[2], rel=1e-9, abs=1e-8)
+        assert torsional == pytest.approx(rates[2] - rates[3], rel=1e-9, abs=1e-8)
+        if direction == 0:
+            assert driving_torque(x, torque, plant(params_), LAGRANGIAN) == pytest.approx(friction, rel=1e-9, abs=1e-12)
+
+    @settings(deadline=None)
+    @given(arms, states, st.floats(-0.3, 0.3))
+    def test_rate_of_the_torque_on_a_stuck_motor(
+        self, params: dict[str, float], state: tuple[float, ...], torque: float
+    ):
+        coefficients = plant(ArmParams(**params))
+        x = ArmState(state[0], 0.0, state[2], state[3])
+        _, torsional = accelerations(x, torque, 0.0, coefficients, LAGRANGIAN)
+        h = 1e-6
+        later, earlier = (
+            ArmState(x[0], 0.0, x[2] + s * h * x[3], x[3] + s * h * torsional)  # the slope is all that counts
+            for s in (1, -1)
+        )
+        difference = driving_torque(later, torque, coefficients, LAGRANGIAN)
+        difference -= driving_torque(earlier, torque, coefficients, LAGRANGIAN)
+        rate = driving_torque_rate(x, torsional, coefficients, LAGRANGIAN)
+        assert rate == pytest.approx(difference / (2 * h), rel=1e-6, abs=1e-6)
+
+    @settings(deadline=None)
+    @given(arms, st.floats(0, DEG_90))
+    def test_rigid_belt_gives_the_inertia_of_the_lumped_arm(self, params: dict[str, float], angle: float):
+        p = ArmParams(**params)
+        arm = plant(p)
+        w11, w12, w22 = lagrangian.inverse_inertia(math.cos(angle), arm)
+        total = np.linalg.inv(np.array([[w11, w12], [w12, w22]])).sum()
+        swing = p.arm_inertia_swing + (2 * p.link_length) ** 2 * p.payload_mass
+        lumped = GEAR**2 * p.motor_inertia + p.arm_inertia + swing * math.sin(angle) ** 2
+        assert total == pytest.approx(lumped, rel=1e-10)
+
+
+class TestMotion:
+    @pytest.mark.parametrize("params", UNEVEN)
+    @pytest.mark.parametrize("torque", [(0.046, 3), (0.06, 5)])
+    def test_stick_slip_against_event_located_integration(self, params: dict[str, float], torque: tuple[float, float]):
+        amplitude, frequency = torque
+        env = full_arm(params, at_rest(DEG_45, gear=params.get("gear_ratio", GEAR)))
+        arm = EventLocatedArm(env.params, env.state, "lagrangian")
+        worst = 0.0
+        for k in range(600):
+            demand = amplitude * math.sin(2 * math.pi * frequency * k * CONTROL_PERIOD)
+            assert not env.step(np.array([demand / 0.3]))[2]
+            arm.advance(demand, CONTROL_PERIOD)
+            worst = max(worst, float(np.linalg.norm(tip(env.params, env.state) - tip(arm.params, arm.state))))
+        slides = [mode for _, mode in arm.mode_changes if mode != "stuck"]
+        assert sum(mode == "stuck" for _, mode in arm.mode_changes) >= 3
+        assert sum(before != after for before, after in pairwise(slides)) >= 3
+        assert worst < 1e-6
+
+    @pytest.mark.parametrize("regime", ["smooth", "stick-slip"])
+    @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+    def test_fourth_order(self, model: str, regime: str):
+        result = convergence(model, regime, 400)
+        np.testing.assert_allclose(result.orders[:2], 4.0, atol=0.1)
+        assert result.errors[0] < 1e-7
+        assert result.stops >= 3 if regime == "stick-slip" else result.stops == 0
+
+    @pytest.mark.parametrize("params", UNEVEN)
+    def test_energy_is_conserved_without_losses(self, params: dict[str, float]):
+        lossless = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0}
+        env = full_arm({**params, **lossless}, at_rest(DEG_45, 0.1, params.get("gear_ratio", GEAR)))
+        before = EventLocatedArm(env.params, env.state, "lagrangian").energy
+        for _ in range(EPISODE_STEPS):
+            env.step(np.zeros(1, np.float32))
+        after = EventLocatedArm(env.params, env.state, "lagrangian").energy
+        assert after == pytest.approx(before, rel=1e-5)
+
+    def test_stiff_belt_moves_both_models_alike(self):
+        stiff = {"belt_stiffness": 3e4, "belt_damping_ratio": 0.3, "coulomb_friction": 0.0}
+        ends = []
+        for model in ("lumped", "lagrangian"):
+            env = BeltArmEnv(model=model)
+            env.reset(options={"params": stiff, "state": at_rest(0.1)})
+            for _ in range(250):
+                env.step(np.array([0.5]))
+            ends.append(env.state[0] / GEAR)
+        assert ends[0] > 0.6
+        assert ends[0] == pytest.approx(ends[1], rel=1e-3)
+
+
+class TestEnvironment:
+    def test_batch_is_bit_for_bit_as_many_single_arms(self):
+        settings: dict[str, Any] = {"model": "lagrangian", "randomization": "train", "sensors": "full"}
+        batch = gym.make_vec("BeltArm-v0", num_envs=5, **settings)
+        singles = [gym.make("BeltArm-v0", **settings) for _ in range(5)]
+        batch.reset(seed=11)
+        for arm, env in enumerate(singles):
+            env.reset(seed=11 + arm)
+        actions = np.random.default_rng(0).uniform(-0.4, 0.4, (200, 5, 1)).repeat(3, axis=0)
+        for action in actions.astype(np.float32):
+            observations, rewards, terminated, _, _ = batch.step(action)
+            if terminated.any():
+                break
+            for arm, env in enumerate(singles):
+                observation, reward, *_ = env.step(action[arm])
+                np.testing.assert_array_equal(observations[arm], observation)
+                assert rewards[arm] == reward
+
+    def test_moves_otherwise_than_the_lumped_arm(self):
+        ends = []
+        for model in ("lumped", "lagrangian"):
+            env = BeltArmVectorEnv(3, model=model)
+            env.reset(seed=0)
+            for _ in range(300):
+                env.step(np.full((3, 1), 0.5, np.float32))
+            ends.append(env.state)
+        assert (np.abs(ends[0] - ends[1])[:, 2] > 1e-3).all()
+
+    @pytest.mark.parametrize("params", UNEVEN)
+    def test_fastest_mode_asks_for_steps_enough(self, params: dict[str, float]):
+        p = ArmParams(**{**params, "belt_stiffness": 3e4, "belt_damping_ratio": 0.0})
+        steps = integration_substeps(plant(p), LAGRANGIAN)
+        angles = np.linspace(0, DEG_90, 7)
+        fastest = max(abs(np.linalg.eigvals(state_space(p, float(angle), "lagrangian")[0])).max() for angle in angles)
+        assert 0.11 < fastest * CONTROL_PERIOD / (steps - 1)
+        assert fastest * CONTROL_PERIOD / steps <= 0.1201
+
+    def test_too_stiff_an_arm_is_refused(self):
+        with pytest.raises(ValueError, match=r"fastest rate is .* lower belt_stiffness"):
+            BeltArmEnv(model="lagrangian").reset(options={"params": {"belt_stiffness": 1e9}})
+
+    @pytest.mark.parametrize("steps", [0, 401, 2.0, True])
+    def test_integration_steps_out_of_range_are_refused(self, steps: Any):
+        env = full_arm({}, at_rest(0.5))
+        with pytest.raises(ValueError, match=r"steps must be a whole number from 1 to 400, got "):
+            env.set_integration_steps(steps)
+
+
+def slowest_pair(a: Floats) -> complex:
+    (pole,) = [pole for pole in np.linalg.eigvals(a) if pole.imag > 1e-6]
+    return complex(pole)
+
+
+class TestWhatTheDocumentationSays:
+    """The table of modes in docs/physics.md."""
+
+    @pytest.mark.parametrize(
+        ("model", "degrees", "stuck", "free", "damping"),
+        [
+            ("lumped", 0, 57.4, 58.0, 0.225),
+            ("lumped", 45, 28.7, 29.9, 0.279),
+            ("lumped", 90, 21.7, 23.2, 0.237),
+            ("lagrangian", 0, 28.7, 28.8, -0.079),
+            ("lagrangian", 45, 28.7, 29.0, 0.156),
+            ("lagrangian", 90, 28.7, 30.5, 0.325),
+        ],
+    )
+    def test_modes(self, model: str, degrees: float, stuck: float, free: float, damping: float):
+        lossless = ArmParams(belt_damping_ratio=0.0, motor_viscous_friction=0.0)
+        angle = math.radians(degrees)
+        arm = EventLocatedArm(lossless, at_rest(angle), model)
+        assert math.sqrt(33 / arm.mass_matrix()[1, 1]) == pytest.approx(stuck, abs=0.06)
+        assert slowest_pair(state_space(lossless, angle, model)[0]).imag == pytest.approx(free, abs=0.06)
+        p = ArmParams(belt_damping_ratio=0.0)
+        a, b, _ = state_space(p, angle, model)
+        m, v = p.motor_inertia, p.motor_viscous_friction
+        pole = slowest_pair(a - b @ np.array([[25 * m, 20 * m - v, 0.0, 0.15]]))
+        assert -pole.real / abs(pole) == pytest.approx(damping, abs=6e-4)
+
+    def test_at_24_degrees_the_motor_does_not_move_the_belt(self):
+        angle = math.asin(math.sqrt(1 / 6))
+        assert math.degrees(angle) == pytest.approx(24.1, abs=0.05)
+        by_torque = [state_space(ArmParams(), angle + d, "lagrangian")[1][3, 0] for d in (-0.1, 0.0, 0.1)]
+        assert by_torque[0] < 0 < by_torque[2]
+        assert by_torque[1] == pytest.approx(0.0, abs=1e-9)
