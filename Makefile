@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compare test lint format bench train readme clean
+.PHONY: help setup compare paper test lint format bench train readme clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +22,9 @@ $(READY): pyproject.toml constraints.txt
 
 compare: $(READY)  ## Compare the controllers: table on the terminal, pictures in results/compare
 	$(BIN)/python eval/compare.py $(ARGS)
+
+paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
+	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
 
 test: $(READY)  ## Run the tests
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)

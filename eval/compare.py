@@ -24,11 +24,11 @@ from agents.files import require_writable, write_text
 from beltarm_env.rollout import Recording, rollout
 from eval.methods import Method, action_times, classical_methods, learned_method, shipped_policies
 from eval.plots import Traces, save_plots
+from eval.provenance import command_line
 from eval.results import (
     Comparison,
     Outcome,
     against_best_classical,
-    command_line,
     make_outcome,
     provenance,
     write_results,

@@ -1,4 +1,4 @@
-"""Pictures of the comparison, in Okabe and Ito's colours, which colour-blind people can tell apart."""
+"""Pictures of the comparison."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 
 from agents.files import write_atomically
 from beltarm_env.rollout import Recording
+from eval.colours import COLOURS
 from eval.results import Comparison
 from eval.summary import COLUMNS
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
 _MOVE_SHADE = "#EEEEEE"
 _BARS = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
 

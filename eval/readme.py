@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import tyro
 
 from agents.files import write_text
-from eval.statistics import Estimate
+from eval.estimates import Estimate
 from eval.summary import COLUMNS, cell
 
 ROOT = Path(__file__).resolve().parent.parent

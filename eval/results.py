@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-import subprocess
-import sys
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -19,8 +17,9 @@ from agents.files import write_atomically, write_text
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS as EPISODE_METRICS
 from eval import splits
+from eval.estimates import Estimate, Paired, estimate, paired
 from eval.methods import Method
-from eval.statistics import Estimate, Paired, estimate, paired
+from eval.provenance import commit
 
 METRICS = tuple(name for name in EPISODE_METRICS if name not in ("residual_radial_pp_mm", "residual_lateral_pp_mm"))
 """Metrics of `results.json`; `episodes.csv` also has the two parts of the residual vibration."""
@@ -96,7 +95,7 @@ def provenance(command: str, seconds: float, policies: list[Path]) -> dict[str, 
     return {
         "command": command,
         "beltarm": __version__,
-        "commit": _commit(),
+        "commit": commit(),
         "splits_version": splits.VERSION,
         "split_seeds": {name: split.seed for name, split in splits.SPLITS.items()},
         "policies": [json.loads((path / "policy.json").read_text())["content_hash"] for path in policies],
@@ -105,17 +104,6 @@ def provenance(command: str, seconds: float, policies: list[Path]) -> dict[str, 
         "packages": {name: version(name) for name in packages},
         "seconds": round(seconds, 1),
     }
-
-
-def _commit() -> str:
-    root = Path(__file__).resolve().parent.parent
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=True
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return described.stdout.strip()
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
@@ -168,13 +156,3 @@ def write_results(comparison: Comparison, folder: Path) -> None:
     write_text(folder / "results.json", json.dumps(to_json(comparison), indent=1) + "\n")
     episodes = to_episodes(comparison)
     write_atomically(folder / "episodes.csv", lambda path: episodes.to_csv(path, index=False, float_format="%.6g"))
-
-
-def command_line() -> str:
-    """The command that this process was started with."""
-    import shlex
-
-    script = Path(sys.argv[0])
-    root = Path(__file__).resolve().parent.parent
-    shown = script.resolve().relative_to(root) if script.resolve().is_relative_to(root) else script
-    return shlex.join(["python", shown.as_posix(), *sys.argv[1:]])

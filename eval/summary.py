@@ -5,9 +5,9 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from eval.estimates import Estimate
 from eval.results import PAIRED_METRICS, Comparison, Outcome
 from eval.splits import SPLITS
-from eval.statistics import Estimate
 
 COLUMNS = {
     "tip_rms_mm": ("tip RMS", "mm"),

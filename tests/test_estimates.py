@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from eval.statistics import estimate, interquartile_mean, paired
+from eval.estimates import estimate, interquartile_mean, paired
 
 
 def test_interquartile_mean_by_hand():

@@ -1,0 +1,170 @@
+"""Linear analysis of the paper's position servo, eqs. (6) to (11): poles, root loci and damping.
+
+Coulomb friction is left out, as in the paper. With the feedforward of (8) taken as exact, the loop is
+
+    x' = (A - b K) x,    K = [M_a1 K_p, M_a1 K_v - V_a1, 0, K_4],    K_p = omega_n^2,    K_v = 2 xi omega_n
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import cast
+
+import control
+import numpy as np
+from control.pzmap import PoleZeroData
+from numpy.typing import NDArray
+
+from baselines.paper import PaperGains, TorsionSimulation
+from beltarm_env import CONTROL_PERIOD, ArmParams, state_space
+
+Floats = NDArray[np.float64]
+Poles = NDArray[np.complex128]
+
+PAPER_ARM = ArmParams(belt_damping_ratio=0.0)
+"""The nominal arm with the paper's undamped belt."""
+
+GAIN_RANGES = {"k4": (0.0, 1.0), "natural_frequency": (0.1, 100.0), "damping": (0.05, 20.0)}
+_UNITS = {"k4": " N m s/rad", "natural_frequency": " rad/s", "damping": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class ServoGains:
+    """Gains as the paper states them; the defaults are Table 2.
+
+    Raises:
+        ValueError: If a gain lies outside `GAIN_RANGES` or is not a number.
+    """
+
+    k4: float = 0.15  # K_4      [N m s/rad]  of the torsional velocity; 0 switches vibration suppression off
+    natural_frequency: float = 5.0  # omega_n  [rad/s]      of the position loop (10)
+    damping: float = 2.0  # xi       [-]
+
+    def __post_init__(self) -> None:
+        """Check every gain against its range."""
+        for field in fields(self):
+            low, high = GAIN_RANGES[field.name]
+            value = getattr(self, field.name)
+            if not low <= value <= high:
+                raise ValueError(
+                    f"gain {field.name} must lie within {low:g} and {high:g}{_UNITS[field.name]}, got {value:g}; "
+                    f"Table 2 has {field.default:g}"
+                )
+
+    @property
+    def feedback(self) -> PaperGains:
+        """The same as K_4, K_p and K_v."""
+        return PaperGains(self.k4, self.natural_frequency**2, 2 * self.damping * self.natural_frequency)
+
+
+def feedback_row(arm: ArmParams, gains: ServoGains) -> Floats:
+    """K of u = -K x, shape (1, 4)."""
+    k = gains.feedback
+    return np.array(
+        [[arm.motor_inertia * k.angle, arm.motor_inertia * k.speed - arm.motor_viscous_friction, 0.0, k.torsion_speed]]
+    )
+
+
+def closed_loop(arm: ArmParams, theta_1: float, gains: ServoGains, *, as_printed: bool = False) -> Floats:
+    """A - b K of the loop at joint angle `theta_1` [rad], shape (4, 4).
+
+    Args:
+        arm: The arm, known exactly to the controller.
+        theta_1: Joint angle [rad], 0 to pi/2.
+        gains: Feedback gains.
+        as_printed: Take the last entry of b with the sign printed in (6e), which is wrong.
+    """
+    a, b, _ = state_space(arm, theta_1)
+    if as_printed:
+        b[3] *= -1
+    return a - b @ feedback_row(arm, gains)
+
+
+def poles(a: Floats) -> Poles:
+    """Eigenvalues [1/s], slowest first."""
+    values = control.StateSpace(a, np.zeros((4, 1)), np.eye(4), 0).poles()
+    return values[np.argsort(np.abs(values), kind="stable")]
+
+
+def k4_locus(arm: ArmParams, theta_1: float, gains: ServoGains, k4: Floats) -> Poles:
+    """Poles [1/s] over the gain K_4 with the position loop kept, Fig. 6(a); shape (len(k4), 4)."""
+    a = closed_loop(arm, theta_1, replace(gains, k4=0.0))
+    _, b, _ = state_space(arm, theta_1)
+    torsion_speed = control.StateSpace(a, b, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
+    locus = cast("PoleZeroData", control.root_locus_map(torsion_speed, gains=k4))
+    return np.asarray(locus.loci, dtype=np.complex128)
+
+
+def natural_frequency_locus(arm: ArmParams, theta_1: float, gains: ServoGains, frequencies: Floats) -> Poles:
+    """Poles [1/s] over omega_n with K_4 and xi kept, Fig. 6(b); shape (len(frequencies), 4).
+
+    K_p and K_v both grow with omega_n, which no root locus of a single gain describes: one pole computation each.
+    """
+    return np.array([poles(closed_loop(arm, theta_1, replace(gains, natural_frequency=float(f)))) for f in frequencies])
+
+
+def damping_ratio(values: Poles) -> Floats:
+    """-Re/|pole| of each pole: 1 for a stable real one, negative where unstable, 0 for one at the origin."""
+    size = np.abs(values)
+    return np.divide(-values.real, size, out=np.zeros(values.shape), where=size > 0)
+
+
+def dominant_damping(values: Poles) -> Floats:
+    """Smallest damping ratio over the last axis; 1 if all poles are real and stable."""
+    return damping_ratio(values).min(axis=-1)
+
+
+def damping_map(gains: ServoGains, k4: Floats, m2: Floats) -> Floats:
+    """Dominant damping ratio of the paper's loop over K_4 [N m s/rad] and M2 [kg m^2], shape (len(m2), len(k4))."""
+    rows = []
+    for inertia in m2:
+        arm = replace(PAPER_ARM, arm_inertia=float(inertia), arm_inertia_swing=0.0)
+        a = closed_loop(arm, 0.0, replace(gains, k4=0.0))
+        _, b, _ = state_space(arm, 0.0)
+        loops = np.tile(a, (len(k4), 1, 1))
+        loops[:, :, 3] -= k4[:, None] * b[:, 0]
+        rows.append(dominant_damping(np.linalg.eigvals(loops).astype(np.complex128)))
+    return np.array(rows)
+
+
+def best_gain(gains: ServoGains, m2: float) -> tuple[float, float]:
+    """K_4 [N m s/rad] of the largest dominant damping at M2 [kg m^2], within its range, and that damping ratio."""
+    k4 = np.linspace(*GAIN_RANGES["k4"], 1001)
+    damping = damping_map(gains, k4, np.array([m2]))[0]
+    return float(k4[damping.argmax()]), float(damping.max())
+
+
+def sampled_poles(arm: ArmParams, theta_1: float, gains: ServoGains) -> Poles:
+    """Poles [1/s] of the loop with torque held over the control period and all states measured: ln(z) / period."""
+    a, b, _ = state_space(arm, theta_1)
+    sampled = control.c2d(control.StateSpace(a, b, np.eye(4), 0), CONTROL_PERIOD, method="zoh")
+    return _continuous(np.asarray(sampled.A) - np.asarray(sampled.B) @ feedback_row(arm, gains))
+
+
+def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains) -> Poles:
+    """Poles [1/s] of the loop as a drive runs it: torque held, speed by differencing, torsion simulated from it.
+
+    The state is (x, theta_a one sample ago, joint speed one sample ago, simulated theta_s and its rate). Encoder
+    resolution is left out.
+    """
+    a, b, _ = state_space(arm, theta_1)
+    sampled = control.c2d(control.StateSpace(a, b, np.eye(4), 0), CONTROL_PERIOD, method="zoh")
+    simulation, gear, k = TorsionSimulation(arm), arm.gear_ratio, feedback_row(arm, gains)[0]
+
+    def advance(state: Floats) -> Floats:
+        x, previous, joint_speed, torsion, rate = state[:4], state[4], state[5], state[6], state[7]
+        speed = (x[0] - previous) / CONTROL_PERIOD
+        change = np.array([speed / gear - joint_speed])
+        torsion, rate = simulation.advance(np.array([torsion]), np.array([rate]), change, np.array([theta_1]))
+        torque = -(k[0] * x[0] + k[1] * speed + k[3] * rate[0])
+        following = np.asarray(sampled.A) @ x + np.asarray(sampled.B)[:, 0] * torque
+        return np.array([*following, x[0], speed / gear, torsion[0], rate[0]])
+
+    return _continuous(np.array([advance(unit) for unit in np.eye(8)]).T)  # linear: its columns are images of units
+
+
+def _continuous(z: Floats) -> Poles:
+    """Poles s = ln(z) / period of a sampled loop, without those at z = 0, gone after a sample or two."""
+    values = np.linalg.eigvals(z).astype(np.complex128)
+    values = np.log(values[np.abs(values) > 1e-6]) / np.complex128(CONTROL_PERIOD)
+    return values[np.argsort(np.abs(values), kind="stable")]

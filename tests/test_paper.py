@@ -1,0 +1,322 @@
+"""The regenerated paper: its linear analysis, its ringing, and the command."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import PaperController
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
+from beltarm_env.reference import MoveShape
+from beltarm_env.rollout import rollout
+from eval.reproduction.cases import effect, open_questions
+from eval.reproduction.loop import (
+    PAPER_ARM,
+    ServoGains,
+    best_gain,
+    closed_loop,
+    damping_map,
+    damping_ratio,
+    digital_poles,
+    dominant_damping,
+    k4_locus,
+    natural_frequency_locus,
+    poles,
+    sampled_poles,
+)
+from eval.reproduction.runs import (
+    AssumedServo,
+    Assumptions,
+    Ringing,
+    response,
+    ringing,
+    ringing_of,
+    run_moves,
+    without_friction,
+)
+
+ROOT = Path(__file__).resolve().parent.parent
+TABLE_2 = ServoGains()
+DEG_90 = math.pi / 2
+STANDARD = MoveShape(math.pi / 4, DEG_90, 0.8, 0.12)
+
+
+def paper(*arguments: str, cwd: Path, script: Path = ROOT / "eval/paper.py") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", str(script), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+
+
+class TestLoop:
+    def test_poles_at_0_degrees(self):
+        expected = [-1.34, -21.9, -11.9 - 51.7j, -11.9 + 51.7j]
+        found = np.sort_complex(poles(closed_loop(PAPER_ARM, 0.0, TABLE_2)))
+        np.testing.assert_allclose(found, np.sort_complex(np.array(expected)), atol=0.05)
+
+    def test_poles_are_slowest_first(self):
+        found = np.abs(poles(closed_loop(PAPER_ARM, DEG_90, TABLE_2)))
+        assert (np.diff(found) >= -1e-9).all()
+
+    @pytest.mark.parametrize(("angle", "damping"), [(0.0, 0.225), (DEG_90, 0.237)])
+    def test_damping_with_table_2(self, angle: float, damping: float):
+        assert dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2))) == pytest.approx(damping, abs=5e-4)
+
+    def test_sign_printed_in_6e_makes_the_loop_unstable(self):
+        found = poles(closed_loop(PAPER_ARM, 0.0, TABLE_2, as_printed=True))
+        assert found[found.imag.argmax()] == pytest.approx(13 + 58j, abs=0.5)
+        assert dominant_damping(found) < 0
+
+    @pytest.mark.parametrize(("m2", "gain"), [(0.07, 0.17), (0.01, 0.42)])
+    def test_best_k4(self, m2: float, gain: float):
+        found, damping = best_gain(TABLE_2, m2)
+        assert found == pytest.approx(gain, abs=0.006)
+        around = damping_map(TABLE_2, np.array([found - 0.02, found + 0.02]), np.array([m2]))
+        assert (around < damping).all()
+
+    def test_damping_map_is_that_of_the_eigenvalues(self):
+        k4, m2 = np.array([0.0, 0.1, 0.4]), np.array([0.01, 0.07, 0.12])
+        found = damping_map(TABLE_2, k4, m2)
+        for i, inertia in enumerate(m2):
+            a, b, _ = state_space(ArmParams(belt_damping_ratio=0, arm_inertia=inertia, arm_inertia_swing=0), 0.0)
+            for j, gain in enumerate(k4):
+                row = np.array([[6.3e-5 * 25, 6.3e-5 * 20 - 3.5e-4, 0, gain]])
+                values = np.linalg.eigvals(a - b @ row)
+                pair = values[values.imag > 1e-6]
+                assert found[i, j] == pytest.approx((-pair.real / np.abs(pair)).min(), abs=1e-9)
+
+    def test_damping_ratio_of_real_poles(self):
+        values = np.array([-3.0, 2.0, 0.0, -3 + 4j, 3 - 4j], dtype=np.complex128)
+        np.testing.assert_allclose(damping_ratio(values), [1, -1, 0, 0.6, -0.6])
+        assert dominant_damping(values[:1]) == 1
+
+    def test_k4_locus_passes_through_the_loops_poles(self):
+        gains = np.array([0.0, 0.15, 0.5])
+        locus = k4_locus(PAPER_ARM, DEG_90, TABLE_2, gains)
+        for row, k4 in zip(locus, gains, strict=True):
+            direct = np.linalg.eigvals(closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=float(k4))))
+            np.testing.assert_allclose(np.sort_complex(row), np.sort_complex(direct), atol=1e-6)
+
+    def test_natural_frequency_locus_goes_from_soft_and_damped_to_barely_stable(self):
+        locus = natural_frequency_locus(PAPER_ARM, DEG_90, TABLE_2, np.array([1.0, 5.0, 15.0]))
+        np.testing.assert_allclose(locus[1], poles(closed_loop(PAPER_ARM, DEG_90, TABLE_2)))
+        assert (np.diff(dominant_damping(locus)) < 0).all()
+        assert 0 < dominant_damping(locus)[-1] < 0.05
+
+    def test_sampling_is_the_continuous_loop_for_slow_poles_and_barely_moves_the_others(self):
+        for angle in (0.0, DEG_90):
+            continuous = poles(closed_loop(PAPER_ARM, angle, TABLE_2))
+            sampled = sampled_poles(PAPER_ARM, angle, TABLE_2)
+            assert sampled[0] == pytest.approx(continuous[0], rel=1e-3)
+            np.testing.assert_allclose(sampled, continuous, rtol=0.05)
+
+    @pytest.mark.parametrize(("angle", "m2"), [(0.0, 0.01), (DEG_90, 0.07)])
+    def test_simulated_torsion_adds_the_undamped_mode_of_the_belt_behind_a_held_motor(self, angle: float, m2: float):
+        found = digital_poles(PAPER_ARM, angle, TABLE_2)
+        mode = 1j * math.sqrt(33 / m2)
+        assert np.abs(found - mode).min() < 1e-6
+        others = found[np.abs(np.abs(found) - abs(mode)) > 1e-6]
+        assert dominant_damping(others) == pytest.approx(0.235, abs=0.01)
+
+    def test_simulations_mode_is_damped_by_the_belt_alone(self):
+        found = digital_poles(ArmParams(), DEG_90, TABLE_2)
+        assert damping_ratio(found).min() == pytest.approx(0.01, abs=1e-4)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"k4": -0.1}, "gain k4 must lie within 0 and 1 N m s/rad, got -0.1"),
+            ({"natural_frequency": math.nan}, "gain natural_frequency must lie within"),
+            ({"damping": math.inf}, "gain damping must lie within"),
+        ],
+    )
+    def test_gains_out_of_range(self, changes: dict[str, float], message: str):
+        with pytest.raises(ValueError, match=re.escape(message)):
+            ServoGains(**changes)
+
+
+class TestRinging:
+    def test_of_a_sinusoid(self):
+        time = (1 + np.arange(1200)) * CONTROL_PERIOD
+        speed = np.zeros((1200, 2, 2))
+        speed[:, 0, 0] = 0.3 * np.sin(20 * time)  # acceleration of amplitude 6 along x
+        speed[:, 0, 1] = 0.4 * np.sin(20 * time)  # and 8 along y
+        speed[:, 1, 1] = 0.1 * time  # a drift: constant acceleration
+        found = ringing(speed, np.array([0.8, 0.8]), np.array([0.1, 0.1]))
+        for phase in found:
+            np.testing.assert_allclose(phase, [10 / math.sqrt(2), 0.1], rtol=0.06)
+
+    def test_phases_do_not_see_each_other(self):
+        time = (1 + np.arange(1200)) * CONTROL_PERIOD
+        speed = np.zeros((1200, 1, 2))
+        speed[:, 0, 0] = np.where((time > 0.8) & (time < 1.3), np.sin(20 * time), np.sin(20 * 0.8))
+        found = ringing(speed, np.array([0.8]), np.array([0.1]))
+        assert found.cruise[0] == 0 and found.end[0] == 0 and found.stop[0] > 1
+
+    def test_no_cruise(self):
+        found = ringing(np.zeros((1200, 1, 2)), np.array([0.8]), np.array([0.4]))
+        assert np.isnan(found.cruise[0]) and found.stop[0] == 0
+
+    def test_words(self):
+        assert [effect(ratio) for ratio in (0.1, 0.9, 1.3, math.nan)] == [
+            "reduced",
+            "unchanged",
+            "increased",
+            "not there",
+        ]
+
+
+def rung(assumed: Assumptions, k4: float) -> Ringing:
+    return ringing_of(run_moves(assumed, replace(TABLE_2, k4=k4), [STANDARD]))
+
+
+class TestRuns:
+    def test_default_assumptions_are_the_papers_controller(self):
+        run = run_moves(Assumptions(), TABLE_2, [STANDARD])
+        move = dict(zip(MoveShape._fields, STANDARD, strict=True))
+        direct = rollout(PaperController(), 1, seed=0, options={"move": move})
+        np.testing.assert_allclose(run.state, direct.state, atol=1e-4)
+
+    def test_true_torsion_and_measured_sign(self):
+        env = BeltArmVectorEnv(3, sensors="full")
+        seen, _ = env.reset(seed=1)
+        for _ in range(40):
+            seen, *_ = env.step(np.array([[0.5], [-0.4], [0.2]]))
+        told = observation.decode(seen, "full")
+        assumed = Assumptions(friction_sign="measured", true_torsion=True)
+        action, _ = AssumedServo(assumed, TABLE_2.feedback).predict(seen)
+        u_1 = 88 * told["reference_acceleration"] + 20 * told["motor_speed_error"] + 25 * told["motor_angle_error"]
+        torque = 6.3e-5 * u_1 + 3.5e-4 * told["motor_speed"] + 0.032 * np.sign(told["motor_speed"])
+        torque -= 0.15 * told["torsion_speed"]
+        np.testing.assert_allclose(action[:, 0], np.clip(torque / 0.3, -1, 1), atol=1e-6)
+
+    def test_without_friction_k4_removes_the_ringing(self):
+        analysed = without_friction(Assumptions(arm=PAPER_ARM))
+        before, after = rung(analysed, 0.0), rung(analysed, 0.15)
+        assert after.end[0] < 0.15 * before.end[0]
+        assert after.stop[0] < 0.5 * before.stop[0]
+        assert after.cruise[0] < 0.6 * before.cruise[0]
+
+    def test_with_friction_much_of_it_stays(self):
+        before, after = rung(Assumptions(), 0.0), rung(Assumptions(), 0.15)
+        assert 0.25 * before.end[0] < after.end[0] < 0.5 * before.end[0]
+
+    def test_motor_follows_its_trapezoid_while_the_tip_rings(self):
+        shown = response(run_moves(Assumptions(), replace(TABLE_2, k4=0.0), [STANDARD]))
+        cruise = 88 * (math.pi / 4) / (0.8 - 0.12)
+        assert shown.motor_speed_reference.max() == pytest.approx(cruise)
+        assert shown.motor_speed_error < 0.05 * cruise
+        assert shown.stuck_share > 0.9
+        after = shown.time > 1.0
+        assert np.ptp(shown.radial_speed[after]) > 0.5
+        # A rigid arm travels by r = 2 l (cos 45 - cos 90).
+        assert shown.radial_speed_reference.sum() * CONTROL_PERIOD == pytest.approx(
+            0.5 * math.cos(math.pi / 4), rel=1e-3
+        )
+
+    def test_every_assumption_is_tried_at_other_values(self):
+        questions = open_questions(STANDARD)
+        assert all(question.variants for question in questions)
+        variants = [variant for question in questions for variant in question.variants]
+        assert len({variant.label for variant in variants}) == len(variants)
+        assert all((variant.assumed, variant.move) != (Assumptions(), STANDARD) for variant in variants)
+
+
+PICTURES = {
+    *("responses_90.png", "responses_90_as_analysed.png", "responses_0.png", "root_locus_90.png", "root_locus_0.png"),
+    *("damping_map.png", "assumptions.png", "moves.png"),
+}
+
+
+@pytest.fixture(scope="module")
+def regenerated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("paper")
+    result = paper(cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return folder / "results" / "paper", result.stdout
+
+
+def test_everything_is_written(regenerated: tuple[Path, str]):
+    folder, output = regenerated
+    assert {path.name for path in folder.iterdir()} == {"summary.md", *PICTURES}
+    for name in PICTURES:
+        picture = (folder / name).read_bytes()
+        assert picture.startswith(b"\x89PNG") and len(picture) < 150_000
+    assert output.startswith("Does K4 = 0.15 remove the tip's ringing?")
+
+
+def test_summary_shows_pictures_and_numbers(regenerated: tuple[Path, str]):
+    text = (regenerated[0] / "summary.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"!\[[^]]*\]\(([^)]*)\)", text)) == PICTURES
+    assert (
+        "**As the paper analyses it, without Coulomb friction: yes. With the friction of its own Table 1: in part.**"
+        in text
+    )
+    assert "−1.34, −21.90, −11.91 ± 51.7j | 0.225" in text
+    assert "13.13 ± 58.3j" in text and "unstable at 0° and 90°" in text
+    assert not re.search(r"\b(nan|inf)\b", text)
+    for line in text.splitlines():
+        if line.startswith("|"):
+            assert line.endswith("|")
+
+
+def test_committed_copy_shows_the_same_numbers(regenerated: tuple[Path, str]):
+    """All but the provenance; another processor may round a last digit differently."""
+    number = re.compile(r"\d+(?:\.\d+)?")
+    new, committed = (
+        (folder / "summary.md").read_text(encoding="utf-8").split("## Where this comes from")[0]
+        for folder in (regenerated[0], ROOT / "docs/paper")
+    )
+    assert number.sub("#", new) == number.sub("#", committed), "run `make paper`"
+    values = [np.array(number.findall(text), dtype=np.float64) for text in (new, committed)]
+    np.testing.assert_allclose(*values, rtol=0.02, atol=0.011, err_msg="run `make paper`")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--k4", "-1"), "gain k4 must lie within 0 and 1 N m s/rad, got -1"),
+        (("--natural-frequency", "nan"), "gain natural_frequency must lie within 0.1 and 100 rad/s, got nan"),
+        (("--start-deg", "95"), "--start-deg must lie within 0 and 90 degrees, got 95"),
+        (("--duration", "0.3", "--ramp-time", "0.1"), "infeasible move"),
+        (("--out", "/dev/null/paper"), "cannot write to /dev/null/paper"),
+    ],
+)
+def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    result = paper(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr.startswith("eval/paper.py: ") and message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("missing", ["control", "matplotlib", "tyro"])
+def test_missing_extra_is_named(missing: str, tmp_path: Path):
+    script = tmp_path / "without.py"
+    script.write_text(
+        f"import runpy, sys\nsys.modules[{missing!r}] = None\nsys.argv = ['paper.py']\n"
+        f"runpy.run_path({str(ROOT / 'eval/paper.py')!r}, run_name='__main__')\n"
+    )
+    result = paper(cwd=tmp_path, script=script)
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
+    assert line.startswith(f"eval/paper.py: {missing} is not installed") and "make setup" in line
+
+
+def test_start_up_does_not_load_torch(tmp_path: Path):
+    script = tmp_path / "loaded.py"
+    script.write_text(
+        f"import sys\nsys.path.insert(0, {str(ROOT)!r})\nimport eval.paper\n"
+        "print([name for name in ('torch', 'stable_baselines3', 'pandas') if name in sys.modules])\n"
+    )
+    assert paper(cwd=tmp_path, script=script).stdout == "[]\n"
+
+
+def test_help_explains_the_options(tmp_path: Path):
+    result = paper("--help", cwd=tmp_path)
+    assert result.returncode == 0 and "--natural-frequency" in result.stdout
