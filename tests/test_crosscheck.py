@@ -1,0 +1,108 @@
+"""`eval/crosscheck.py` and `eval/convergence.py`, as a user runs them and in their parts."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from eval.convergence import STEPS, Convergence, table, torques
+from eval.crosscheck import SETTINGS, distance, motions
+from eval.event_located import EventLocatedArm, tip
+
+ROOT = Path(__file__).parents[1]
+
+
+def run(*arguments: str, cwd: Path, code: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *(["-c", code] if code else []), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("regime", ["smooth", "moves", "stick-slip"])
+def test_motions_of_each_regime(regime: str):
+    (motion,) = motions(regime, 1, 4_000_000)
+    assert np.ptp(motion.tips[:, 0]) > 0.01, "moves"
+    assert (motion.stops == 0) == (regime == "smooth")
+    assert (motion.params.coulomb_friction == 0) == (regime == "smooth")
+
+
+def test_kernel_and_mujoco_agree_with_the_event_located_solution():
+    (motion,) = motions("moves", 1, 4_000_003)
+    arm = EventLocatedArm(motion.params, motion.start, "lagrangian")
+    worst = 0.0
+    for torque, there in zip(motion.torques.tolist(), motion.tips, strict=True):
+        arm.advance(torque, 0.0015)
+        worst = max(worst, float(np.linalg.norm(tip(arm.params, arm.state) - there)))
+    assert worst < 1e-7
+    assert distance(motion, 2, **SETTINGS["RK4"]) < 1e-4
+
+
+def test_difference_shrinks_with_the_solver_settings():
+    (motion,) = motions("stick-slip", 1, 4_000_000)
+    own, no_creep, quick = (distance(motion, 2, **setting) for setting in list(SETTINGS.values())[3:])
+    best = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (1, 2, 4)]
+    assert min(own, no_creep) > 2 * quick > 10 * best[0]
+    assert best[0] > 2 * best[1] > 4 * best[2]
+
+
+def test_smooth_motion_stays_within_a_tenth_of_a_millimetre():
+    for motion in motions("smooth", 3, 4_000_000):
+        assert distance(motion, 2, **SETTINGS["RK4"]) < 1e-7
+        assert distance(motion, 16, **SETTINGS["implicitfast"]) < 1e-4
+
+
+def test_report_of_a_run(tmp_path: Path):
+    script = str(ROOT / "eval/crosscheck.py")
+    result = run(script, "--arms", "1", "--out", "cross", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    text = (tmp_path / "cross/summary.md").read_text(encoding="utf-8")
+    assert text.strip() == result.stdout.strip()
+    assert text.count("| RK4 |") == 3 and "0.9999" in text
+    assert (tmp_path / "cross/distance.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["eval/crosscheck.py", "--arms", "0"], "--arms must lie within 1 and 1000, got 0"),
+        (["eval/crosscheck.py", "--seed", "-1"], "--seed must not be negative, got -1"),
+        (["eval/crosscheck.py", "--out", "/proc/nowhere"], "cannot write to /proc/nowhere"),
+        (["eval/convergence.py", "--samples", "0"], "--samples must lie within 1 and 1200, got 0"),
+    ],
+)
+def test_mistakes_get_one_line(tmp_path: Path, arguments: list[str], message: str):
+    script, *rest = arguments
+    result = run(str(ROOT / script), *rest, cwd=tmp_path)
+    assert result.returncode == 2 and message in result.stderr
+    assert len(result.stderr.splitlines()) == 1 and script in result.stderr
+
+
+def test_missing_mujoco_is_one_line(tmp_path: Path):
+    script = ROOT / "eval/crosscheck.py"
+    code = f"""
+import runpy, sys
+sys.modules["mujoco"] = None
+sys.argv = [{str(script)!r}]
+runpy.run_path({str(script)!r}, run_name="__main__")
+"""
+    result = run(cwd=tmp_path, code=code)
+    assert result.returncode == 2
+    assert result.stderr == "eval/crosscheck.py: the MuJoCo arm needs mujoco: pip install 'beltarm-env[mujoco]'\n"
+
+
+def test_convergence_prints_every_model_and_regime(tmp_path: Path):
+    result = run(str(ROOT / "eval/convergence.py"), "--samples", "60", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    for name in ("lumped", "lagrangian", "smooth", "stick-slip"):
+        assert result.stdout.count(name) == 2
+
+
+def test_order_is_that_of_the_errors():
+    errors = 1e-6 * 0.5 ** (3.0 * np.arange(len(STEPS)))
+    result = Convergence("lumped", "smooth", errors.astype(np.float64), 0)
+    np.testing.assert_allclose(result.orders, 3.0)
+    assert table([result]).row_count == 1
+    assert np.abs(torques(1200)).max() > 1.4 * 0.032
