@@ -16,7 +16,8 @@ import gymnasium as gym
 if TYPE_CHECKING:
     from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
     from beltarm_env.env import BeltArmEnv
-    from beltarm_env.params import TRAIN_RANGES, ArmParams, state_space
+    from beltarm_env.linear import state_space
+    from beltarm_env.params import TRAIN_RANGES, ArmParams
     from beltarm_env.vector_env import BeltArmVectorEnv
 
 __version__ = "0.1.0"
@@ -37,7 +38,7 @@ _HOME = {
     "ArmParams": "params",
     "BeltArmEnv": "env",
     "BeltArmVectorEnv": "vector_env",
-    "state_space": "params",
+    "state_space": "linear",
 }
 
 

@@ -183,8 +183,10 @@ class ArmBatch:
         """Replace the number of integration steps per sample that the arms need by another, until they are reset.
 
         Raises:
-            ValueError: If it is not a whole number from 1 to `MAX_SUBSTEPS`.
+            ValueError: If it is not a whole number from 1 to `MAX_SUBSTEPS`, or another engine moves the arms.
         """
+        if self.engine is not None:
+            raise ValueError('model="mujoco" takes steps of its own: choose their number with "lumped" or "lagrangian"')
         count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
         at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
 

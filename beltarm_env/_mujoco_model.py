@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 mujoco: Any = compiled_mujoco  # its compiled modules have no type stubs
 Floats = NDArray[np.float64]
 
-# MuJoCo's integrators, and friction's rate times the time step that stops a motor soonest.
+# MuJoCo's integrators, and the rate of friction times the time step: a good part of what each is stable with.
 _INTEGRATORS = {
     "euler": (mujoco.mjtIntegrator.mjINT_EULER, 1.0),
     "implicitfast": (mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 1.0),
-    "rk4": (mujoco.mjtIntegrator.mjINT_RK4, 2.0),  # a third of the speed stays; unstable from 2.8 on
+    "rk4": (mujoco.mjtIntegrator.mjINT_RK4, 2.0),  # unstable from 2.79 on, the others from 2
 }
 _LEAST_IMPEDANCE, _LARGEST_IMPEDANCE = 0.0001, 0.9999  # MuJoCo cuts at these
 _LEAST_ROD = 1e-6  # of the mass that M2(0) would allow: MuJoCo's joints need something to move
@@ -74,8 +74,8 @@ def load_model(
         timestep: Integration step [s].
         integrator: MuJoCo's "euler" or "implicitfast", of first order, or "rk4", of fourth.
         friction_impedance: d, 0.0001 to 0.9999; MuJoCo's own default is 0.9.
-        friction_rate: b [1/s]; by default the best for the integrator, 2 / timestep for "rk4" and 1 / timestep for the
-            others. MuJoCo's own default is about 100, a time constant of 0.02 s.
+        friction_rate: b [1/s]; by default 2 / timestep for "rk4", which is unstable from 2.79 on, and 1 / timestep
+            for the others. MuJoCo's own default is about 100, a time constant of 0.02 s.
 
     Raises:
         ValueError: If a setting is out of range.

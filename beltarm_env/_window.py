@@ -46,8 +46,8 @@ class Window:
         pygame.display.set_caption(title)
         self._clock = pygame.time.Clock()
 
-    def due(self, time: float) -> bool:
-        """Whether the window is open and the next 1/fps s of arm time has begun, at `time` [s]."""
+    def begin_frame(self, time: float) -> bool:
+        """Whether to draw: the window is open and, since the last call, a new 1/fps s of arm time has begun."""
         previous, self._shown = self._shown, math.floor(time * self._fps + 1e-6)
         return self._open and self._shown != previous
 

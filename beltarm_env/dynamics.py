@@ -19,7 +19,7 @@ LAGRANGIAN: Final = True
 """The models are told apart by type: numba compiles kernels of their own for each, without a choice in their loops, and
 those of the full arm only if it is used."""
 ELSEWHERE: Final = False
-"""The full arm, moved by another physics engine."""
+"""The full arm, moved by another physics engine; what is asked of its equations is answered by LAGRANGIAN's."""
 MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": LAGRANGIAN, "mujoco": ELSEWHERE}
 
 

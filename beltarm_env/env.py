@@ -260,7 +260,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Integrate this episode with another number of steps per control period, as convergence studies do.
 
         Raises:
-            ValueError: If it is not a whole number from 1 to 400.
+            ValueError: If it is not a whole number from 1 to 400, or MuJoCo moves the arm.
         """
         self._batch.set_substeps(steps)
 

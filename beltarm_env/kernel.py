@@ -109,7 +109,7 @@ def _step_block(
 ) -> None:
     """One control period for the arms of one block; actions are in scratch, results go to scratch."""
     count = len(observations)
-    if model is None or model:
+    if model is None or model:  # not ELSEWHERE; in this form numba compiles the test away for LUMPED
         move_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count, model)
     _sense(block, count, tier)
     _charge(block, scratch, count, profile)

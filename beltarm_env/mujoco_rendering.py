@@ -15,6 +15,9 @@ from beltarm_env.params import ArmParams
 WIDTH, HEIGHT = 640, 480
 CAMERA = "slanted"
 
+_no_opengl: list[Exception] = []
+"""Why there is no OpenGL: MuJoCo aborts the process when it is asked for it a second time."""
+
 
 class MuJoCoRenderer:
     """Draws one arm, into a window or into arrays; used like `rendering.Renderer`."""
@@ -51,10 +54,11 @@ class MuJoCoRenderer:
         Raises:
             DependencyNotInstalled: If there is no OpenGL to draw with.
         """
-        if self._window is not None and not self._window.due(time):
+        if self._window is not None and not self._window.begin_frame(time):
             return None
         if params != self._params:
             self._load(params)
+        # An integration that ran away has no posture: the stretched arm stands for it.
         write_state(self._data, params, state if np.isfinite(state).all() else np.zeros(4))
         place_hand(self._data, params, reference_angle)
         self._renderer.update_scene(self._data, CAMERA)
@@ -62,17 +66,24 @@ class MuJoCoRenderer:
         return frame if self._window is None else self._window.show(frame)
 
     def _load(self, params: ArmParams) -> None:
+        self._free()
+        model = load_model(params)
+        if not _no_opengl:
+            try:
+                self._renderer = mujoco.Renderer(model, HEIGHT, WIDTH)
+            except Exception as error:  # what it raises depends on the platform's OpenGL
+                _no_opengl.append(error)
+        if _no_opengl:
+            raise DependencyNotInstalled(
+                "MuJoCo finds no OpenGL to draw with: on a machine without a display set MUJOCO_GL=egl (or osmesa) "
+                'before Python starts, and install its library; or use model="lagrangian", which pygame draws'
+            ) from _no_opengl[0]
+        self._params, self._data = params, mujoco.MjData(model)
+
+    def _free(self) -> None:
         if self._renderer is not None:
             self._renderer.close()
-        model = load_model(params)
-        self._params, self._data = params, mujoco.MjData(model)
-        try:
-            self._renderer = mujoco.Renderer(model, HEIGHT, WIDTH)
-        except Exception as error:  # what it raises depends on the platform's OpenGL
-            raise DependencyNotInstalled(
-                "MuJoCo finds no OpenGL to draw with: on a machine without a display set MUJOCO_GL=egl (or osmesa), "
-                'and install its library; or use model="lagrangian", which pygame draws'
-            ) from error
+        self._renderer = self._params = self._data = None
 
     def clear(self) -> None:
         """Begin a new episode."""
@@ -81,8 +92,6 @@ class MuJoCoRenderer:
 
     def close(self) -> None:
         """Close the window, if there is one, and free the graphics memory."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = self._params = None
+        self._free()
         if self._window is not None:
             self._window.close()

@@ -78,7 +78,7 @@ class Renderer:
         error = 1e3 * (arm[3][0] - reference[3][0]), 1e3 * (arm[3][1] - reference[3][1])
         self._trace = [past for past in self._trace if time - TRACE_SECONDS <= past[0] < time]
         self._trace.append((time, error))
-        if self._window is not None and not self._window.due(time):
+        if self._window is not None and not self._window.begin_frame(time):
             return None
         canvas = _Canvas()
         _draw_arms(canvas, params, arm, reference)

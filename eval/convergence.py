@@ -12,14 +12,20 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import numpy as np
-import tyro
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
+from eval.command import one_line_errors, stop_without
 
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
-from eval.event_located import MODELS, EventLocatedArm, tip
+try:
+    import numpy as np
+    import sympy  # noqa: F401  needed when the full arm's turn comes
+    import tyro
+    from numpy.typing import NDArray
+    from rich.console import Console
+    from rich.table import Table
+
+    from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
+    from eval.event_located import MODELS, EventLocatedArm, tip
+except ModuleNotFoundError as error:
+    stop_without("eval/convergence.py", error)
 
 Floats = NDArray[np.float64]
 
@@ -103,22 +109,19 @@ def table(results: list[Convergence]) -> Table:
         out.add_column(title, no_wrap=True)
     for steps in STEPS:
         out.add_column(str(steps), justify="right", no_wrap=True)
-    out.add_column("order", no_wrap=True)
+    out.add_column("order", justify="right", no_wrap=True)
     for r in results:
-        errors = [f"{1e9 * error:.2g}" for error in r.errors]
-        out.add_row(r.model, r.regime, str(r.stops), *errors, f"{r.orders.min():.2f}–{r.orders.max():.2f}")
+        errors = [f"{1e9 * error:.2g}" if error > 1e-12 else f"{1e9 * error:.0e}" for error in r.errors]
+        out.add_row(r.model, r.regime, str(r.stops), *errors, f"{r.orders.mean():.2f}")
     return out
 
 
 def main() -> None:
     """Command line."""
     config = tyro.cli(Config, description=__doc__)
-    try:
+    with one_line_errors("eval/convergence.py"):
         config.check()
-    except ValueError as error:
-        print(f"eval/convergence.py: {error}", file=sys.stderr)
-        sys.exit(2)
-    Console().print(table([convergence(m, r, config.samples) for m in MODELS for r in REGIMES]))
+        Console().print(table([convergence(m, r, config.samples) for m in MODELS for r in REGIMES]))
 
 
 if __name__ == "__main__":

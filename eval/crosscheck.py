@@ -14,6 +14,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from eval.command import one_line_errors, stop_without
+
 try:
     import numpy as np
     import tyro
@@ -28,9 +30,7 @@ try:
     from eval.crosscheck_report import MUJOCOS_OWN, REGIMES, Outcome, markdown, save_picture
     from eval.event_located import tip
 except ModuleNotFoundError as error:
-    reason = str(error) if error.name == "mujoco" else f"{error.name} is not installed; run `make setup`"
-    print(f"eval/crosscheck.py: {reason}", file=sys.stderr)
-    sys.exit(2)
+    stop_without("eval/crosscheck.py", error)
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ SETTINGS = {
     "RK4, d = 0.9999, b = 100/s": {"integrator": "rk4", "friction_impedance": 0.9999, "friction_rate": 100.0},
     "RK4, d = 0.9999, b = 400/s": {"integrator": "rk4", "friction_impedance": 0.9999, "friction_rate": 400.0},
 }
-"""Arguments of `load_model`. The first three have its friction, d = 0.9999 and the largest b that is stable; the others
+"""Arguments of `load_model`. The first three have its friction, d = 0.9999 and b in proportion to 1 / step; the others
 differ from the first in friction alone, beginning with MuJoCo's own."""
 
 
@@ -166,17 +166,14 @@ def main() -> None:
     """Command line."""
     began = time.perf_counter()
     config = tyro.cli(Config, description=__doc__)
-    try:
+    with one_line_errors("eval/crosscheck.py"):
         config.check()
         require_writable(config.out)
         results = crosscheck(config.arms, config.seed)
         save_picture(results, config.out / "distance.png")
         text = markdown(results, config.arms, config.seed, mujoco.__version__, time.perf_counter() - began)
         write_text(config.out / "summary.md", text)
-    except (OSError, ValueError) as error:
-        print(f"eval/crosscheck.py: {error}", file=sys.stderr)
-        sys.exit(2)
-    print(text)
+        print(text)
 
 
 if __name__ == "__main__":

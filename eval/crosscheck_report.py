@@ -78,8 +78,8 @@ def markdown(outcomes: list[Outcome], arms: int, seed: int, version: str, second
         "friction grows in proportion to the speed, so that stopping takes a time of 1 / b. Here d is the impedance "
         "of the constraint, which MuJoCo cuts at 0.9999, b its rate, 100/s by default, and a the acceleration that the "
         "pull on the motor would cause without friction. Raising d alone removes the creep but not the late stop. With "
-        "b = 2 per time step, the most that RK4 bears, both shrink with the step. The kernel has neither: it locates "
-        "the instant of stopping.",
+        "b = 2 per time step, which RK4 bears with a margin, both shrink with the step. The kernel has neither: it "
+        "locates the instant of stopping.",
         f"`{command_line()}`, seeds {seed} to {seed + arms - 1}, MuJoCo {version}, beltarm {commit()}, "
         f"{seconds:.0f} s.",
     ]

@@ -1,5 +1,6 @@
 """`eval/crosscheck.py` and `eval/convergence.py`, as a user runs them and in their parts."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from eval.convergence import STEPS, Convergence, table, torques
+from eval.convergence import STEPS, Convergence, convergence, table
 from eval.crosscheck import SETTINGS, distance, motions
 from eval.event_located import EventLocatedArm, tip
 
@@ -93,6 +94,25 @@ runpy.run_path({str(script)!r}, run_name="__main__")
     assert result.stderr == "eval/crosscheck.py: the MuJoCo arm needs mujoco: pip install 'beltarm-env[mujoco]'\n"
 
 
+def test_committed_report_is_what_the_command_measures():
+    text = (ROOT / "docs/crosscheck/summary.md").read_text(encoding="utf-8")
+    (row,) = [line for line in text.split("## Stick-slip")[1].splitlines() if line.startswith("| RK4 |")]
+    seeds = re.search(r"seeds (\d+) to (\d+)", text)
+    assert seeds is not None
+    first, last = map(int, seeds.groups())
+    worst = max(distance(motion, 2, **SETTINGS["RK4"]) for motion in motions("stick-slip", last - first + 1, first))
+    assert 1e3 * worst == pytest.approx(float(row.split("|")[3]), rel=0.06)
+
+
+def test_committed_order_is_what_the_command_measures():
+    text = (ROOT / "docs/physics.md").read_text(encoding="utf-8")
+    (row,) = [line for line in text.splitlines() if line.startswith("| lumped | 11 stops |")]
+    cells = [float(cell) for cell in row.split("|")[3:8]]
+    result = convergence("lumped", "stick-slip")
+    np.testing.assert_allclose(1e9 * result.errors, cells[:4], rtol=0.06)
+    assert result.orders.mean() == pytest.approx(cells[4], abs=0.01) and result.stops == 11
+
+
 def test_convergence_prints_every_model_and_regime(tmp_path: Path):
     result = run(str(ROOT / "eval/convergence.py"), "--samples", "60", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
@@ -105,4 +125,3 @@ def test_order_is_that_of_the_errors():
     result = Convergence("lumped", "smooth", errors.astype(np.float64), 0)
     np.testing.assert_allclose(result.orders, 3.0)
     assert table([result]).row_count == 1
-    assert np.abs(torques(1200)).max() > 1.4 * 0.032

@@ -400,6 +400,11 @@ class TestStateSpace:
         with pytest.raises(ValueError, match=r"theta_1 must lie within 0 and pi/2 rad, got "):
             state_space(ArmParams(), theta_1)
 
+    @pytest.mark.parametrize("theta_1", ["90", None, True])
+    def test_angles_that_are_no_numbers_are_refused(self, theta_1: Any):
+        with pytest.raises(TypeError, match=r"theta_1 must be a number \[rad\], got "):
+            state_space(ArmParams(), theta_1)
+
     def test_unknown_model_is_refused(self):
         with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', 'mujoco', got 'full'"):
             state_space(ArmParams(), 0.0, "full")

@@ -11,10 +11,19 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, lagrangian, state_space
-from beltarm_env.dynamics import LAGRANGIAN, accelerations, driving_torque, driving_torque_rate
-from beltarm_env.params import FIELDS, TRAIN_RANGES, integration_substeps, plant_of
+from beltarm_env.dynamics import LAGRANGIAN, LUMPED, Model, accelerations, driving_torque, driving_torque_rate
+from beltarm_env.params import (
+    FIELDS,
+    TRAIN_RANGES,
+    fastest_arms,
+    fastest_rate,
+    integration_substeps,
+    plant_of,
+    range_bounds,
+)
 from beltarm_env.plant import ArmState, Plant
 from eval.convergence import convergence
 from eval.event_located import EventLocatedArm, tip
@@ -107,6 +116,57 @@ class TestEquations:
         assert total == pytest.approx(lumped, rel=1e-10)
 
 
+def test_equations_of_the_lumped_arm_follow_from_its_energy():
+    # d/dt dT/dphi' - dT/dphi for T = 1/2 M2(phi) phi'^2: M2 phi'' + 1/2 M2' phi'^2, eq. (5b) completed.
+    t, m0, swing = sympy.symbols("t M_0 S", positive=True)
+    phi = sympy.Function("phi")(t)
+    m2 = m0 + swing * sympy.sin(phi) ** 2
+    rate = sympy.diff(phi, t)
+    energy = m2 * rate**2 / 2
+    left = sympy.diff(sympy.diff(energy, rate), t) - sympy.diff(energy, phi)
+    stated = m2 * sympy.diff(phi, t, 2) + swing * sympy.sin(phi) * sympy.cos(phi) * rate**2
+    assert sympy.simplify(left - stated) == 0
+
+
+class TestLinearModel:
+    @pytest.mark.parametrize("angle", [0.0, 0.4, DEG_45, DEG_90])
+    @pytest.mark.parametrize("params", UNEVEN)
+    def test_is_the_derivative_of_the_derived_equations(self, params: dict[str, float], angle: float):
+        p = ArmParams(**params, coulomb_friction=0.0)
+
+        def rates(change: Floats, torque: float) -> Floats:
+            arm = EventLocatedArm(p, at_rest(angle, gear=p.gear_ratio) + change, "lagrangian")
+            (omega_1, omega_phi, motor, phi), _ = arm.rates(torque, 0.0)
+            return np.array([p.gear_ratio * omega_1, p.gear_ratio * motor, omega_1 - omega_phi, motor - phi])
+
+        zero = np.zeros(4)
+        jacobian = np.array([(rates(d, 0.0) - rates(-d, 0.0)) / 2e-6 for d in 1e-6 * np.eye(4)]).T
+        by_torque = (rates(zero, 1e-3) - rates(zero, -1e-3)) / 2e-3
+        a, b, _ = state_space(p, angle, "lagrangian")
+        np.testing.assert_allclose(a, jacobian, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(b[:, 0], by_torque, rtol=1e-8, atol=1e-8)
+
+    @pytest.mark.parametrize("angle", [0.3, DEG_45])
+    def test_small_motions_of_the_full_arm_follow_it(self, angle: float):
+        a, b, _ = state_space(ArmParams(), angle, "lagrangian")
+        held = np.zeros((5, 5))
+        held[:4, :4], held[:4, 4:] = a, b
+        step = expm(CONTROL_PERIOD * held)[:4]
+        distances = []
+        for amplitude in (1e-3, 5e-4):
+            env = full_arm({"coulomb_friction": 0.0}, at_rest(angle, amplitude))
+            x = np.array([0.0, 0.0, amplitude, 0.0])
+            worst = 0.0
+            for k in range(300):
+                torque = amplitude * math.sin(k / 20)
+                env.step(np.array([torque / 0.3]))
+                x = step @ np.append(x, torque)
+                worst = max(worst, float(np.abs(env.state - at_rest(angle) - x)[2:].max()))
+            distances.append(worst)
+        assert distances[0] < 2e-2 * 1e-3
+        assert math.log2(distances[0] / distances[1]) == pytest.approx(2.0, abs=0.2)
+
+
 class TestMotion:
     @pytest.mark.parametrize("params", UNEVEN)
     @pytest.mark.parametrize("torque", [(0.046, 3), (0.06, 5)])
@@ -167,8 +227,7 @@ class TestEnvironment:
         actions = np.random.default_rng(0).uniform(-0.4, 0.4, (200, 5, 1)).repeat(3, axis=0)
         for action in actions.astype(np.float32):
             observations, rewards, terminated, _, _ = batch.step(action)
-            if terminated.any():
-                break
+            assert not terminated.any(), "an arm left the workspace: not compared to the end"
             for arm, env in enumerate(singles):
                 observation, reward, *_ = env.step(action[arm])
                 np.testing.assert_array_equal(observations[arm], observation)
@@ -192,6 +251,23 @@ class TestEnvironment:
         fastest = max(abs(np.linalg.eigvals(state_space(p, float(angle), "lagrangian")[0])).max() for angle in angles)
         assert 0.11 < fastest * CONTROL_PERIOD / (steps - 1)
         assert fastest * CONTROL_PERIOD / steps <= 0.1201
+
+    @settings(deadline=None, max_examples=60)
+    @given(
+        st.tuples(st.floats(1e-4, 0.05), st.floats(1e-4, 0.05)).map(sorted),
+        st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)).map(sorted),
+        st.sampled_from([LUMPED, LAGRANGIAN]),
+        st.lists(st.floats(0, 1), min_size=2 * 8, max_size=2 * 8),
+    )
+    def test_no_arm_of_a_range_is_faster_than_those_that_are_checked(
+        self, inertia: list[float], swing: list[float], model: Model, shares: list[float]
+    ):
+        ranges = {"arm_inertia": tuple(inertia), "arm_inertia_swing": tuple(swing), "belt_damping_ratio": (0.0, 3.0)}
+        checked = max(fastest_rate(plant_of(row), model) for row in fastest_arms(range_bounds(ranges)))  # pyright: ignore[reportArgumentType]
+        for share, other in zip(shares[::2], shares[1::2], strict=True):
+            m0, s = inertia[0] + share * (inertia[1] - inertia[0]), swing[0] + other * (swing[1] - swing[0])
+            drawn = plant(ArmParams(arm_inertia=m0, arm_inertia_swing=s, belt_damping_ratio=3.0))
+            assert fastest_rate(drawn, model) <= checked * (1 + 1e-9)
 
     def test_too_stiff_an_arm_is_refused(self):
         with pytest.raises(ValueError, match=r"fastest rate is .* lower belt_stiffness"):

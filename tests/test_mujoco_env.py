@@ -116,19 +116,52 @@ vector.close()
 def test_without_opengl_the_way_out_is_named(tmp_path: Path):
     code = """
 import mujoco
+attempts = []
 def broken(*_):
+    attempts.append(1)
     raise RuntimeError("no display")
 mujoco.Renderer = broken
 import gymnasium, beltarm_env
-env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
-env.reset(seed=0)
-try:
-    env.render()
-except gymnasium.error.DependencyNotInstalled as error:
-    print(error)
+for _ in range(2):
+    env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(2):
+        try:
+            env.render()
+        except gymnasium.error.DependencyNotInstalled as error:
+            print(error)
+    env.close()
+print(len(attempts))
 """
     result = run(code, tmp_path)
-    assert "MUJOCO_GL=egl" in result.stdout and "lagrangian" in result.stdout, result.stderr
+    *messages, attempts = result.stdout.splitlines()
+    assert len(messages) == 4 and attempts == "1", "MuJoCo aborts the process when asked a second time"
+    assert all("MUJOCO_GL=egl" in message and "lagrangian" in message for message in messages), result.stderr
+
+
+def test_without_a_display_nothing_aborts(tmp_path: Path):
+    code = """
+import gymnasium, beltarm_env
+for _ in range(2):
+    env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    try:
+        print(env.render().shape)
+    except gymnasium.error.DependencyNotInstalled as error:
+        print(error)
+"""
+    environment = {name: value for name, value in OPENGL.items() if name not in ("MUJOCO_GL", "DISPLAY")}
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert len(result.stdout.splitlines()) == 2
+
+
+def test_mujoco_chooses_its_own_steps():
+    env = BeltArmEnv(model="mujoco")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match='model="mujoco" takes steps of its own'):
+        env.set_integration_steps(4)
 
 
 def test_without_mujoco_it_is_not_registered_and_the_extra_is_named(tmp_path: Path):

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from full_arms import full_arm, full_arm_at, some_params
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from eval.event_located import EventLocatedArm, tip
+from eval.event_located import tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 
@@ -26,23 +27,6 @@ GEAR = 88.0
 STEPS = 1200
 NO_COULOMB = {"coulomb_friction": 0.0}
 LOSSLESS = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0}
-
-
-def full_arm(params: ArmParams, state: np.ndarray) -> EventLocatedArm:
-    return EventLocatedArm(params, state, "lagrangian")
-
-
-def full_arm_at(params: ArmParams, theta_1: float, phi: float) -> EventLocatedArm:
-    """At rest at some angles."""
-    return full_arm(params, np.array([params.gear_ratio * theta_1, 0.0, theta_1 - phi, 0.0]))
-
-
-def some_params(rng: np.random.Generator) -> ArmParams:
-    """Any arm within a factor of three of the nominal one, with a payload: link 2 has a hand or a pulley."""
-    nominal = ArmParams()
-    fields = ("gear_ratio", "link_length", "motor_inertia", "arm_inertia", "arm_inertia_swing", "belt_stiffness")
-    drawn = {name: getattr(nominal, name) * 3 ** rng.uniform(-1, 1) for name in fields}
-    return ArmParams(**drawn, payload_mass=rng.uniform(0, 0.5))
 
 
 def mujoco_mass_matrix(model: Any, theta_1: float, phi: float) -> Floats:
