@@ -7,20 +7,30 @@ the range of everything that it does not print.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import math
+
+
+def _end(message: str, status: int) -> NoReturn:
+    print(f"eval/paper.py: {message}", file=sys.stderr)
+    sys.exit(status)
+
 
 try:
     import tyro
 
     from agents.files import require_writable, write_text
     from beltarm_env.reference import MoveShape
+    from eval.reproduction.cases import USUAL_MOVE
     from eval.reproduction.loop import ServoGains
     from eval.reproduction.response_plots import save_pictures
     from eval.reproduction.runs import check_move
@@ -28,10 +38,12 @@ try:
     from eval.reproduction.summary import markdown, verdict
 except ModuleNotFoundError as error:
     package = (error.name or "a package").split(".")[0]
-    print(
-        f"eval/paper.py: {package} is not installed; run `make setup`, or `pip install -e '.[train]'`", file=sys.stderr
-    )
-    sys.exit(2)
+    _end(f"{package} is not installed; run `make setup`, or `pip install -e '.[train]'`", 2)
+except KeyboardInterrupt:
+    _end("interrupted", 130)
+
+
+_TABLE_2 = ServoGains()
 
 
 @dataclass(frozen=True)
@@ -40,19 +52,19 @@ class Config:
 
     out: Path = Path("results/paper")
     """Folder for summary.md and the pictures."""
-    k4: float = 0.15
+    k4: float = _TABLE_2.k4
     """Gain K4 of the torsional velocity [N m s/rad], 0 to 1; Table 2 has 0.15."""
-    natural_frequency: float = 5.0
+    natural_frequency: float = _TABLE_2.natural_frequency
     """omega_n of the position loop [rad/s], 0.1 to 100; Table 2 has 5."""
-    damping: float = 2.0
+    damping: float = _TABLE_2.damping
     """xi of the position loop, 0.05 to 20; Table 2 has 2."""
-    start_deg: float = 45.0
+    start_deg: float = math.degrees(USUAL_MOVE.start)
     """Joint angle at which the standard move starts, 0 to 90."""
-    goal_deg: float = 90.0
+    goal_deg: float = math.degrees(USUAL_MOVE.goal)
     """Joint angle at which it ends, 0 to 90; the paper places its poles at 90."""
-    duration: float = 0.8
+    duration: float = USUAL_MOVE.duration
     """Its duration [s]."""
-    ramp_time: float = 0.12
+    ramp_time: float = USUAL_MOVE.ramp_time
     """Duration of each of its ramps [s]."""
 
     @property
@@ -92,17 +104,25 @@ def report(config: Config) -> None:
     study = run_study(gains, move)
     pictures = save_pictures(study, config.out)
     write_text(config.out / "summary.md", markdown(study, pictures, time.perf_counter() - began))
-    print("\n".join(verdict(study)))
-    print(f"written to {config.out}: summary.md, {len(pictures)} pictures")
+    _tell([*verdict(study), f"written to {config.out}: summary.md, {len(pictures)} pictures"])
+
+
+def _tell(lines: Iterable[str]) -> None:
+    """Print, unless whoever reads it has gone."""
+    try:
+        print("\n".join(lines), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains on exit
 
 
 def main() -> None:
     """Command line."""
     try:
         report(tyro.cli(Config, description=__doc__))
+    except KeyboardInterrupt:
+        _end("interrupted", 130)
     except (OSError, ValueError) as error:
-        print(f"eval/paper.py: {error}", file=sys.stderr)
-        sys.exit(2)
+        _end(str(error), 2)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,9 @@ from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.reference import MoveShape
 from beltarm_env.rollout import rollout
-from eval.reproduction.cases import effect, open_questions
+from eval.paper import Config
+from eval.reproduction.cases import USUAL_MOVE, open_questions, run_all
+from eval.reproduction.effects import Compared, compare, effect
 from eval.reproduction.loop import (
     PAPER_ARM,
     ServoGains,
@@ -32,6 +36,8 @@ from eval.reproduction.loop import (
     sampled_poles,
 )
 from eval.reproduction.runs import (
+    ANALYSED,
+    SIMULATED,
     AssumedServo,
     Assumptions,
     Ringing,
@@ -39,13 +45,13 @@ from eval.reproduction.runs import (
     ringing,
     ringing_of,
     run_moves,
-    without_friction,
 )
+from eval.reproduction.words import LEFT, among, number
 
 ROOT = Path(__file__).resolve().parent.parent
 TABLE_2 = ServoGains()
 DEG_90 = math.pi / 2
-STANDARD = MoveShape(math.pi / 4, DEG_90, 0.8, 0.12)
+STANDARD = USUAL_MOVE
 
 
 def paper(*arguments: str, cwd: Path, script: Path = ROOT / "eval/paper.py") -> subprocess.CompletedProcess[str]:
@@ -103,8 +109,15 @@ class TestLoop:
             np.testing.assert_allclose(np.sort_complex(row), np.sort_complex(direct), atol=1e-6)
 
     def test_natural_frequency_locus_goes_from_soft_and_damped_to_barely_stable(self):
-        locus = natural_frequency_locus(PAPER_ARM, DEG_90, TABLE_2, np.array([1.0, 5.0, 15.0]))
-        np.testing.assert_allclose(locus[1], poles(closed_loop(PAPER_ARM, DEG_90, TABLE_2)))
+        frequencies = np.array([1.0, 5.0, 15.0])
+        locus = natural_frequency_locus(PAPER_ARM, DEG_90, TABLE_2, frequencies)
+        for found, frequency in zip(locus, frequencies, strict=True):
+            # (11) in (5a): M_a1 (s^2 + K_v s + K_p) theta_a + (K_4 s + K_s / G) theta_s = 0, and (5b) with
+            # phi = theta_a / G - theta_s: M2 s^2 theta_a / G = (M2 s^2 + K_s) theta_s.
+            servo = 6.3e-5 * np.array([1, 4 * frequency, frequency**2])
+            belt = np.array([0.07, 0, 33])
+            expected = np.polyadd(np.polymul(servo, belt), np.polymul([0.15, 33 / 88], [0.07 / 88, 0, 0]))
+            np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(np.roots(expected)), rtol=1e-6)
         assert (np.diff(dominant_damping(locus)) < 0).all()
         assert 0 < dominant_damping(locus)[-1] < 0.05
 
@@ -126,6 +139,17 @@ class TestLoop:
     def test_simulations_mode_is_damped_by_the_belt_alone(self):
         found = digital_poles(ArmParams(), DEG_90, TABLE_2)
         assert damping_ratio(found).min() == pytest.approx(0.01, abs=1e-4)
+
+    @pytest.mark.parametrize(("angle", "damping"), [(0.0, -0.079), (math.pi / 4, 0.156), (DEG_90, 0.325)])
+    def test_measured_torsion_on_the_full_arm(self, angle: float, damping: float):
+        found = dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2, model="lagrangian")))
+        assert found == pytest.approx(damping, abs=5e-4)
+
+    @pytest.mark.parametrize(("angle", "pole"), [(0.0, -0.03 + 28.8j), (DEG_90, -0.61 + 28.9j)])
+    def test_simulated_torsion_leaves_the_full_arms_mode_hardly_damped(self, angle: float, pole: complex):
+        found = digital_poles(PAPER_ARM, angle, TABLE_2, model="lagrangian")
+        assert np.abs(found - pole).min() < 0.05
+        assert dominant_damping(found) < 0.03
 
     @pytest.mark.parametrize(
         ("changes", "message"),
@@ -163,12 +187,43 @@ class TestRinging:
         assert np.isnan(found.cruise[0]) and found.stop[0] == 0
 
     def test_words(self):
-        assert [effect(ratio) for ratio in (0.1, 0.9, 1.3, math.nan)] == [
-            "reduced",
-            "unchanged",
-            "increased",
-            "not there",
-        ]
+        words = ["reduced", "unchanged", "increased", "increased", "not comparable"]
+        assert [effect(ratio) for ratio in (0.1, 0.9, 1.3, math.inf, math.nan)] == words
+
+    @pytest.mark.parametrize(
+        ("before", "after", "answer", "shown"),
+        [
+            (2.0, 0.1, "yes", "0.05"),
+            (2.0, 1.0, "in part", "0.50"),
+            (2.0, 1.8, "no", "0.90"),
+            (2.0, math.inf, "no", LEFT),
+            (math.inf, 2.0, "not comparable", f"{LEFT} with K4 = 0"),
+            (math.inf, math.inf, "not comparable", f"{LEFT} with K4 = 0"),
+            (math.nan, math.nan, "not comparable", "–"),
+        ],
+    )
+    def test_answers(self, before: float, after: float, answer: str, shown: str):
+        found = Compared(Ringing(*np.full((3, 1), before)), Ringing(*np.full((3, 1), after)))
+        assert found.answer == answer
+        assert found.shown("stop") == shown
+        assert not re.search(r"\b(nan|inf)\b", found.fate("stop"))
+
+
+class TestWords:
+    @pytest.mark.parametrize(
+        ("value", "plain", "signed"),
+        [(-0.0144, "−0.014", "−0.014"), (-0.0001, "0.000", "0.000"), (0.0144, "0.014", "+0.014"), (math.inf, "–", "–")],
+    )
+    def test_numbers(self, value: float, plain: str, signed: str):
+        assert number(value, 3) == plain
+        assert number(value, 3, plus=True) == signed
+
+    def test_long_lists_are_counted_or_told_by_their_exceptions(self):
+        names = [f"n{k}" for k in range(30)]
+        assert among(names[:2], names[2:], "here") == "n0; n1"
+        assert among(names[:28], names[28:], "here") == "28 of 30 others tried, all but n28; n29"
+        assert among(names[:15], names[15:], "here") == "15 of 30 others tried (here)"
+        assert among(names, [], "here") == "all 30 others tried"
 
 
 def rung(assumed: Assumptions, k4: float) -> Ringing:
@@ -196,9 +251,8 @@ class TestRuns:
         np.testing.assert_allclose(action[:, 0], np.clip(torque / 0.3, -1, 1), atol=1e-6)
 
     def test_without_friction_k4_removes_the_ringing(self):
-        analysed = without_friction(Assumptions(arm=PAPER_ARM))
-        before, after = rung(analysed, 0.0), rung(analysed, 0.15)
-        assert after.end[0] < 0.15 * before.end[0]
+        before, after = rung(ANALYSED, 0.0), rung(ANALYSED, 0.15)
+        assert after.end[0] < 0.1 * before.end[0]
         assert after.stop[0] < 0.5 * before.stop[0]
         assert after.cruise[0] < 0.6 * before.cruise[0]
 
@@ -224,12 +278,39 @@ class TestRuns:
         assert all(question.variants for question in questions)
         variants = [variant for question in questions for variant in question.variants]
         assert len({variant.label for variant in variants}) == len(variants)
-        assert all((variant.assumed, variant.move) != (Assumptions(), STANDARD) for variant in variants)
+        for variant in variants:
+            differs = [(variant.under(base), variant.move) != (base, STANDARD) for base in (SIMULATED, ANALYSED)]
+            assert any(differs), variant.label
+
+    def test_variants_run_side_by_side_are_those_run_alone(self):
+        questions = [q for q in open_questions(STANDARD) if q.name in ("how the arm folds", "where the move leads")]
+        found = run_all(questions, ANALYSED, TABLE_2)
+        for variant in (v for question in questions for v in question.variants):
+            alone = compare(variant.under(ANALYSED), TABLE_2, [variant.move])
+            assert found[variant.label].ratio("end") == pytest.approx(alone.ratio("end"), rel=1e-6)
+
+    def test_moves_to_try_are_all_different(self):
+        (places,) = (q for q in open_questions(MoveShape(0.0, DEG_90, 0.8, 0.2)) if q.name == "where the move leads")
+        assert [variant.move[:2] for variant in places.variants] == [(DEG_90, 0.0)]
+
+    def test_the_full_arm_folds_differently(self):
+        lagrangian = rung(Assumptions(model="lagrangian"), 0.15), rung(Assumptions(model="lagrangian"), 0.0)
+        assert lagrangian[0].stop[0] / lagrangian[1].stop[0] == pytest.approx(0.41, abs=0.01)
+
+    def test_an_arm_that_left_its_workspace_is_not_measured(self):
+        heavy = Assumptions(arm=ArmParams(payload_mass=0.2))
+        run = run_moves(heavy, replace(TABLE_2, k4=1.0), [STANDARD])
+        shown = response(run)
+        assert np.isinf(ringing_of(run).stop[0]) and np.isnan(shown.radial_speed[-1])
+        assert np.isfinite(shown.radial_speed[0]) and np.isfinite(shown.peak_torque)
+
+    def test_default_options_are_the_usual_move_and_table_2(self):
+        assert Config().move == USUAL_MOVE and Config().gains == TABLE_2
 
 
 PICTURES = {
-    *("responses_90.png", "responses_90_as_analysed.png", "responses_0.png", "root_locus_90.png", "root_locus_0.png"),
-    *("damping_map.png", "assumptions.png", "moves.png"),
+    *("responses_standard.png", "responses_standard_as_analysed.png", "responses_to_0.png"),
+    *("root_locus_90.png", "root_locus_0.png", "damping_map.png", "assumptions.png", "moves.png"),
 }
 
 
@@ -253,10 +334,9 @@ def test_everything_is_written(regenerated: tuple[Path, str]):
 def test_summary_shows_pictures_and_numbers(regenerated: tuple[Path, str]):
     text = (regenerated[0] / "summary.md").read_text(encoding="utf-8")
     assert set(re.findall(r"!\[[^]]*\]\(([^)]*)\)", text)) == PICTURES
-    assert (
-        "**As the paper analyses it, without Coulomb friction: yes. With the friction of its own Table 1: in part.**"
-        in text
-    )
+    assert "without Coulomb friction and belt damping: yes on the standard move, in part with" in text
+    assert "With the friction of its own Table 1: in part on the standard move" in text
+    assert "close to the first" in text
     assert "−1.34, −21.90, −11.91 ± 51.7j | 0.225" in text
     assert "13.13 ± 58.3j" in text and "unstable at 0° and 90°" in text
     assert not re.search(r"\b(nan|inf)\b", text)
@@ -306,6 +386,33 @@ def test_missing_extra_is_named(missing: str, tmp_path: Path):
     assert result.returncode == 2
     (line,) = result.stderr.strip().splitlines()
     assert line.startswith(f"eval/paper.py: {missing} is not installed") and "make setup" in line
+
+
+def test_interrupt_ends_with_one_line(tmp_path: Path):
+    out = tmp_path / "out"
+    command = [sys.executable, str(ROOT / "eval/paper.py"), "--out", str(out)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        while not out.exists() and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "eval/paper.py: interrupted\n")
+
+
+def test_a_closed_pipe_is_no_error(tmp_path: Path):
+    script = tmp_path / "closed.py"
+    script.write_text(
+        f"import sys\nsys.path.insert(0, {str(ROOT)!r})\nimport eval.paper\n"
+        "sys.stdin.readline()\neval.paper._tell(['told'] * 3)\n"
+    )
+    command = [sys.executable, str(script)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        process.stdout = None
+        _, errors = process.communicate("go\n", timeout=60)
+    assert (process.returncode, errors) == (0, "")
 
 
 def test_start_up_does_not_load_torch(tmp_path: Path):

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
 from beltarm_env.reference import MoveShape
+from eval.reproduction.effects import Compared, compare
 from eval.reproduction.loop import ServoGains
-from eval.reproduction.runs import Assumptions, Ringing, is_allowed, ringing_of, run_moves
+from eval.reproduction.runs import Assumptions, is_allowed
+from eval.reproduction.words import degrees
 
-Floats = NDArray[np.float64]
-
-CLEAR = 0.8
-"""Ringing is called reduced below this ratio to that without vibration feedback, and increased above its inverse."""
 USUAL_MOVE = MoveShape(np.pi / 4, np.pi / 2, 0.8, 0.12)
 """The standard move where no other is asked for."""
 _RAMP_TIMES = (0.08, 0.10, 0.16, 0.20, 0.25, 0.30)
 _LENGTHENED = (0.8, 1.25, 1.5)
-
-
-def effect(ratio: float) -> str:
-    """What a ratio of ringing with to ringing without vibration feedback means, in a word."""
-    if np.isnan(ratio):
-        return "not there"
-    return "reduced" if ratio < CLEAR else "increased" if ratio > 1 / CLEAR else "unchanged"
+_TABLE_1 = ArmParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +27,15 @@ class Variant:
     """One value of an assumption."""
 
     label: str
-    assumed: Assumptions
     move: MoveShape
+    arm: Mapping[str, float] = field(default_factory=dict)  # what differs of `ArmParams`
+    unknown: bool = False  # whether it does so unknown to the controller
+    changes: Mapping[str, Any] = field(default_factory=dict)  # what else differs of `Assumptions`
+
+    def under(self, base: Assumptions) -> Assumptions:
+        """Assumptions with this value, all others as in `base`."""
+        known = base.arm if self.unknown else base.known
+        return replace(base, arm=replace(base.arm, **self.arm), known=known, **self.changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,36 +49,13 @@ class Open:
     variants: list[Variant]
 
 
-class Compared(NamedTuple):
-    """Ringing of the same moves without and with vibration feedback."""
-
-    without: Ringing
-    suppressed: Ringing
-
-    def ratio(self, phase: str) -> float:
-        """With over without for the first move; NaN where the phase is empty or there is nothing to compare with."""
-        return float(self.ratios(phase)[0])
-
-    def ratios(self, phase: str) -> Floats:
-        """The same for all moves."""
-        before, after = getattr(self.without, phase), getattr(self.suppressed, phase)
-        comparable = np.isfinite(before) & (before > 0)
-        return np.divide(after, before, out=np.full(before.shape, np.nan), where=comparable)
-
-
-def compare(assumed: Assumptions, gains: ServoGains, move: MoveShape) -> Compared:
-    """Run one move without and with vibration feedback."""
-    pair = (ringing_of(run_moves(assumed, of_run, [move])) for of_run in (replace(gains, k4=0.0), gains))
-    return Compared(*pair)
-
-
 def open_questions(standard: MoveShape) -> list[Open]:
     """Everything assumed, varied one at a time around the standard move."""
     return [*_of_the_move(standard), *_of_the_arm(standard), *_of_the_servo(standard)]
 
 
 def _of_the_move(standard: MoveShape) -> list[Open]:
-    ramps = [(f"ramps {ramp:g} s", standard._replace(ramp_time=ramp)) for ramp in _RAMP_TIMES]
+    ramps = [(f"ramps of {ramp:g} s", standard._replace(ramp_time=ramp)) for ramp in _RAMP_TIMES]
     durations = [
         (
             f"move of {factor * standard.duration:.3g} s",
@@ -88,8 +64,8 @@ def _of_the_move(standard: MoveShape) -> list[Open]:
         for factor in _LENGTHENED
     ]
     length = abs(standard.goal - standard.start)
-    places = [
-        ("backwards: start and goal swapped", standard._replace(start=standard.goal, goal=standard.start)),
+    places = [  # with one end at 0° two of them are the same
+        ("backwards", standard._replace(start=standard.goal, goal=standard.start)),
         ("the same length, to 0°", standard._replace(start=length, goal=0.0)),
         ("the same length, from 0°", standard._replace(start=0.0, goal=length)),
     ]
@@ -111,7 +87,7 @@ def _of_the_move(standard: MoveShape) -> list[Open]:
         Open(
             "where the move leads",
             "poles are placed for 90°",
-            f"{_degrees(standard.start)} to {_degrees(standard.goal)}",
+            f"{degrees(standard.start)} to {degrees(standard.goal)}",
             _reason(standard, "goal", "it ends at the angle analysed"),
             _allowed(places, standard),
         ),
@@ -119,13 +95,18 @@ def _of_the_move(standard: MoveShape) -> list[Open]:
 
 
 def _of_the_arm(standard: MoveShape) -> list[Open]:
-    def of_arm(label: str, **changes: float) -> Variant:
-        return Variant(label, Assumptions(arm=ArmParams(**changes)), standard)
+    def of_arm(label: str, *, unknown: bool = False, **arm: float) -> Variant:
+        return Variant(label, standard, arm, unknown)
 
-    def unknown(label: str, **changes: float) -> Variant:
-        return Variant(label, Assumptions(arm=ArmParams(**changes), known=ArmParams()), standard)
-
+    friction, damping = _TABLE_1.coulomb_friction, _TABLE_1.belt_damping_ratio
     return [
+        Open(
+            "how the arm folds",
+            "two masses, all of the arm on one axis",
+            "as printed",
+            "the paper's plant; docs/physics.md derives the full one",
+            [Variant("full two-link arm", standard, changes={"model": "lagrangian"})],
+        ),
         Open(
             "M2(90°)",
             "M2(0°) = 0.01 kg m² only",
@@ -135,8 +116,8 @@ def _of_the_arm(standard: MoveShape) -> list[Open]:
                 of_arm("M2(90°) 0.04 kg m²", arm_inertia_swing=0.03),
                 of_arm("M2(90°) 0.10 kg m²", arm_inertia_swing=0.09),
                 of_arm("payload 0.2 kg: 0.12 kg m²", payload_mass=0.2),
-                unknown("M2(90°) 0.05, taken for 0.07", arm_inertia_swing=0.04),
-                unknown("M2(90°) 0.09, taken for 0.07", arm_inertia_swing=0.08),
+                of_arm("M2(90°) 0.05, taken for 0.07", unknown=True, arm_inertia_swing=0.04),
+                of_arm("M2(90°) 0.09, taken for 0.07", unknown=True, arm_inertia_swing=0.08),
             ],
         ),
         Open(
@@ -146,23 +127,24 @@ def _of_the_arm(standard: MoveShape) -> list[Open]:
             "Table 1",
             [
                 of_arm("no Coulomb friction", coulomb_friction=0.0),
-                of_arm("Coulomb friction × 0.7", coulomb_friction=0.7 * 0.032),
-                of_arm("Coulomb friction × 1.3", coulomb_friction=1.3 * 0.032),
+                of_arm("Coulomb friction × 0.7", coulomb_friction=0.7 * friction),
+                of_arm("Coulomb friction of Table 1", coulomb_friction=friction),
+                of_arm("Coulomb friction × 1.3", coulomb_friction=1.3 * friction),
             ],
         ),
         Open(
             "belt damping ratio",
             "none in the model",
-            "1 %",
-            "belts have 0.5 to 5 %",
-            [of_arm("belt damping 0", belt_damping_ratio=0.0), of_arm("belt damping 5 %", belt_damping_ratio=0.05)],
+            f"ζ = {damping:g} at 90°",
+            "belts have 0.005 to 0.05",
+            [of_arm(f"belt damping ζ = {ratio:g}", belt_damping_ratio=ratio) for ratio in (0.0, 0.005, damping, 0.05)],
         ),
         Open(
             "torque limit",
             "nothing",
-            "0.3 N m",
-            "a rigid 90° in 0.7 s needs 0.25 N m",
-            [of_arm("torque limit 0.15 N m", torque_limit=0.15), of_arm("torque limit 0.6 N m", torque_limit=0.6)],
+            f"{_TABLE_1.torque_limit:g} N m",
+            "a rigid 0° to 90° in 0.7 s needs 0.256 N m with ramps of 15 % of it, 0.223 N m with 25 to 35 %",
+            [of_arm(f"torque limit {limit:g} N m", torque_limit=limit) for limit in (0.12, 0.10, 0.08)],
         ),
         Open(
             "length l3 of the hand",
@@ -176,7 +158,7 @@ def _of_the_arm(standard: MoveShape) -> list[Open]:
 
 def _of_the_servo(standard: MoveShape) -> list[Open]:
     def of_servo(label: str, **changes: Any) -> Variant:
-        return Variant(label, Assumptions(**changes), standard)
+        return Variant(label, standard, changes=changes)
 
     return [
         Open(
@@ -214,18 +196,23 @@ def _reason(standard: MoveShape, name: str, usual: str) -> str:
     return usual if np.isclose(getattr(standard, name), getattr(USUAL_MOVE, name)) else "as asked for"
 
 
-def _degrees(angle: float) -> str:
-    return f"{np.degrees(angle):.0f}°"
-
-
 def _allowed(named: list[tuple[str, MoveShape]], standard: MoveShape) -> list[Variant]:
-    """Variants of the move that the environment allows and that differ from the standard one."""
-    return [Variant(name, Assumptions(), move) for name, move in named if move != standard and is_allowed(move)]
+    """Variants of the move that the environment allows, none of them the standard one, and none twice."""
+    variants: list[Variant] = []
+    for name, move in named:
+        if is_allowed(move) and not any(np.allclose(move, other) for other in (standard, *(v.move for v in variants))):
+            variants.append(Variant(name, move))
+    return variants
 
 
-def run_all(questions: list[Open], gains: ServoGains) -> dict[str, list[Compared]]:
-    """Run every variant; by name of the open question, in the order of its variants."""
-    return {
-        question.name: [compare(variant.assumed, gains, variant.move) for variant in question.variants]
-        for question in questions
-    }
+def run_all(questions: list[Open], base: Assumptions, gains: ServoGains) -> dict[str, Compared]:
+    """Run every variant that differs from the assumptions `base`; by its label."""
+    variants = [variant for question in questions for variant in question.variants]
+    grouped: dict[Assumptions, list[Variant]] = {}
+    for variant in variants:
+        grouped.setdefault(variant.under(base), []).append(variant)
+    found: dict[str, Compared] = {}
+    for assumed, group in grouped.items():
+        compared = compare(assumed, gains, [variant.move for variant in group])
+        found |= {variant.label: compared.one(k) for k, variant in enumerate(group)}
+    return found

@@ -65,7 +65,9 @@ def feedback_row(arm: ArmParams, gains: ServoGains) -> Floats:
     )
 
 
-def closed_loop(arm: ArmParams, theta_1: float, gains: ServoGains, *, as_printed: bool = False) -> Floats:
+def closed_loop(
+    arm: ArmParams, theta_1: float, gains: ServoGains, *, as_printed: bool = False, model: str = "lumped"
+) -> Floats:
     """A - b K of the loop at joint angle `theta_1` [rad], shape (4, 4).
 
     Args:
@@ -73,8 +75,9 @@ def closed_loop(arm: ArmParams, theta_1: float, gains: ServoGains, *, as_printed
         theta_1: Joint angle [rad], 0 to pi/2.
         gains: Feedback gains.
         as_printed: Take the last entry of b with the sign printed in (6e), which is wrong.
+        model: Whose equations of motion the arm has.
     """
-    a, b, _ = state_space(arm, theta_1)
+    a, b, _ = state_space(arm, theta_1, model)
     if as_printed:
         b[3] *= -1
     return a - b @ feedback_row(arm, gains)
@@ -141,13 +144,13 @@ def sampled_poles(arm: ArmParams, theta_1: float, gains: ServoGains) -> Poles:
     return _continuous(np.asarray(sampled.A) - np.asarray(sampled.B) @ feedback_row(arm, gains))
 
 
-def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains) -> Poles:
+def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains, *, model: str = "lumped") -> Poles:
     """Poles [1/s] of the loop as a drive runs it: torque held, speed by differencing, torsion simulated from it.
 
     The state is (x, theta_a one sample ago, joint speed one sample ago, simulated theta_s and its rate). Encoder
-    resolution is left out.
+    resolution is left out. The simulation is that of the lumped arm, whatever `model` the arm itself has.
     """
-    a, b, _ = state_space(arm, theta_1)
+    a, b, _ = state_space(arm, theta_1, model)
     sampled = control.c2d(control.StateSpace(a, b, np.eye(4), 0), CONTROL_PERIOD, method="zoh")
     simulation, gear, k = TorsionSimulation(arm), arm.gear_ratio, feedback_row(arm, gains)[0]
 

@@ -12,24 +12,24 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from PIL import Image
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from agents.files import write_atomically
 from eval.colours import BLUE, GREEN, ORANGE, PINK
-from eval.reproduction.cases import CLEAR
+from eval.reproduction.effects import CLEAR, GONE, Compared
 from eval.reproduction.locus_plots import damping_picture, locus_picture
 from eval.reproduction.loop import PAPER_ARM, k4_locus
-from eval.reproduction.runs import Response
-from eval.reproduction.study import RANDOM_MOVES, Scene, Study
+from eval.reproduction.runs import PHASES, Response
+from eval.reproduction.study import AS_ANALYSED, MAIN, RANDOM_MOVES, REAL, STANDARD, TO_0, Scene, Study
+from eval.reproduction.words import degrees
 
 WITHOUT, SUPPRESSED = ORANGE, BLUE
 """Colours of K4 = 0 and of the gain given."""
 _PHASE_SHADE = "#F0F0F0"
-_DPI = 130
-_STYLES: dict[bool, dict[str, Any]] = {False: {"lw": 4.5, "alpha": 0.35}, True: {"lw": 1.5}}
-"""How lines with and without Coulomb friction are drawn: both can be seen where they coincide."""
+_DPI = 100
+_STYLES: dict[str, dict[str, Any]] = {AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, REAL: {"lw": 1.5}}
+"""How lines as analysed and with friction are drawn: both can be seen where they coincide."""
 
 _RADIAL = (
     ("motor speed (rad/s)", "motor_speed", "motor_speed_reference"),
@@ -50,9 +50,9 @@ def save_pictures(study: Study, folder: Path) -> list[Path]:
         OSError: If the folder cannot be written to.
     """
     figures = {
-        "responses_90.png": lambda: _responses(study, "90°", "with friction", _RADIAL),
-        "responses_90_as_analysed.png": lambda: _responses(study, "90°", "as analysed", _RADIAL),
-        "responses_0.png": lambda: _responses(study, "0°", "with friction", _LATERAL),
+        "responses_standard.png": lambda: _responses(study, STANDARD, REAL, _RADIAL),
+        "responses_standard_as_analysed.png": lambda: _responses(study, STANDARD, AS_ANALYSED, _RADIAL),
+        "responses_to_0.png": lambda: _responses(study, TO_0, REAL, _LATERAL),
         "root_locus_90.png": lambda: locus_picture(study.gains, 90.0),
         "root_locus_0.png": lambda: locus_picture(study.gains, 0.0),
         "damping_map.png": lambda: damping_picture(study.gains),
@@ -69,19 +69,14 @@ def save_pictures(study: Study, folder: Path) -> list[Path]:
 
 
 def _write(figure: Figure, path: Path) -> None:
-    """Write a picture of few colours, which takes half the space."""
-    canvas = FigureCanvasAgg(figure)
-    figure.set_dpi(_DPI)
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture.quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+    figure.savefig(path, dpi=_DPI, format="png", pil_kwargs={"optimize": True})
 
 
 def _responses(study: Study, place: str, view: str, rows: tuple[tuple[str, str, str | None], ...]) -> Figure:
     """Motor and tip over time, Figs. 4(b) and 8(b) side by side."""
     scene = study.scenes[place, view]
     figure, axes = plt.subplots(
-        len(rows), 2, figsize=(9, 1.0 + 1.95 * len(rows)), layout="constrained", sharex=True, sharey="row"
+        len(rows), 2, figsize=(9, 1.0 + 1.8 * len(rows)), layout="constrained", sharex=True, sharey="row"
     )
     columns = (
         (scene.without, WITHOUT, "K4 = 0"),
@@ -95,8 +90,8 @@ def _responses(study: Study, place: str, view: str, rows: tuple[tuple[str, str, 
             if column == 0:
                 axis.set_ylabel(label)
         axes[-1][column].set_xlabel("time (s)")
-    start, goal = np.degrees(scene.move[:2])
-    figure.suptitle(f"{start:.0f}° to {goal:.0f}°, {view} (grey: the move)", fontsize=12)
+    start, goal = scene.move[:2]
+    figure.suptitle(f"{degrees(start)} to {degrees(goal)}, {view} (grey: the move)", fontsize=12)
     figure.align_ylabels()
     handles, labels = axes[0][0].get_legend_handles_labels()
     more, names = axes[0][1].get_legend_handles_labels()
@@ -125,26 +120,28 @@ def _signal(
 
 
 def _assumptions(study: Study) -> Figure:
-    """Ringing without and with vibration feedback, one row per value of each assumption."""
-    rows = [("standard move", study.scenes["90°", "with friction"].compared)]
+    """Ratio of ringing with to without vibration feedback, one row per value of each assumption."""
+    rows: list[tuple[str, dict[str, Compared]]] = [("standard move", {view: study.standard(view) for view in MAIN})]
     breaks = [0.5]
     for question in study.questions:
-        pairs = zip(question.variants, study.found[question.name], strict=True)
-        rows += [(variant.label, found) for variant, found in pairs]
+        rows += [(v.label, {view: study.found[view][v.label] for view in MAIN}) for v in question.variants]
         breaks.append(len(rows) - 0.5)
-    figure, axes = plt.subplots(1, 2, figsize=(9, 8.8), layout="constrained", sharey=True)
-    for axis, phase, title in zip(axes, ("cruise", "stop"), ("during the cruise", "after the stop"), strict=True):
-        for y, (_, found) in enumerate(rows):
-            before, after = getattr(found.without, phase)[0], getattr(found.suppressed, phase)[0]
-            axis.plot([before, after], [y, y], color="0.6", lw=1.5, zorder=1)
-            axis.scatter(before, y, color=WITHOUT, marker="o", s=34, zorder=2, label="K4 = 0" if y == 0 else None)
-            label = f"K4 = {study.gains.k4:g}" if y == 0 else None
-            axis.scatter(after, y, color=SUPPRESSED, marker="D", s=30, zorder=2, label=label)
+    figure, axes = plt.subplots(1, 2, figsize=(9, 9.8), layout="constrained", sharey=True, sharex=True)
+    for axis, (phase, title) in zip(axes, (("stop", PHASES["stop"]), ("end", PHASES["end"])), strict=True):
+        for view, colour, marker in ((AS_ANALYSED, GREEN, "o"), (REAL, PINK, "D")):
+            ratios = np.array([found[view].ratio(phase) for _, found in rows])
+            shown = np.isfinite(ratios)
+            axis.scatter(ratios[shown], np.flatnonzero(shown), color=colour, marker=marker, s=32, zorder=2, label=view)
         for position in breaks[:-1]:
             axis.axhline(position, color="0.85", lw=0.8)
-        axis.set(xlabel="ringing (m/s²)", title=title)
-        axis.set_xlim(left=0)
+        for bound in (GONE, CLEAR):
+            axis.axvline(bound, color="0.4", lw=1, ls=":")
+        axis.axvline(1, color="0.4", lw=1)
+        axis.set(xscale="log", xlabel=f"ringing with K4 = {study.gains.k4:g} over that with 0", title=title)
         axis.grid(axis="x", alpha=0.3)
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:g}"))
+        axis.xaxis.set_minor_locator(NullLocator())
     axes[0].set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=9)
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
@@ -160,14 +157,15 @@ def _moves(study: Study) -> Figure:
 
 
 def _ramp_sweep(axis: Axes, study: Study) -> None:
-    for friction, style in _STYLES.items():
-        pair = study.sweep.ringing[friction]
-        name = "friction" if friction else "no friction"
+    for view, style in _STYLES.items():
+        pair = study.sweep[view]
         for ringing, colour, gain in (
             (pair.without, WITHOUT, "0"),
             (pair.suppressed, SUPPRESSED, f"{study.gains.k4:g}"),
         ):
-            axis.plot(study.sweep.ramp_times, ringing.stop, color=colour, label=f"K4 = {gain}, {name}", **style)
+            there = np.isfinite(ringing.stop)  # the arm did not leave its workspace
+            label = f"K4 = {gain}, {view}"
+            axis.plot(study.ramp_times[there], ringing.stop[there], color=colour, label=label, **style)
     mode = np.abs(k4_locus(PAPER_ARM, np.pi / 2, study.gains, np.array([0.0])).imag).max()
     period = 2 * np.pi / mode
     axis.axvline(period, color="0.5", lw=1, ls=":")
@@ -180,16 +178,17 @@ def _ramp_sweep(axis: Axes, study: Study) -> None:
 
 
 def _title(study: Study) -> str:
-    start, goal = np.degrees(study.move[:2])
-    return f"{start:.0f}° to {goal:.0f}° in {study.move.duration:g} s"
+    start, goal = study.move[:2]
+    return f"{degrees(start)} to {degrees(goal)} in {study.move.duration:g} s"
 
 
 def _distribution(axis: Axes, study: Study) -> None:
-    share = (np.arange(RANDOM_MOVES) + 1) / RANDOM_MOVES * 100
     for phase, colour, name in (("cruise", GREEN, "cruise"), ("stop", PINK, "after the stop")):
-        for friction, style in _STYLES.items():
-            label = f"{name}, {'friction' if friction else 'no friction'}"
-            axis.plot(np.sort(study.random[friction].ratios(phase)), share, color=colour, label=label, **style)
+        for view, style in _STYLES.items():
+            ratios = study.random[view].ratios(phase)
+            ratios = np.sort(ratios[~np.isnan(ratios)])
+            share = 100 * (np.arange(len(ratios)) + 1) / len(ratios)
+            axis.plot(ratios, share, color=colour, label=f"{name}, {view}", **style)
     axis.axvline(1, color="0.5", lw=1, ls=":")
     axis.axvspan(CLEAR, 1 / CLEAR, color=_PHASE_SHADE, zorder=0)
     axis.set_xscale("log")

@@ -23,7 +23,7 @@ from beltarm_env.params import plant_of
 from beltarm_env.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.sensors import ENCODER_COUNTS
-from eval.reproduction.loop import ServoGains
+from eval.reproduction.loop import PAPER_ARM, ServoGains
 
 Floats = NDArray[np.float64]
 FrictionSign = Literal["reference", "measured", "none"]
@@ -43,12 +43,13 @@ class Assumptions:
     friction_sign: FrictionSign = "reference"  # whose sign the friction compensation of (8a) has
     true_torsion: bool = False  # measured instead of simulated torsional velocity
     encoder_counts: int = ENCODER_COUNTS  # per motor revolution
+    model: str = "lumped"  # whose equations of motion the arm has; the controller's simulation is always lumped
 
 
-def without_friction(assumed: Assumptions) -> Assumptions:
-    """The same without Coulomb friction, in the arm and in the controller: as the paper analyses it."""
-    known = None if assumed.known is None else replace(assumed.known, coulomb_friction=0.0)
-    return replace(assumed, arm=replace(assumed.arm, coulomb_friction=0.0), known=known)
+SIMULATED = Assumptions()
+"""Table 1 with friction, and the belt's damping assumed."""
+ANALYSED = Assumptions(arm=replace(PAPER_ARM, coulomb_friction=0.0))
+"""As the paper's analysis has it: neither Coulomb friction nor belt damping, in arm and controller."""
 
 
 class AssumedServo:
@@ -125,6 +126,7 @@ def _run(assumed: Assumptions, gains: ServoGains, count: int, seed: int, options
         options={"params": asdict(assumed.arm), **options},
         sensors="full",
         encoder_counts=assumed.encoder_counts,
+        model=assumed.model,
     )
 
 
@@ -178,7 +180,7 @@ def ringing_of(recording: Recording) -> Ringing:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """What the paper's figures show of one move; SI units, each of shape (T,)."""
+    """What the paper's figures show of one move; SI units, each of shape (T,). NaN once the arm left its workspace."""
 
     time: Floats
     motor_speed: Floats
@@ -186,6 +188,7 @@ class Response:
     radial_speed: Floats  # r', of r = 2 l + l_3 - x
     radial_speed_reference: Floats  # of a rigid arm
     lateral_speed: Floats  # y'; the reference has none
+    torque: Floats  # of the motor
 
     @property
     def radial_acceleration(self) -> Floats:
@@ -209,10 +212,16 @@ class Response:
         return float(np.sqrt(np.mean((self.motor_speed - self.motor_speed_reference)[moving] ** 2)))
 
     @property
+    def peak_torque(self) -> float:
+        """Largest torque of the motor [N m]."""
+        return float(np.nanmax(np.abs(self.torque)))
+
+    @property
     def stuck_share(self) -> float:
         """Share of the time after the reference's stop that the motor sticks."""
         after = self.time > self.time[np.flatnonzero(self.motor_speed_reference)[-1]]
-        return float(np.mean(self.motor_speed[after] == 0)) if after.any() else 0.0
+        known = after & np.isfinite(self.motor_speed)
+        return float(np.mean(self.motor_speed[known] == 0)) if known.any() else np.nan
 
 
 def response(recording: Recording, episode: int = 0) -> Response:
@@ -221,7 +230,9 @@ def response(recording: Recording, episode: int = 0) -> Response:
     move = MoveShape(*recording.moves[episode].tolist())
     states = recording.state[:, episode]
     tips = np.array([tip_motion(ArmState(*row), plant) for row in states])
+    there = np.where(recording.finished[episode] | (states != states[-1]).any(axis=1), 1.0, np.nan)
     references = [reference_at(TRAPEZOID, move, time) for time in recording.time]
     rigid = np.array([reference_tip(reference.angle, reference.speed, plant)[1] for reference in references])
     motor = plant.gear * np.array([reference.speed for reference in references])
-    return Response(recording.time, states[:, 1], motor, -tips[:, 2], -rigid, tips[:, 3])
+    motion = (there * states[:, 1], motor, there * -tips[:, 2], -rigid, there * tips[:, 3])
+    return Response(recording.time, *motion, there * recording.torque[:, episode])

@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
 from beltarm_env.reference import MoveShape
-from eval.reproduction.cases import CLEAR, Compared, Open, open_questions, run_all
-from eval.reproduction.loop import PAPER_ARM, ServoGains
+from eval.reproduction.cases import Open, Variant, open_questions, run_all
+from eval.reproduction.effects import CLEAR, GONE, Compared, compare, compare_random, without_and_with
+from eval.reproduction.loop import ServoGains
 from eval.reproduction.runs import (
+    ANALYSED,
+    SIMULATED,
     Assumptions,
     Response,
-    Ringing,
     is_allowed,
     response,
     ringing_of,
     run_moves,
-    run_random_moves,
-    without_friction,
 )
 
 Floats = NDArray[np.float64]
@@ -28,11 +28,22 @@ Floats = NDArray[np.float64]
 RANDOM_MOVES = 300
 RANDOM_SEED = 1991
 _SWEPT = 33  # ramp times
+_SAME = 1e-6  # relative difference below which a value changes nothing; actions are rounded to float32
 
-SIMULATED = Assumptions()
-"""Table 1 with friction, and the belt's damping assumed."""
-ANALYSED = without_friction(Assumptions(arm=PAPER_ARM))
-"""As the paper's analysis has it: neither Coulomb friction nor belt damping."""
+STANDARD, TO_0 = "standard", "to 0°"
+REAL, AS_ANALYSED = "with friction", "as analysed"
+MEASURED = "as analysed, torsion measured"
+FULL, FULL_ANALYSED = "full arm, with friction", "full arm, as analysed"
+MAIN = {REAL: SIMULATED, AS_ANALYSED: ANALYSED}
+"""The two sets of assumptions around which everything else is varied."""
+BOTH_ARMS = {
+    **MAIN,
+    FULL: replace(SIMULATED, model="lagrangian"),
+    FULL_ANALYSED: replace(ANALYSED, model="lagrangian"),
+}
+"""Those under which the random moves are run."""
+VIEWS = {**MAIN, MEASURED: replace(ANALYSED, true_torsion=True), **BOTH_ARMS}
+"""Those under which the standard move and the one to 0 degrees are shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,94 +57,90 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class RampSweep:
-    """Ringing of the standard move over its ramp time, without and with vibration feedback."""
-
-    ramp_times: Floats  # [s]
-    ringing: dict[bool, Compared]  # by whether there is Coulomb friction
-
-
-@dataclass(frozen=True, slots=True)
 class Study:
     """Everything simulated."""
 
     gains: ServoGains
     move: MoveShape  # the standard move
-    move_to_0: MoveShape  # the one for 0 degrees
-    scenes: dict[tuple[str, str], Scene]  # by place ("90°", "0°") and assumptions (`VIEWS`)
+    scenes: dict[tuple[str, str], Scene]  # by place (`STANDARD`, `TO_0`) and assumptions (`VIEWS`)
     questions: list[Open]
-    found: dict[str, list[Compared]]
-    sweep: RampSweep
-    random: dict[bool, Compared]  # random moves, by whether there is Coulomb friction
+    found: dict[str, dict[str, Compared]]  # by assumptions (`MAIN`) and label of the variant
+    ramp_times: Floats  # of the standard move [s], swept
+    sweep: dict[str, Compared]  # by assumptions (`MAIN`)
+    random: dict[str, Compared]  # random moves, by assumptions (`BOTH_ARMS`)
 
-    def share_reduced(self, friction: bool, phase: str) -> float:
-        """Share of the random moves whose ringing vibration feedback reduces clearly."""
-        return float(np.mean(self.random[friction].ratios(phase) < CLEAR))
+    def standard(self, view: str) -> Compared:
+        """The standard move under some of `VIEWS`."""
+        return self.scenes[STANDARD, view].compared
 
-    def share_increased(self, friction: bool, phase: str) -> float:
-        """Share of the random moves whose ringing it increases clearly."""
-        return float(np.mean(self.random[friction].ratios(phase) > 1 / CLEAR))
+    def tried(self, view: str) -> list[Variant]:
+        """The variants that make any difference to the standard move."""
+        variants = [variant for question in self.questions for variant in question.variants]
+        return [variant for variant in variants if self.differs(view, variant.label)]
+
+    def differs(self, view: str, label: str) -> bool:
+        """Whether a variant makes any difference to the standard move."""
+        found, usual = self.found[view][label], self.standard(view)
+        pair = zip([*found.without, *found.suppressed], [*usual.without, *usual.suppressed], strict=True)
+        return not all(np.allclose(found, usual, rtol=_SAME, atol=0, equal_nan=True) for found, usual in pair)
+
+    def share_removed(self, view: str, phase: str) -> float:
+        """Share of the random moves whose ringing vibration feedback removes."""
+        return _share(self._ratios(view, phase) < GONE)
+
+    def share_reduced(self, view: str, phase: str) -> float:
+        """Share of the random moves whose ringing it reduces clearly."""
+        return _share(self._ratios(view, phase) < CLEAR)
+
+    def share_increased(self, view: str, phase: str) -> float:
+        """Share of the random moves whose ringing it increases clearly, or on which the arm leaves its workspace."""
+        return _share(self._ratios(view, phase) > 1 / CLEAR)
+
+    def median_ratio(self, view: str, phase: str) -> float:
+        """Median over the random moves; NaN where none is comparable, infinite where the arm leaves on most."""
+        ratios = self._ratios(view, phase)
+        return float(np.quantile(ratios, 0.5, method="inverted_cdf")) if len(ratios) else np.nan
+
+    def count_left(self, view: str) -> tuple[int, int]:
+        """Number of the random moves on which the arm leaves its workspace, without and with vibration feedback."""
+        without, suppressed = (int(np.isinf(rung.stop).sum()) for rung in self.random[view])
+        return without, suppressed
+
+    def _ratios(self, view: str, phase: str) -> Floats:
+        ratios = self.random[view].ratios(phase)
+        return ratios[~np.isnan(ratios)]
 
 
-VIEWS = {
-    "with friction": SIMULATED,
-    "as analysed": ANALYSED,
-    "as analysed, torsion measured": replace(ANALYSED, true_torsion=True),
-}
-"""Assumptions under which both moves are run."""
+def _share(which: NDArray[np.bool_]) -> float:
+    return float(np.mean(which)) if len(which) else np.nan
 
 
 def run_study(gains: ServoGains, move: MoveShape) -> Study:
     """Run everything; `move` is the standard move."""
-    length = abs(move.goal - move.start)
-    to_0 = move._replace(start=length, goal=0.0)
-    scenes = {
-        (place, view): _scene(assumed, gains, of_place)
-        for place, of_place in (("90°", move), ("0°", to_0))
-        for view, assumed in VIEWS.items()
-    }
+    to_0 = move._replace(start=abs(move.goal - move.start), goal=0.0)
     questions = open_questions(move)
+    swept = [move._replace(ramp_time=float(ramp)) for ramp in np.linspace(0.05, 0.5, _SWEPT) * move.duration]
+    swept = [one for one in swept if is_allowed(one)]
     return Study(
         gains,
         move,
-        to_0,
-        scenes,
+        {
+            (place, view): _scene(assumed, gains, of_place)
+            for place, of_place in ((STANDARD, move), (TO_0, to_0))
+            for view, assumed in VIEWS.items()
+        },
         questions,
-        run_all(questions, gains),
-        _sweep(gains, move),
-        {friction: _random(gains, friction) for friction in (True, False)},
+        {view: run_all(questions, base, gains) for view, base in MAIN.items()},
+        np.array([one.ramp_time for one in swept]),
+        {view: compare(assumed, gains, swept) for view, assumed in MAIN.items()},
+        {view: compare_random(assumed, gains, RANDOM_MOVES, RANDOM_SEED) for view, assumed in BOTH_ARMS.items()},
     )
 
 
-def _frictional(friction: bool) -> Assumptions:
-    return SIMULATED if friction else without_friction(SIMULATED)
-
-
 def _scene(assumed: Assumptions, gains: ServoGains, move: MoveShape) -> Scene:
-    without = run_moves(assumed, replace(gains, k4=0.0), [move])
-    suppressed = run_moves(assumed, gains, [move])
+    without, suppressed = (run_moves(assumed, g, [move]) for g in without_and_with(gains))
     compared = Compared(ringing_of(without), ringing_of(suppressed))
     return Scene(move, response(without), response(suppressed), compared)
-
-
-def _sweep(gains: ServoGains, move: MoveShape) -> RampSweep:
-    ramps = [float(ramp) for ramp in np.linspace(0.05, 0.5, _SWEPT) * move.duration]
-    moves = [move._replace(ramp_time=ramp) for ramp in ramps]
-    moves = [shorter for shorter in moves if is_allowed(shorter)]
-    ringing = {}
-    for friction in (True, False):
-        assumed = _frictional(friction)
-        pair = [ringing_of(run_moves(assumed, g, moves)) for g in (replace(gains, k4=0.0), gains)]
-        ringing[friction] = Compared(*pair)
-    return RampSweep(np.array([shorter.ramp_time for shorter in moves]), ringing)
-
-
-def _random(gains: ServoGains, friction: bool) -> Compared:
-    assumed = _frictional(friction)
-    pair: list[Ringing] = [
-        ringing_of(run_random_moves(assumed, g, RANDOM_MOVES, RANDOM_SEED)) for g in (replace(gains, k4=0.0), gains)
-    ]
-    return Compared(*pair)
 
 
 def nominal_m2(angle: float, payload: float = 0.0) -> float:
