@@ -2,9 +2,51 @@
 
 from __future__ import annotations
 
-from baselines.paper import PaperController, PaperGains, rigid_controller
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-CONTROLLERS = {"paper": PaperController, "rigid": rigid_controller}
+from baselines.adaptive import AdaptiveController, AdaptiveGains
+from baselines.disturbance import DisturbanceController, DisturbanceGains
+from baselines.gains import Tunable, tuned
+from baselines.mpc import MpcController, MpcGains
+from baselines.paper import PaperController, PaperGains, rigid_controller
+from baselines.preview import PreviewController, PreviewGains
+from baselines.retuned import RetunedController, RetunedGains
+from baselines.shaping import GAINS as SHAPING_GAINS
+from baselines.shaping import ShapingController
+from baselines.smooth import SmoothController, SmoothGains
+from beltarm_env._jit import drop_stale_kernels
+
+drop_stale_kernels(Path(__file__).parent)
+
+TUNABLE = {
+    "retuned": Tunable(RetunedController, RetunedGains),
+    **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
+    "smooth": Tunable(SmoothController, SmoothGains),
+    "disturbance": Tunable(DisturbanceController, DisturbanceGains),
+    "preview": Tunable(PreviewController, PreviewGains),
+    "mpc": Tunable(MpcController, MpcGains),
+    "adaptive": Tunable(AdaptiveController, AdaptiveGains),
+}
+"""Controllers that `baselines/tune.py` tunes, by name."""
+
+
+def tuned_controller(name: str) -> Any:
+    """One of `TUNABLE` with its gains of `gains.json`.
+
+    Raises:
+        ValueError: If the file of gains is damaged or out of date.
+    """
+    return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains))
+
+
+CONTROLLERS: dict[str, Callable[[], Any]] = {
+    "paper": PaperController,
+    "rigid": rigid_controller,
+    **{name: partial(tuned_controller, name) for name in TUNABLE},
+}
 """Controllers by the name used on command lines, in results and in policy bundles; call without arguments."""
 
-__all__ = ["CONTROLLERS", "PaperController", "PaperGains", "rigid_controller"]
+__all__ = ["CONTROLLERS", "TUNABLE", "PaperController", "PaperGains", "rigid_controller", "tuned_controller"]

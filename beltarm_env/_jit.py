@@ -21,14 +21,14 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def _drop_stale_kernels() -> None:
-    """Delete cached kernels older than any source file of the package.
+def drop_stale_kernels(package: Path) -> None:
+    """Delete a package's cached kernels that are older than any source file of it or of this package.
 
     numba compares a cached kernel with the file that defines it, not with the files whose functions it inlines, so an
     edited equation would otherwise go on running in its old form.
     """
-    package = Path(__file__).parent
-    newest = max(source.stat().st_mtime for source in package.glob("*.py"))
+    sources = [*Path(__file__).parent.glob("*.py"), *package.glob("*.py")]
+    newest = max(source.stat().st_mtime for source in sources)
     for kernel in (package / "__pycache__").glob("*.nb[ic]"):
         try:
             if kernel.stat().st_mtime < newest:
@@ -49,4 +49,4 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return cast("Callable[_P, _R]", numba.njit(**options)(function))
 
 
-_drop_stale_kernels()
+drop_stale_kernels(Path(__file__).parent)

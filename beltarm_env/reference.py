@@ -13,7 +13,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from beltarm_env._jit import inlined
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env._jit import compiled, inlined
 
 PROFILES = ("trapezoid", "scurve", "quintic")
 TRAPEZOID, SCURVE, QUINTIC = range(3)
@@ -99,3 +102,20 @@ def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
     if profile == SCURVE:
         return _between_ramps(move, ramp_rate, _smooth_ramp(rising), _smooth_ramp(falling))
     return _between_ramps(move, ramp_rate, _linear_ramp(rising), _linear_ramp(falling))
+
+
+@compiled
+def sample_references(profile: int, moves: NDArray[np.float64], period: float, samples: NDArray[np.float64]) -> None:
+    """Sample the references of n moves, for controllers that know the whole move beforehand.
+
+    Args:
+        profile: Index into `PROFILES`.
+        moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
+        period: Time between samples [s].
+        samples: Written in place: angle [rad], speed [rad/s] and acceleration [rad/s^2] from the start on,
+            shape (n, samples, 3).
+    """
+    for i in range(len(moves)):
+        move = MoveShape(moves[i, 0], moves[i, 1], moves[i, 2], moves[i, 3])
+        for k in range(samples.shape[1]):
+            samples[i, k, 0], samples[i, k, 1], samples[i, k, 2] = reference_at(profile, move, k * period)

@@ -1,0 +1,104 @@
+"""Adaptive preview LQG: the arm is identified while it moves, and the plan made anew for the arm believed in.
+
+    tau_m = tau_ff[k] - K[k] (x - x_ref[k]) + tau_c dir
+
+as `baselines.preview`, but state, tau_c, and the arm that feed-forward and gains are computed for, come from the
+identification of `baselines.identification`. The plan of the rest of the move is computed again every 30 ms for arms
+whose constants have changed by more than 2 % since (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive
+Control, 1995). At an episode's start the arm is nominal: nothing is carried over from one to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.gains import Gains, tunable
+from baselines.identification import IDENTIFIED, ArmIdentifier, Belief, Doubt
+from baselines.plan import Plan, Weights, friction_direction, planned_torque, replanned
+from baselines.reading import as_action, beginning, read
+from beltarm_env import ArmParams
+
+Floats = NDArray[np.float64]
+
+_EVERY = 20  # samples between plans
+_NEWS = 0.02  # change of a constant that makes a new plan worth while
+_FRICTION = IDENTIFIED.index("coulomb_friction")
+
+
+@dataclass(frozen=True)
+class AdaptiveGains(Gains):
+    """Weights of the plan and doubts of the identification."""
+
+    velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
+    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    swing_doubt: float = tunable(0.35, 0.03, 1.0, log=True)  # [-]      of ln S before anything is known
+    stiffness_doubt: float = tunable(0.12, 0.01, 0.5, log=True)  # [-]      of ln K_s
+    friction_doubt: float = tunable(0.17, 0.01, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
+    torque_noise: float = tunable(1e-3, 1e-5, 0.1, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(1.0, 0.03, 100.0, log=True)  # [rad/s^2]  process noise of the torsion
+    friction_share: float = tunable(1.0, 0.5, 1.3)  # [-]        of tau_c that is compensated
+    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
+
+
+@dataclass(frozen=True)
+class AdaptiveMemory:
+    """Belief about n arms, and plans for the arms once believed in."""
+
+    belief: Belief
+    plan: Plan
+    planned_for: Floats  # logs at the time of the plan, shape (n, 6)
+
+
+class AdaptiveController:
+    """Adaptive preview LQG on encoder observations.
+
+    Args:
+        gains: Weights, doubts and noise.
+        params: The nominal arm.
+    """
+
+    def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
+        self.gains = gains or AdaptiveGains()
+        self.params = params or ArmParams()
+        g = self.gains
+        self._weights = Weights(g.velocity_weight, g.torque_weight)
+        self._identifier = ArmIdentifier(
+            self.params,
+            Doubt(
+                swing=g.swing_doubt,
+                stiffness=g.stiffness_doubt,
+                friction=g.friction_doubt,
+                torque=g.torque_noise,
+                acceleration=g.acceleration_noise,
+            ),
+        )
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        reading = read(observation, self.params)
+        begins = beginning(state, episode_start, len(observation))
+        belief = self._identifier.update(state.belief if state else None, reading, begins)
+        planned_for = state.planned_for if state else belief.logs
+        news = np.abs(belief.logs - planned_for).max(axis=1) > _NEWS
+        due = begins | (news & (reading.step % _EVERY == 0))
+        table = self._identifier.table(belief)
+        plan = replanned(state.plan if state else None, due, reading.move, table, self._weights)
+        torque = planned_torque(plan, reading.step, belief.state)
+        direction = friction_direction(belief.state[:, 1], torque, self.gains.friction_speed)
+        friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
+        memory = AdaptiveMemory(belief, plan, np.where(due[:, None], belief.logs, planned_for))
+        return as_action(torque + self.gains.friction_share * friction * direction, self.params), memory
+
+    @staticmethod
+    def torsion_estimate(memory: AdaptiveMemory) -> Floats:
+        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
+        return memory.belief.state[:, 2:].copy()

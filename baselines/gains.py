@@ -1,0 +1,124 @@
+"""Gains of a controller: a frozen dataclass whose fields know their range, and the file that tuned values live in.
+
+`gains.json` holds, for each controller, its gains and where they come from; `baselines/tune.py` writes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from beltarm_env.rollout import Controller
+
+FILE = Path(__file__).with_name("gains.json")
+
+
+def tunable(default: float, low: float, high: float, log: bool = False) -> Any:
+    """A field of `Gains`: its value before tuning, its range, and whether to search it on a logarithmic scale.
+
+    Raises:
+        ValueError: If the value is outside its range, or the range has no logarithm.
+    """
+    if not low <= default <= high or (log and low <= 0):
+        allowed = "a range above 0 around its default" if log else "a range around its default"
+        raise ValueError(f"a gain needs {allowed}, got {default} within {low} and {high}")
+    return field(default=default, metadata={"low": low, "high": high, "log": log})
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Base of all gains.
+
+    Raises:
+        TypeError: If a gain is not a number.
+        ValueError: If a gain is not finite or outside its range, naming it, the value and the range.
+    """
+
+    def __post_init__(self) -> None:
+        """Check every gain against its range."""
+        for gain in fields(self):
+            value, low, high = getattr(self, gain.name), gain.metadata["low"], gain.metadata["high"]
+            name = f"{type(self).__name__}.{gain.name}"
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise TypeError(f"{name} must be a number, got {value!r}")
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(f"{name} must lie within {low:g} and {high:g}, got {value!r}")
+
+
+AnyGains = TypeVar("AnyGains", bound=Gains)
+
+
+class Tunable(NamedTuple):
+    """A controller that `baselines/tune.py` can tune."""
+
+    controller: Callable[[Any], Controller]  # makes one with gains of the kind below
+    gains: type[Gains]
+
+
+def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
+    """The tuned gains of the controller `name`, or those of `kind` if it has not been tuned.
+
+    Raises:
+        ValueError: If the file holds gains that `kind` does not have, or no number within its range.
+    """
+    entry = read_file(path).get(name)
+    if entry is None:
+        return kind()
+    remedy = f"run `python baselines/tune.py {name}`"
+    known = {gain.name for gain in fields(kind)}
+    if set(entry["gains"]) != known:
+        raise ValueError(
+            f"{path.name} has gains {', '.join(sorted(entry['gains']))} for {name!r}, but it needs "
+            f"{', '.join(sorted(known))}: {remedy}"
+        )
+    try:
+        return kind(**entry["gains"])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path.name}, {name!r}: {error}; {remedy}") from None
+
+
+def read_file(path: Path = FILE) -> dict[str, Any]:
+    """Everything in a file of gains: by controller, its `gains` and their `provenance`.
+
+    Raises:
+        ValueError: If the file is damaged.
+    """
+    if not path.exists():
+        return {}
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # not JSON, or not even text
+        raise ValueError(f"{path} is damaged ({error}): restore it, or remove it and tune anew") from None
+    whole = isinstance(entries, dict) and all(
+        isinstance(entry, dict) and isinstance(entry.get("gains"), dict) for entry in entries.values()
+    )
+    if not whole:
+        raise ValueError(f"{path} is damaged (no gains by controller): restore it, or remove it and tune anew")
+    return entries
+
+
+def write_entry(name: str, gains: Gains, provenance: dict[str, Any], path: Path = FILE) -> None:
+    """Put the gains of one controller into a file of gains; what it holds of others stays.
+
+    The file is replaced as a whole, so that an interruption leaves either the old one or the new one.
+
+    Raises:
+        ValueError: If the file is damaged.
+        OSError: If it cannot be written.
+    """
+    entries = {**read_file(path), name: {"gains": asdict(gains), "provenance": provenance}}
+    text = json.dumps({known: entries[known] for known in sorted(entries)}, indent=2) + "\n"
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        Path(temporary).unlink(missing_ok=True)

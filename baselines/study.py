@@ -1,0 +1,56 @@
+"""The Optuna study behind a search: what it varies, and the journal that it is kept in."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import optuna
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+from optuna.trial import TrialState
+
+from baselines.gains import Gains
+
+
+def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
+    """The ranges of all gains."""
+    ranges = {gain.name: gain.metadata for gain in fields(kind)}
+    return {name: FloatDistribution(of["low"], of["high"], log=of["log"]) for name, of in ranges.items()}
+
+
+def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
+    """Gains with six significant digits, so that a trial runs with what will be written."""
+    near = {name: float(f"{value:.6g}") for name, value in params.items()}
+    ranges = {gain.name: gain.metadata for gain in fields(kind)}
+    return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
+
+
+def open_study(kind: type[Gains], seed: int, journal: Path) -> optuna.Study:
+    """The study that a journal holds, or a new one; it begins with the untuned gains.
+
+    Raises:
+        ValueError: If the journal is damaged, or was begun with another seed or other gains.
+    """
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    Path(f"{journal}.lock").unlink(missing_ok=True)  # of a process that was killed; Optuna would wait for it
+    remedy = "tune anew, without --resume"
+    try:
+        backend = JournalFileBackend(str(journal), JournalFileOpenLock(str(journal)))
+        study = optuna.create_study(study_name="gains", storage=JournalStorage(backend), load_if_exists=True)
+        trials = study.get_trials(deepcopy=False)
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{journal} is damaged ({error}): {remedy}") from None
+    begun = {"seed": seed, "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)}}
+    if study.user_attrs.get("begun", begun) != begun:
+        raise ValueError(f"{journal} was begun with another seed or other ranges of gains: {remedy}")
+    study.set_user_attr("begun", begun)
+    for trial in trials:
+        if trial.state is TrialState.RUNNING:  # when it was interrupted
+            study.tell(trial.number, state=TrialState.FAIL)
+    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.WAITING)):
+        study.enqueue_trial(asdict(kind()))
+    study.sampler = optuna.samplers.TPESampler(seed=seed + len(trials), multivariate=True)
+    return study

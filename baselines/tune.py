@@ -1,0 +1,225 @@
+"""Tune the gains of classical controllers: `python baselines/tune.py NAME`, or `--all` of them.
+
+Every controller gets the same optimiser, arms, objective and budget, see `baselines/search.py`; a full budget is what
+a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with where they come from. Each search keeps a
+journal, from which `--resume` goes on after an interruption. A new search begins with the untuned gains, never with
+tuned ones: otherwise budgets would add up.
+"""
+
+from __future__ import annotations
+
+import difflib
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from baselines import TUNABLE
+from baselines.gains import FILE, read_file, write_entry
+from baselines.search import CHOICE_SEED, Found, State, search, split
+from beltarm_env import __version__
+
+
+@dataclass(frozen=True)
+class Config:
+    """Tune the gains of classical controllers."""
+
+    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Controllers to tune."""
+    all: bool = False
+    """Tune every controller that has gains to tune."""
+    budget: int = 48_000_000
+    """Simulated steps for each controller; an RL run of 4 000 000 agent steps, each of 12 samples, takes as many."""
+    seed: int = 0
+    """Seed of the optimiser; the arms are the same with every seed."""
+    jobs: int = 2
+    """Controllers tuned side by side, each in a process of its own."""
+    out: Path = FILE
+    """File of gains; what it holds of other controllers stays."""
+    journals: Path = Path("results/tune")
+    """Folder of the journals."""
+    resume: bool = False
+    """Go on with the searches that have a journal; the other controllers named begin."""
+
+    def chosen(self) -> list[str]:
+        """Names of the controllers to tune.
+
+        Raises:
+            ValueError: If an option is out of range, a name unknown, or there is nothing to do.
+        """
+        split(self.budget)
+        for option in ("jobs", "seed"):
+            if getattr(self, option) < (least := {"jobs": 1, "seed": 0}[option]):
+                raise ValueError(f"--{option} must be at least {least}, got {getattr(self, option)}")
+        if self.all == bool(self.names):
+            raise ValueError(f"name controllers to tune or give --all, not both; there are {', '.join(TUNABLE)}")
+        for name in self.names:
+            if name not in TUNABLE:
+                near = difflib.get_close_matches(name, TUNABLE, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(TUNABLE)}"
+                raise ValueError(f"no controller {name!r} to tune; {hint}")
+        names = list(dict.fromkeys(self.names)) or list(TUNABLE)
+        if self.resume and not any(self.journal(name).exists() for name in names):
+            raise ValueError(f"nothing to resume in {self.journals}: run once without --resume")
+        return names
+
+    def journal(self, name: str) -> Path:
+        """The journal of a controller's search."""
+        return self.journals / f"{name}.journal"
+
+
+def tune(config: Config, console: Console) -> None:
+    """Tune all that is asked for, and write the gains of each as soon as they are found.
+
+    Raises:
+        ValueError: If an option or file is bad, or, once the others are through, if searches failed.
+        OSError: If files cannot be written.
+    """
+    names = config.chosen()
+    read_file(config.out)
+    _require_writable(config.out.parent)
+    _require_writable(config.journals)
+    if not config.resume:
+        for name in names:
+            config.journal(name).unlink(missing_ok=True)
+    errors: list[str] = []
+    columns = (TextColumn("{task.description}"), TextColumn("{task.percentage:3.0f} %"), BarColumn(bar_width=16))
+    display = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[state]}"), console=console)
+    with display, closing(_run_all(names, config)) as all_news:
+        rows = {name: display.add_task(name, total=config.budget, start=False, state="") for name in names}
+        for name, news in all_news:
+            if isinstance(news, State):
+                display.start_task(rows[name])
+                display.update(
+                    rows[name], completed=news.steps, state=f"{news.trials} trials, best cost {news.best:.1f}"
+                )
+            elif isinstance(news, Found):
+                write_entry(name, TUNABLE[name].gains(**news.gains), provenance(config, news), config.out)
+                display.update(rows[name], completed=config.budget, state=summary(news))
+            else:
+                errors.append(f"{name}: {news}")
+    if errors:
+        raise ValueError("\n".join(errors))
+    console.print(f"written to {config.out}: {', '.join(names)}")
+
+
+def _run_all(names: list[str], config: Config) -> Generator[tuple[str, State | Found | str]]:
+    """Search in processes of their own, some at a time; yields what they tell: states, at last a find or an error."""
+    context = get_context("spawn")
+    waiting, running, processes = list(reversed(names)), dict[Connection, str](), list[BaseProcess]()
+    try:
+        while waiting or running:
+            while waiting and len(running) < config.jobs:
+                ours, theirs = context.Pipe(duplex=False)
+                processes.append(context.Process(target=_work, args=(waiting[-1], config, theirs)))
+                before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the new process inherits
+                processes[-1].start()
+                signal.signal(signal.SIGINT, before)
+                theirs.close()  # so that the end of the process ends what we read
+                running[ours] = waiting.pop()
+            for connection in wait(list(running)):
+                assert isinstance(connection, Connection)
+                try:
+                    news = connection.recv()
+                except EOFError:
+                    news = "the search broke off; to go on, use --resume"
+                yield running[connection], news
+                if not isinstance(news, State):
+                    del running[connection]
+    finally:
+        for connection in running:
+            connection.close()  # a search ends, with its journal in order, when there is nobody left to tell
+        for process in processes:
+            process.join()
+
+
+def _work(name: str, config: Config, connection: Connection) -> None:
+    """Body of a process: one search."""
+    try:
+        connection.send(search(TUNABLE[name], config.budget, config.seed, config.journal(name), connection.send))
+    except BrokenPipeError:
+        return
+    except (OSError, ValueError) as error:
+        connection.send(str(error))
+
+
+def provenance(config: Config, found: Found) -> dict[str, object]:
+    """Where gains come from."""
+    return {
+        "command": shlex.join(["python", "baselines/tune.py", *sys.argv[1:]]),
+        "seed": config.seed,
+        "budget": config.budget,
+        "steps": found.steps,
+        "trials": found.trials,
+        "pruned": found.pruned,
+        "failed": found.failed,
+        "cost": round(found.cost, 2),
+        "cost_untuned": round(found.cost_untuned, 2),
+        "measured_on": f"{found.arms} arms of the training ranges, seeds from {CHOICE_SEED}",
+        "date": datetime.now(UTC).date().isoformat(),
+        "version": __version__,
+        "commit": _commit(),
+        "seconds": round(found.seconds, 1),
+    }
+
+
+def summary(found: Found) -> str:
+    """A search in one line."""
+    return f"{found.trials} trials, cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {found.seconds:.0f} s"
+
+
+def _commit() -> str:
+    """The commit of the checkout, with `-dirty` where files differ from it; "unknown" without git."""
+    command = ["git", "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(
+            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        ).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _require_writable(folder: Path) -> None:
+    """Check that files can be written where the results will be, before work is spent on them."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
+
+
+def main() -> None:
+    """Command line."""
+    config = tyro.cli(Config, description=__doc__)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        tune(config, Console())
+    except KeyboardInterrupt:
+        arguments = [argument for argument in sys.argv[1:] if argument != "--resume"]
+        command = shlex.join(["python", "baselines/tune.py", *arguments, "--resume"])
+        print(f"interrupted; trials are kept in {config.journals}; to go on:\n  {command}")
+        sys.exit(130)
+    except (OSError, ValueError) as error:
+        for line in str(error).splitlines():
+            print(f"baselines/tune.py: {line}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""The plant alone, without sensors, reference and episodes: for controllers and observers that simulate their arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import _layout as at
+from beltarm_env._jit import compiled
+from beltarm_env._layout import LANES, load_state, store_plant, store_state
+from beltarm_env.dynamics import MODELS, Model
+from beltarm_env.motion import WORK_ROWS, move_block
+from beltarm_env.params import FIELDS, ArmParams, check_integrable, integration_substeps, plant_of
+from beltarm_env.plant import ArmState
+
+Floats = NDArray[np.float64]
+
+
+def params_table(arms: Sequence[ArmParams]) -> Floats:
+    """Constants of n arms, columns as the fields of `ArmParams`, shape (n, 12)."""
+    return np.array([[getattr(arm, name) for name in FIELDS] for arm in arms])
+
+
+@compiled
+def _load_arms(blocks: Floats, table: Floats, model: Model) -> None:
+    for i in range(len(table)):
+        block, j = blocks[i // LANES], i % LANES
+        plant = plant_of(table[i])
+        store_plant(block, j, plant)
+        block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
+
+
+@compiled
+def _advance(
+    blocks: Floats, work: Floats, actions: Floats, states: Floats, torques: Floats, limits: Floats, model: Model
+) -> Floats:
+    count = len(states)
+    result = np.empty((count, 4))
+    for k in range(len(blocks)):
+        low, high = k * LANES, min(k * LANES + LANES, count)
+        for i in range(low, high):
+            x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
+            store_state(blocks[k], at.STATE, i - low, x)
+            actions[i - low] = min(max(torques[i] / limits[i], -1.0), 1.0)
+        move_block(blocks[k], work, actions, high - low, model)
+        for i in range(low, high):
+            x = load_state(blocks[k], at.STATE, i - low)
+            result[i, 0], result[i, 1], result[i, 2], result[i, 3] = x
+    return result
+
+
+class ArmSimulation:
+    """Steps of any number of arms by one control period, with the friction and the integrator of the environment.
+
+    Args:
+        params: One set of constants for each arm, or one for all.
+        num_arms: How many arms, if `params` is one set.
+        model: "lumped" or "lagrangian".
+
+    Raises:
+        ValueError: If the model is unknown, or an arm is too stiff to integrate.
+    """
+
+    def __init__(self, params: ArmParams | Sequence[ArmParams], num_arms: int = 1, model: str = "lumped") -> None:
+        if model not in ("lumped", "lagrangian"):
+            raise ValueError(f"model must be one of 'lumped', 'lagrangian', got {model!r}")
+        arms = [params] if isinstance(params, ArmParams) else list(params)
+        table = params_table(arms)
+        self._model = MODELS[model]
+        check_integrable(table, self._model)
+        table = np.repeat(table, num_arms, axis=0) if isinstance(params, ArmParams) else table
+        self._limits = table[:, FIELDS.index("torque_limit")].copy()
+        self._blocks = at.empty_blocks(len(table))
+        self._work, self._actions = np.zeros(WORK_ROWS * LANES), np.zeros(LANES)
+        _load_arms(self._blocks, table, self._model)
+
+    def set_table(self, table: Floats) -> None:
+        """Go on with other constants that are near those before: columns as `ArmParams`, shape (n, 12)."""
+        _load_arms(self._blocks, table, self._model)
+
+    def advance(self, states: Floats, torques: Floats) -> Floats:
+        """States one control period later.
+
+        Args:
+            states: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (n, 4).
+            torques: Motor torques held over the period [N m], shape (n,); cut at the torque limit.
+
+        Raises:
+            ValueError: If there are not as many as arms.
+        """
+        if states.shape != (len(self._limits), 4) or torques.shape != self._limits.shape:
+            count = len(self._limits)
+            raise ValueError(
+                f"states and torques must have shapes ({count}, 4) and ({count},), got {states.shape}, {torques.shape}"
+            )
+        return _advance(
+            self._blocks,
+            self._work,
+            self._actions,
+            np.ascontiguousarray(states, np.float64),
+            np.ascontiguousarray(torques, np.float64),
+            self._limits,
+            self._model,
+        )
