@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compare paper physics test lint format bench train readme clean
+.PHONY: help setup compare paper physics test lint format bench tune train readme clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -44,6 +44,9 @@ format: $(READY)  ## Format the code
 
 bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the same run
 	$(BIN)/python eval/bench.py $(ARGS)
+
+tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
+	$(BIN)/python baselines/tune.py --all $(ARGS)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 	$(BIN)/python train/ppo.py $(ARGS)

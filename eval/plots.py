@@ -12,6 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from agents.files import write_atomically
 from beltarm_env.rollout import Recording
@@ -20,7 +21,7 @@ from eval.results import Comparison
 from eval.summary import COLUMNS
 
 _MOVE_SHADE = "#EEEEEE"
-_BARS = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
+_SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
 
 Traces = dict[str, dict[str, tuple[Recording, int]]]
 """Per split and method: a recording, and which of its episodes to show (the same scenario for all methods)."""
@@ -28,12 +29,13 @@ Traces = dict[str, dict[str, tuple[Recording, int]]]
 
 def save_plots(comparison: Comparison, traces: Traces, folder: Path) -> list[Path]:
     """Draw all pictures into `folder`."""
-    colours = {outcome.method.name: COLOURS[i % len(COLOURS)] for i, outcome in enumerate(_first_split(comparison))}
+    colours: dict[str, str] = dict(zip(_drawn(comparison), COLOURS, strict=False))
+    drawn = {split: {name: runs[name] for name in colours} for split, runs in traces.items()}
     figures = {
-        "tip_error.png": _time_plot(traces, colours, _tip_error, "tip error (mm)"),
-        "residual.png": _residual_plot(traces, colours),
-        "torque.png": _time_plot(traces, colours, _torque, "motor torque (N m)"),
-        "bars.png": _bars(comparison, colours),
+        "tip_error.png": _time_plot(drawn, colours, _tip_error, "tip error (mm)"),
+        "residual.png": _residual_plot(drawn, colours),
+        "torque.png": _time_plot(drawn, colours, _torque, "motor torque (N m)"),
+        "intervals.png": _intervals(comparison),
     }
     paths = []
     for name, figure in figures.items():
@@ -44,8 +46,14 @@ def save_plots(comparison: Comparison, traces: Traces, folder: Path) -> list[Pat
     return paths
 
 
-def _first_split(comparison: Comparison) -> list:
-    return comparison.on(comparison.splits()[0])
+def _drawn(comparison: Comparison) -> list[str]:
+    """Methods whose motion is drawn: the first, all learned ones, and the best others by cost on the last split."""
+    outcomes = comparison.on(comparison.splits()[-1])
+    ranked = sorted(outcomes[1:], key=lambda outcome: outcome.estimates["cost"].iqm)
+    learned = [outcome for outcome in ranked if outcome.method.kind == "learned"]
+    others = [outcome for outcome in ranked if outcome.method.kind != "learned"]
+    chosen = [outcomes[0], *learned, *others][: len(COLOURS) - 2]
+    return [outcome.method.name for outcome in outcomes if outcome in chosen]
 
 
 def _tip_error(recording: Recording, episode: int) -> np.ndarray:
@@ -110,29 +118,31 @@ def _residual_plot(traces: Traces, colours: dict[str, str]) -> Figure:
     return figure
 
 
-def _bars(comparison: Comparison, colours: dict[str, str]) -> Figure:
-    figure, axes = plt.subplots(1, len(_BARS), figsize=(3.1 * len(_BARS), 3.6), layout="constrained")
-    figure.suptitle("Interquartile means with 95 % intervals; lower is better", fontsize=10, color="0.4")
+def _intervals(comparison: Comparison) -> Figure:
+    """Every method's interquartile means with their intervals, a row each, best at the top."""
     splits = comparison.splits()
-    width = 0.8 / len(colours)
-    for axis, name in zip(axes, _BARS, strict=True):
-        for i, (method, colour) in enumerate(colours.items()):
-            values = [
-                outcome.estimates[name]
-                for split in splits
-                for outcome in comparison.on(split)
-                if outcome.method.name == method
-            ]
-            heights = np.array([value.iqm for value in values])
-            below = heights - [value.low for value in values]
-            above = np.array([value.high for value in values]) - heights
-            positions = np.arange(len(splits)) + (i - (len(colours) - 1) / 2) * width
-            axis.bar(positions, heights, 0.92 * width, color=colour, label=method)
-            axis.errorbar(positions, heights, [below, above], fmt="none", ecolor="0.2", capsize=3, lw=1)
+    last = sorted(comparison.on(splits[-1]), key=lambda outcome: -outcome.estimates["cost"].iqm)
+    rows = {outcome.method.name: row for row, outcome in enumerate(last)}
+    figure, axes = plt.subplots(
+        1, len(_SHOWN), figsize=(3.0 * len(_SHOWN), 1.6 + 0.28 * len(rows)), layout="constrained", sharey=True
+    )
+    figure.suptitle("Interquartile means with 95 % intervals; further left is better", fontsize=10, color="0.4")
+    for axis, name in zip(axes, _SHOWN, strict=True):
+        for k, split in enumerate(splits):
+            outcomes = comparison.on(split)
+            values = [outcome.estimates[name] for outcome in outcomes]
+            point = np.array([value.iqm for value in values])
+            ends = np.abs(np.array([[value.low for value in values], [value.high for value in values]]) - point)
+            height = [rows[outcome.method.name] + 0.24 * ((len(splits) - 1) / 2 - k) for outcome in outcomes]
+            axis.errorbar(point, height, xerr=ends, fmt="os"[k % 2], color=COLOURS[k], ms=4.5, capsize=2.5, label=split)
         title, unit = COLUMNS[name]
-        axis.set_title(title if unit == "-" else f"{title} ({unit})", fontsize=10)
-        axis.set_xticks(range(len(splits)), splits)
-        axis.grid(axis="y", alpha=0.3)
-        axis.set_axisbelow(True)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(colours), frameon=False)
+        axis.set_xlabel(title if unit == "-" else f"{title} ({unit})")
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.grid(axis="x", which="both", alpha=0.3)
+        axis.grid(axis="y", alpha=0.15)
+    axes[0].set_yticks(range(len(rows)), list(rows))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(splits), frameon=False)
     return figure

@@ -119,11 +119,19 @@ def compared(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
 
 def test_comparison_writes_everything(compared: tuple[Path, str]) -> None:
     folder, output = compared
-    names = {"results.json", "episodes.csv", "summary.md", "tip_error.png", "residual.png", "torque.png", "bars.png"}
+    names = {
+        "results.json",
+        "episodes.csv",
+        "summary.md",
+        "tip_error.png",
+        "residual.png",
+        "torque.png",
+        "intervals.png",
+    }
     assert {path.name for path in folder.iterdir()} == names
     for method in ("paper", "rigid", "ppo"):
         assert method in output
-    assert (folder / "bars.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "intervals.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_results_follow_their_schema(compared: tuple[Path, str]) -> None:
