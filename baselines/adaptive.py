@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from baselines.gains import Gains, tunable
 from baselines.identification import IDENTIFIED, ArmIdentifier, Belief, Doubt
-from baselines.plan import Plan, Weights, friction_direction, planned_torque, replanned
+from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams
 
@@ -93,7 +93,7 @@ class AdaptiveController:
         table = self._identifier.table(belief)
         plan = replanned(state.plan if state else None, due, reading.move, table, self._weights)
         torque = planned_torque(plan, reading.step, belief.state)
-        direction = friction_direction(belief.state[:, 1], torque, self.gains.friction_speed)
+        direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
         memory = AdaptiveMemory(belief, plan, np.where(due[:, None], belief.logs, planned_for))
         return as_action(torque + self.gains.friction_share * friction * direction, self.params), memory

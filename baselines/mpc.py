@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from baselines.gains import Gains, tunable
 from baselines.horizon import horizon, plan
 from baselines.observer import Estimate, Noise, StickSlipObserver
-from baselines.plan import friction_direction
+from baselines.plan import breakaway_direction
 from baselines.reading import as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
@@ -81,7 +81,7 @@ class MpcController:
         friction = self.gains.friction_share * self.params.coulomb_friction
         time = reading.step.astype(np.float64) * CONTROL_PERIOD
         net = plan(self._ahead, estimate.state, last, time, reading.move, friction)[:, 0]
-        direction = friction_direction(estimate.state[:, 1], net, _RESTING)
+        direction = breakaway_direction(estimate.state[:, 1], net, _RESTING)
         torque = net + friction * direction - estimate.disturbance
         return as_action(torque, self.params), MpcMemory(estimate, net)
 

@@ -194,6 +194,6 @@ def planned_torque(plan: Plan, step: NDArray[np.intp], state: Floats) -> Floats:
     return plan.torque[arms, k] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
 
 
-def friction_direction(speed: Floats, torque: Floats, slow: float) -> Floats:
+def breakaway_direction(speed: Floats, torque: Floats, slow: float) -> Floats:
     """Sign of the motor's speed [rad/s]; below `slow`, where friction holds it, that of the torque asked of it."""
     return np.where(np.abs(speed) > slow, np.sign(speed), np.sign(torque))

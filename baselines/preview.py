@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from baselines.gains import Gains, tunable
 from baselines.observer import Estimate, Noise, StickSlipObserver
-from baselines.plan import Plan, Weights, friction_direction, planned_torque, replanned
+from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env.simulation import params_table
@@ -78,7 +78,7 @@ class PreviewController:
         estimate = self._observer.update(state.estimate if state else None, reading, begins)
         plan = replanned(state.plan if state else None, begins, reading.move, self._table, self._weights)
         torque = planned_torque(plan, reading.step, estimate.state)
-        direction = friction_direction(estimate.state[:, 1], torque, self.gains.friction_speed)
+        direction = breakaway_direction(estimate.state[:, 1], torque, self.gains.friction_speed)
         friction = self.gains.friction_share * self.params.coulomb_friction * direction
         return as_action(torque - estimate.disturbance + friction, self.params), PreviewMemory(plan, estimate)
 

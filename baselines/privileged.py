@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.plan import Plan, Weights, friction_direction, planned_torque, replanned
+from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
 from baselines.preview import PreviewGains
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams, observation
@@ -70,7 +70,7 @@ class PrivilegedController:
         torsion = observation[:, _TORSION].astype(np.float64) * _SCALES
         x = np.column_stack([reading.motor_angle, reading.motor_speed, torsion])
         torque = planned_torque(plan, reading.step, x)
-        direction = friction_direction(reading.motor_speed, torque, self.gains.friction_speed)
+        direction = breakaway_direction(reading.motor_speed, torque, self.gains.friction_speed)
         return as_action(
             torque + self.gains.friction_share * self._friction * direction, self.params
         ), PrivilegedMemory(plan)
