@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from baselines import CONTROLLERS
+
+METHODS = [*CONTROLLERS, "ppo"]
 ROOT = Path(__file__).resolve().parent.parent
 TINY = (
     "--arms",
@@ -129,7 +132,7 @@ def test_comparison_writes_everything(compared: tuple[Path, str]) -> None:
         "intervals.png",
     }
     assert {path.name for path in folder.iterdir()} == names
-    for method in ("paper", "rigid", "ppo"):
+    for method in METHODS:
         assert method in output
     assert (folder / "intervals.png").read_bytes().startswith(b"\x89PNG")
 
@@ -138,7 +141,7 @@ def test_results_follow_their_schema(compared: tuple[Path, str]) -> None:
     results = json.loads((compared[0] / "results.json").read_text())
     assert {"version", "provenance", "rows"} <= set(results)
     assert {(row["method"], row["split"]) for row in results["rows"]} == {
-        (method, split) for method in ("paper", "rigid", "ppo") for split in ("nominal", "randomized")
+        (method, split) for method in METHODS for split in ("nominal", "randomized")
     }
     for row in results["rows"]:
         assert row["kind"] == ("learned" if row["method"] == "ppo" else "classical")
@@ -153,7 +156,7 @@ def test_results_follow_their_schema(compared: tuple[Path, str]) -> None:
 
 def test_episodes_agree_with_the_results(compared: tuple[Path, str]) -> None:
     rows = read_csv(compared[0] / "episodes.csv")
-    assert len(rows) == 3 * 2 * 6
+    assert len(rows) == len(METHODS) * 2 * 6
     costs = sorted(float(row["cost"]) for row in rows if (row["method"], row["split"]) == ("paper", "nominal"))
     results = json.loads((compared[0] / "results.json").read_text())["rows"]
     iqm = next(r for r in results if (r["method"], r["split"]) == ("paper", "nominal"))["metrics"]["cost"]["iqm"]
