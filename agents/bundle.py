@@ -22,9 +22,9 @@ from safetensors.torch import load as load_weights
 from safetensors.torch import save as save_weights
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 
-from agents.files import write_atomically, write_text
 from agents.residual import EXTRA_ENTRIES, ResidualController, ResidualSettings, residual_observation_space
 from baselines import CONTROLLERS
+from baselines.files import write_atomically, write_text
 from beltarm_env.observation import ENTRIES
 
 FORMAT = "beltarm-policy"

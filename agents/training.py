@@ -18,9 +18,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.bundle import BundleSpec, save_bundle
-from agents.files import write_atomically, write_text
 from agents.residual import ResidualController
 from baselines import CONTROLLERS
+from baselines.files import write_atomically, write_text
 from beltarm_env.rollout import Controller, rollout
 
 VALIDATION_SEED = 7_000_000

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from baselines.files import write_text
 from beltarm_env.rollout import Controller
 
 FILE = Path(__file__).with_name("gains.json")
@@ -113,12 +112,4 @@ def write_entry(name: str, gains: Gains, provenance: dict[str, Any], path: Path 
         OSError: If it cannot be written.
     """
     entries = {**read_file(path), name: {"gains": asdict(gains), "provenance": provenance}}
-    text = json.dumps({known: entries[known] for known in sorted(entries)}, indent=2) + "\n"
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
+    write_text(path, json.dumps({known: entries[known] for known in sorted(entries)}, indent=2) + "\n")

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import base64
 import json
-import shlex
 import sys
 import time
 from dataclasses import asdict, dataclass
@@ -25,6 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.files import require_writable, write_text
+from baselines.provenance import command_line
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, __version__
 from beltarm_env.params import FIELDS
@@ -143,7 +144,7 @@ def run(config: Config) -> None:
         OSError: If the file cannot be written.
     """
     scenarios = [Scenario.parse(text) for text in config.scenario]
-    config.out.parent.mkdir(parents=True, exist_ok=True)
+    require_writable(config.out.parent)
     rows = []
     for scenario in scenarios:
         rows.append(row := solve(scenario))
@@ -154,9 +155,8 @@ def run(config: Config) -> None:
             flush=True,
         )
     versions = {"beltarm_env": __version__, "casadi": version("casadi"), "numpy": np.__version__}
-    command = shlex.join(["python", "baselines/oracle.py", *sys.argv[1:]])
-    stored = {"command": command, "versions": versions, "scenarios": rows}
-    config.out.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+    stored = {"command": command_line(), "versions": versions, "scenarios": rows}
+    write_text(config.out, json.dumps(stored, indent=1) + "\n")
 
 
 def main() -> None:

@@ -58,6 +58,24 @@ class TorsionSimulation:
         self._stiffness = params.belt_stiffness
         self._damping = 2 * params.belt_damping_ratio * np.sqrt(params.belt_stiffness * upright)
 
+    def follow(
+        self, memory: PaperMemory | None, begins: NDArray[np.bool_] | None, joint_speed: Floats, joint_angle: Floats
+    ) -> PaperMemory:
+        """Bring a memory up to this sample; at an episode's start it begins at rest.
+
+        Args:
+            memory: What the last call returned; None at the beginning.
+            begins: Which arms begin an episode, shape (n,); None means none.
+            joint_speed: Measured theta_1' [rad/s], shape (n,).
+            joint_angle: Measured theta_1 [rad], shape (n,).
+        """
+        if memory is None:
+            return PaperMemory(np.zeros_like(joint_speed), np.zeros_like(joint_speed), joint_speed)
+        torsion, rate = self.advance(memory.torsion, memory.torsion_rate, joint_speed - memory.joint_speed, joint_angle)
+        if begins is not None and begins.any():
+            torsion, rate = np.where(begins, 0.0, torsion), np.where(begins, 0.0, rate)
+        return PaperMemory(torsion, rate, joint_speed)
+
     def advance(
         self, torsion: Floats, rate: Floats, speed_change: Floats, joint_angle: Floats
     ) -> tuple[Floats, Floats]:
@@ -118,7 +136,8 @@ class PaperController:
         error, speed_error, speed, angle_ref, speed_ref, acceleration_ref = (
             observation[:, :6].astype(np.float64) * self._scales[:6]
         ).T
-        memory = self._remember(state, episode_start, speed, angle_ref - error / p.gear_ratio)
+        joint_angle = angle_ref - error / p.gear_ratio
+        memory = self._simulation.follow(state, episode_start, speed / p.gear_ratio, joint_angle)
         u_1 = p.gear_ratio * acceleration_ref + gains.speed * speed_error + gains.angle * error
         torque = (
             p.motor_inertia * u_1
@@ -127,20 +146,6 @@ class PaperController:
             - gains.torsion_speed * memory.torsion_rate
         )
         return np.clip(torque / p.torque_limit, -1, 1).astype(np.float32)[:, None], memory
-
-    def _remember(
-        self, memory: PaperMemory | None, episode_start: NDArray[np.bool_] | None, speed: Floats, joint_angle: Floats
-    ) -> PaperMemory:
-        """Bring the simulation up to this sample; at an episode's start it begins at rest."""
-        joint_speed = speed / self.params.gear_ratio
-        if memory is None:
-            return PaperMemory(np.zeros_like(speed), np.zeros_like(speed), joint_speed)
-        torsion, rate = self._simulation.advance(
-            memory.torsion, memory.torsion_rate, joint_speed - memory.joint_speed, joint_angle
-        )
-        if episode_start is not None and episode_start.any():
-            torsion, rate = np.where(episode_start, 0.0, torsion), np.where(episode_start, 0.0, rate)
-        return PaperMemory(torsion, rate, joint_speed)
 
     @staticmethod
     def torsion_estimate(memory: PaperMemory) -> NDArray[np.float64]:

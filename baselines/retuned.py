@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.gains import tunable
-from baselines.paper import TorsionSimulation
-from baselines.reading import Reading, as_action, beginning, read
+from baselines.paper import PaperController, PaperMemory, TorsionSimulation
+from baselines.reading import as_action, beginning, read
 from baselines.servo import FrictionGains, RigidArm, friction_direction, motor_errors, task_motion
 from beltarm_env import ArmParams
 
@@ -42,15 +42,6 @@ class RetunedGains(FrictionGains):
     torsion_speed: float = tunable(0.1, 0.0, 2.0)  # K_4  [N m s/rad]
     angle: float = tunable(50.0, 1.0, 10_000.0, log=True)  # K_p  [1/s^2]
     speed: float = tunable(20.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
-
-
-@dataclass(frozen=True, slots=True)
-class RetunedMemory:
-    """What the controller remembers from sample to sample; arrays of shape (n,)."""
-
-    torsion: Floats  # simulated theta_s [rad]
-    torsion_rate: Floats  # simulated theta_s' [rad/s]
-    joint_speed: Floats  # measured theta_1' of the last sample [rad/s]
 
 
 class RetunedController:
@@ -70,14 +61,15 @@ class RetunedController:
     def predict(
         self,
         observation: NDArray[np.float32],
-        state: RetunedMemory | None = None,
+        state: PaperMemory | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], RetunedMemory]:
+    ) -> tuple[NDArray[np.float32], PaperMemory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         p, gains = self.params, self.gains
         now = read(observation, p)
-        memory = self._remember(state, beginning(state, episode_start, len(observation)), now)
+        begins = beginning(state, episode_start, len(observation))
+        memory = self._simulation.follow(state, begins, now.motor_speed / p.gear_ratio, now.motor_angle / p.gear_ratio)
         wanted = task_motion(now)
         error, speed_error = motor_errors(now, wanted, p)
         servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
@@ -86,20 +78,7 @@ class RetunedController:
         torque = self._arm.torque(wanted) + p.motor_viscous_friction * now.motor_speed + friction + push
         return as_action(torque, p), memory
 
-    def _remember(self, memory: RetunedMemory | None, starting: NDArray[np.bool_], now: Reading) -> RetunedMemory:
-        """Bring the simulation up to this sample; at an episode's start it begins at rest."""
-        joint_speed = now.motor_speed / self.params.gear_ratio
-        if memory is None:
-            return RetunedMemory(np.zeros_like(joint_speed), np.zeros_like(joint_speed), joint_speed)
-        torsion, rate = self._simulation.advance(
-            memory.torsion,
-            memory.torsion_rate,
-            joint_speed - memory.joint_speed,
-            now.motor_angle / self.params.gear_ratio,
-        )
-        return RetunedMemory(np.where(starting, 0.0, torsion), np.where(starting, 0.0, rate), joint_speed)
-
     @staticmethod
-    def torsion_estimate(memory: RetunedMemory) -> Floats:
+    def torsion_estimate(memory: PaperMemory) -> Floats:
         """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return np.column_stack([memory.torsion, memory.torsion_rate])
+        return PaperController.torsion_estimate(memory)

@@ -11,9 +11,7 @@ from __future__ import annotations
 import difflib
 import shlex
 import signal
-import subprocess
 import sys
-import tempfile
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
@@ -30,7 +28,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baselines import TUNABLE
+from baselines.files import require_writable
 from baselines.gains import FILE, read_file, write_entry
+from baselines.provenance import command_line, commit
 from baselines.search import CHOICE_SEED, Found, State, search, split
 from beltarm_env import __version__
 
@@ -92,8 +92,8 @@ def tune(config: Config, console: Console) -> None:
     """
     names = config.chosen()
     read_file(config.out)
-    _require_writable(config.out.parent)
-    _require_writable(config.journals)
+    require_writable(config.out.parent)
+    require_writable(config.journals)
     if not config.resume:
         for name in names:
             config.journal(name).unlink(missing_ok=True)
@@ -161,7 +161,7 @@ def _work(name: str, config: Config, connection: Connection) -> None:
 def provenance(config: Config, found: Found) -> dict[str, object]:
     """Where gains come from."""
     return {
-        "command": shlex.join(["python", "baselines/tune.py", *sys.argv[1:]]),
+        "command": command_line(),
         "seed": config.seed,
         "budget": config.budget,
         "steps": found.steps,
@@ -173,7 +173,7 @@ def provenance(config: Config, found: Found) -> dict[str, object]:
         "measured_on": f"{found.arms} arms of the training ranges, seeds from {CHOICE_SEED}",
         "date": datetime.now(UTC).date().isoformat(),
         "version": __version__,
-        "commit": _commit(),
+        "commit": commit(),
         "seconds": round(found.seconds, 1),
     }
 
@@ -181,27 +181,6 @@ def provenance(config: Config, found: Found) -> dict[str, object]:
 def summary(found: Found) -> str:
     """A search in one line."""
     return f"{found.trials} trials, cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {found.seconds:.0f} s"
-
-
-def _commit() -> str:
-    """The commit of the checkout, with `-dirty` where files differ from it; "unknown" without git."""
-    command = ["git", "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(
-            command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def _require_writable(folder: Path) -> None:
-    """Check that files can be written where the results will be, before work is spent on them."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
 
 
 def main() -> None:

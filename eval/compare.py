@@ -20,11 +20,11 @@ import tyro
 from rich.console import Console
 
 from agents.bundle import BundleError
-from agents.files import require_writable, write_text
+from baselines.files import require_writable, write_text
+from baselines.provenance import command_line
 from beltarm_env.rollout import Recording, rollout
 from eval.methods import Method, action_times, classical_methods, learned_method, shipped_policies
 from eval.plots import Traces, save_plots
-from eval.provenance import command_line
 from eval.results import (
     Comparison,
     Outcome,

@@ -21,8 +21,8 @@ try:
     import tyro
     from numpy.typing import NDArray
 
-    from agents.files import require_writable, write_text
     from baselines import PaperController
+    from baselines.files import require_writable, write_text
     from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
     from beltarm_env._mujoco_model import load_model, mujoco, read_state, write_state
     from beltarm_env.params import FIELDS

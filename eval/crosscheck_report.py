@@ -11,9 +11,9 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from agents.files import write_atomically
+from baselines.files import write_atomically
+from baselines.provenance import command_line, commit
 from eval.colours import COLOURS
-from eval.provenance import command_line, commit
 
 REGIMES = {
     "smooth": "no Coulomb friction",

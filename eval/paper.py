@@ -28,7 +28,7 @@ def _end(message: str, status: int) -> NoReturn:
 try:
     import tyro
 
-    from agents.files import require_writable, write_text
+    from baselines.files import require_writable, write_text
     from beltarm_env.reference import MoveShape
     from eval.reproduction.cases import USUAL_MOVE
     from eval.reproduction.loop import ServoGains

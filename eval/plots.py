@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from agents.files import write_atomically
+from baselines.files import write_atomically
 from beltarm_env.rollout import Recording
 from eval.colours import COLOURS
 from eval.results import Comparison

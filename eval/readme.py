@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
 
-from agents.files import write_text
+from baselines.files import write_text
 from eval.estimates import Estimate
 from eval.summary import COLUMNS, cell
 

@@ -13,13 +13,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.files import write_atomically, write_text
+from baselines.files import write_atomically, write_text
+from baselines.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS as EPISODE_METRICS
 from eval import splits
 from eval.estimates import Estimate, Paired, estimate, paired
 from eval.methods import Method
-from eval.provenance import commit
 
 METRICS = tuple(name for name in EPISODE_METRICS if name not in ("residual_radial_pp_mm", "residual_lateral_pp_mm"))
 """Metrics of `results.json`; `episodes.csv` also has the two parts of the residual vibration."""

@@ -20,10 +20,10 @@ from gymnasium.error import ResetNeeded
 
 import agents.bundle
 from agents.bundle import FORMAT, MANIFEST, VERSION, BundleError, BundleSpec, build_policy, load_controller, save_bundle
-from agents.files import require_writable, write_atomically, write_text
 from agents.residual import ResidualController, ResidualSettings
 from agents.residual_env import ResidualEnv, ResidualVecEnv
 from baselines import CONTROLLERS
+from baselines.files import require_writable, write_atomically, write_text
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, observation, state_space
 from beltarm_env.rollout import rollout
 

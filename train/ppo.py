@@ -22,11 +22,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.bundle import ACTIVATIONS, BundleSpec, annotate, save_bundle
-from agents.files import require_writable, write_text
 from agents.residual import ResidualSettings
 from agents.residual_env import ResidualVecEnv
 from agents.training import Checkpoint, TrainingMonitor, interruptible
 from baselines import CONTROLLERS
+from baselines.files import require_writable, write_text
 from beltarm_env import BeltArmVectorEnv, __version__
 
 

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from agents.files import write_atomically
+from baselines.files import write_atomically
 from eval.colours import BLUE, GREEN, ORANGE, PINK
 from eval.reproduction.effects import CLEAR, GONE, Compared
 from eval.reproduction.locus_plots import damping_picture, locus_picture

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines.provenance import command_line, commit
 from beltarm_env import CONTROL_PERIOD, __version__
-from eval.provenance import command_line, commit
 from eval.reproduction.effects import CLEAR, without_and_with
 from eval.reproduction.loop import PAPER_ARM, ServoGains, best_gain, closed_loop, dominant_damping, poles
 from eval.reproduction.pole_tables import pole_remarks, pole_table
