@@ -10,6 +10,7 @@ from typing import Any
 from baselines.adaptive import AdaptiveController, AdaptiveGains
 from baselines.disturbance import DisturbanceController, DisturbanceGains
 from baselines.gains import Tunable, tuned
+from baselines.lqg import LqgController, LqgGains
 from baselines.mpc import MpcController, MpcGains
 from baselines.paper import PaperController, PaperGains, rigid_controller
 from baselines.preview import PreviewController, PreviewGains
@@ -26,6 +27,7 @@ TUNABLE = {
     **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
     "smooth": Tunable(SmoothController, SmoothGains),
     "disturbance": Tunable(DisturbanceController, DisturbanceGains),
+    "lqg": Tunable(LqgController, LqgGains),
     "preview": Tunable(PreviewController, PreviewGains),
     "mpc": Tunable(MpcController, MpcGains),
     "adaptive": Tunable(AdaptiveController, AdaptiveGains),
