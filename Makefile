@@ -51,8 +51,9 @@ tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.js
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 	$(BIN)/python train/ppo.py $(ARGS)
 
-readme: $(READY)  ## Regenerate the README's table and pictures
+readme: $(READY)  ## Regenerate the README's table and pictures, docs/comparison and docs/iterative
 	$(BIN)/python eval/compare.py --out docs/comparison
+	$(BIN)/python eval/iterative.py --out docs/iterative
 	$(BIN)/python eval/readme.py
 
 clean:  ## Remove .venv, results and caches

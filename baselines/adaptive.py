@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from baselines.gains import Gains, tunable
 from baselines.identification import IDENTIFIED, ArmIdentifier, Belief, Doubt
 from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
-from baselines.reading import as_action, beginning, read
+from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import ArmParams
 
 Floats = NDArray[np.float64]
@@ -87,6 +87,13 @@ class AdaptiveController:
         reading = read(observation, self.params)
         begins = beginning(state, episode_start, len(observation))
         belief = self._identifier.update(state.belief if state else None, reading, begins)
+        torque, memory = self._planned(belief, reading, begins, state)
+        return as_action(torque, self.params), memory
+
+    def _planned(
+        self, belief: Belief, reading: Reading, begins: NDArray[np.bool_], state: AdaptiveMemory | None
+    ) -> tuple[Floats, AdaptiveMemory]:
+        """Torque [N m] of shape (n,) for the arms as believed in, with a new plan for those of which there is news."""
         planned_for = state.planned_for if state else belief.logs
         news = np.abs(belief.logs - planned_for).max(axis=1) > _NEWS
         due = begins | (news & (reading.step % _EVERY == 0))
@@ -96,7 +103,7 @@ class AdaptiveController:
         direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
         memory = AdaptiveMemory(belief, plan, np.where(due[:, None], belief.logs, planned_for))
-        return as_action(torque + self.gains.friction_share * friction * direction, self.params), memory
+        return torque + self.gains.friction_share * friction * direction, memory
 
     @staticmethod
     def torsion_estimate(memory: AdaptiveMemory) -> Floats:
