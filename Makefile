@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compare paper physics test lint format bench tune train readme clean
+.PHONY: help setup compare paper loops physics test lint format bench tune train readme clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,6 +25,9 @@ compare: $(READY)  ## Compare the controllers: table on the terminal, pictures i
 
 paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
 	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
+
+loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines
+	$(BIN)/python eval/baselines.py --out docs/baselines $(ARGS)
 
 physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in docs/crosscheck
 	$(BIN)/python eval/convergence.py

@@ -23,7 +23,7 @@ from agents.bundle import BundleError
 from baselines.files import require_writable, write_text
 from baselines.provenance import command_line
 from beltarm_env.rollout import Recording, rollout
-from eval.methods import Method, action_times, classical_methods, learned_method, shipped_policies
+from eval.methods import Method, classical_methods, learned_method, shipped_policies
 from eval.plots import Traces, save_plots
 from eval.results import (
     Comparison,
@@ -35,6 +35,7 @@ from eval.results import (
 )
 from eval.splits import EPISODES, MAX_EPISODES, QUICK_EPISODES, SPLITS
 from eval.summary import markdown, print_tables
+from eval.timing import action_times
 
 
 @dataclass(frozen=True)

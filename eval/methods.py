@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from agents.bundle import load_controller
 from baselines import CONTROLLERS
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.rollout import Controller
 
 POLICIES = Path(__file__).resolve().parent.parent / "agents" / "policies"
-TIMED_ACTIONS = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,20 +54,3 @@ def _method_name(algorithm: str, base: str) -> str:
 def shipped_policies() -> list[Path]:
     """Folders of the shipped policies, one per training seed."""
     return sorted(path.parent for path in POLICIES.glob("ppo/*/policy.json"))
-
-
-def action_times(controller: Controller) -> tuple[float, float]:
-    """Median and 99th percentile of the time per action for one arm [us]."""
-    env = BeltArmVectorEnv(1)
-    observation, _ = env.reset(seed=0)
-    memory: Any = None
-    start = np.array([True])
-    times = []
-    for _ in range(TIMED_ACTIONS):
-        began = time.perf_counter()
-        action, memory = controller.predict(observation, memory, start)
-        times.append(time.perf_counter() - began)
-        observation, *_ = env.step(action)
-        start = np.array([False])
-    median, slow = np.percentile(1e6 * np.array(times), [50, 99])
-    return float(median), float(slow)

@@ -1,0 +1,104 @@
+"""The classical controllers in numbers: `python eval/baselines.py` writes margins, costs, times and where each breaks.
+
+Writes summary.md (gains; closed-loop poles and margins over the joint angle; cost, metrics and time; cost where one
+constant is moved; gap to the clairvoyant optimum) and its pictures.
+"""
+
+from __future__ import annotations
+
+import difflib
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from eval.command import one_line_errors, stop_without
+
+try:
+    import tyro
+
+    from baselines import CONTROLLERS
+    from baselines.files import require_writable, write_text
+    from baselines.provenance import command_line, commit
+    from beltarm_env import __version__
+    from eval.loops.page import margins_table, markdown, stability_line
+    from eval.loops.pictures import save_pictures
+    from eval.loops.study import run_study
+except ModuleNotFoundError as error:
+    stop_without("eval/baselines.py", error)
+
+MOST_ARMS = 10_000
+MOST_BATCH = 100_000
+
+
+@dataclass(frozen=True)
+class Config:
+    """Show the classical controllers in numbers."""
+
+    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Controllers to show; all of them by default."""
+    out: Path = Path("results/baselines")
+    """Folder for summary.md and the pictures."""
+    arms: int | None = None
+    """Arms per cost; 100 by default."""
+    batch: int | None = None
+    """Arms of the batch that is timed; 1024 by default."""
+    quick: bool = False
+    """A first look: 8 arms, a batch of 64."""
+
+    def chosen(self) -> list[str]:
+        """Names of the controllers to show.
+
+        Raises:
+            ValueError: If there is no such controller, naming it.
+        """
+        for name in self.names:
+            if name not in CONTROLLERS:
+                near = difflib.get_close_matches(name, CONTROLLERS, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(CONTROLLERS)}"
+                raise ValueError(f"no controller {name!r} to show; {hint}")
+        return list(dict.fromkeys(self.names)) or list(CONTROLLERS)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Arms per cost, and of the batch.
+
+        Raises:
+            ValueError: If one is out of range, naming it.
+        """
+        arms = (8 if self.quick else 100) if self.arms is None else self.arms
+        batch = (64 if self.quick else 1024) if self.batch is None else self.batch
+        if not 4 <= arms <= MOST_ARMS:
+            raise ValueError(f"--arms must lie within 4 and {MOST_ARMS}, got {arms}")
+        if not 1 <= batch <= MOST_BATCH:
+            raise ValueError(f"--batch must lie within 1 and {MOST_BATCH}, got {batch}")
+        return arms, batch
+
+
+def report(config: Config) -> None:
+    """Compute everything and write it to the folder.
+
+    Raises:
+        ValueError: If a name or an option is not allowed, or a file of gains or of the oracle is damaged.
+        OSError: If the folder cannot be written to.
+    """
+    began = time.perf_counter()
+    names, (arms, batch) = config.chosen(), config.sizes
+    require_writable(config.out)
+    study = run_study(names, arms, batch, lambda line: print(line, file=sys.stderr, flush=True))
+    pictures = save_pictures(study, config.out)
+    origin = (
+        f"`{command_line()}`, beltarm {__version__} ({commit()}), Python {platform.python_version()} on "
+        f"{platform.machine()}, {time.perf_counter() - began:.0f} s."
+    )
+    write_text(config.out / "summary.md", markdown(study, pictures, origin))
+    print(stability_line(study), margins_table(study), sep="\n\n")
+    print(f"written to {config.out}: summary.md, {len(pictures)} pictures", flush=True)
+
+
+if __name__ == "__main__":
+    with one_line_errors("eval/baselines.py"):
+        report(tyro.cli(Config, description=__doc__))

@@ -1,0 +1,235 @@
+"""The linear law of every classical controller, for an arm at rest at an angle.
+
+A law is written as the controller runs it, from one sample to the next, for deviations from the rest:
+
+    (tau_m, memory) <- step(theta_a, omega_a by differencing, tau_m of the last sample, memory)
+
+Left out are Coulomb friction and its compensation, the encoder's resolution and the limits: of the torque, of integrals
+and of estimates. What is left is linear, so that `eval.loops.models` finds its matrices by probing it.
+
+To add a controller, add its law to `LAWS`: `tests/test_loops.py` then holds it against the controller itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.adaptive import AdaptiveController
+from baselines.disturbance import DisturbanceController
+from baselines.horizon import Horizon, horizon
+from baselines.horizon import plan as plan_horizon
+from baselines.identification import Doubt
+from baselines.linear import ANGLES, LinearArms, linear_arm
+from baselines.lqg import LqgController
+from baselines.mpc import MpcController
+from baselines.observer import QUANTUM, Noise, kalman_gains
+from baselines.paper import PaperController, TorsionSimulation
+from baselines.pid import PidServo
+from baselines.plan import LEAST_SLOPE, Weights
+from baselines.preview import PreviewController
+from baselines.retuned import RetunedController
+from baselines.servo import RigidArm
+from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.cost import POSITION_SCALE, VELOCITY_SCALE
+
+Floats = NDArray[np.float64]
+
+Step = Callable[[float, float, float, Floats], tuple[float, Floats]]
+
+
+class Law(NamedTuple):
+    """A linear law: how many numbers it remembers, and what it does at a sample."""
+
+    size: int
+    step: Step  # angle [rad], speed [rad/s], last torque [N m], memory (size,) -> torque [N m], memory
+
+
+def _torsion_feedback(params: ArmParams, k: int, inertia: float, gains: Any) -> Law:
+    """Eq. (11) with torsion simulated; memory: torsion, its rate and the joint's speed of the last sample."""
+    simulation = TorsionSimulation(params)
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        joint_speed = speed / params.gear_ratio
+        torsion, rate, before = memory[:, None]
+        torsion, rate = simulation.advance(torsion, rate, joint_speed - before, ANGLES[[k]])
+        servo = -inertia * (gains.speed * speed + gains.angle * angle)
+        torque = servo + params.motor_viscous_friction * speed - gains.torsion_speed * rate[0]
+        return torque, np.array([torsion[0], rate[0], joint_speed])
+
+    return Law(3, step)
+
+
+def _without_torsion(params: ArmParams, gains: Any) -> Law:
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        servo = -params.motor_inertia * (gains.speed * speed + gains.angle * angle)
+        return servo + params.motor_viscous_friction * speed, memory
+
+    return Law(0, step)
+
+
+def paper_law(controller: PaperController, k: int) -> Law:
+    """Table 2 on the motor's inertia alone; with K_4 = 0 nothing of the simulation reaches the torque."""
+    params, gains = controller.params, controller.gains
+    if gains.torsion_speed == 0:
+        return _without_torsion(params, gains)
+    return _torsion_feedback(params, k, params.motor_inertia, gains)
+
+
+def retuned_law(controller: RetunedController, k: int) -> Law:
+    """The same with the inertia of the links."""
+    inertia = float(RigidArm(controller.params).inertia(ANGLES[k]))
+    return _torsion_feedback(controller.params, k, inertia, controller.gains)
+
+
+def pid_law(controller: Any, k: int) -> Law:
+    """PID; memory: the integral of the error [rad s]."""
+    inertia, gains = float(RigidArm(controller.params).inertia(ANGLES[k])), controller.gains
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        torque = inertia * (gains.angle * (gains.integral * memory[0] - angle) - gains.speed * speed)
+        return torque, memory - CONTROL_PERIOD * angle
+
+    return Law(1, step)
+
+
+def disturbance_law(controller: DisturbanceController, k: int) -> Law:
+    """PD with the load's two filters; memory: both, the speed and the known torque of the last sample."""
+    params, gains = controller.params, controller.gains
+    shares = 1 - np.exp(-CONTROL_PERIOD * np.array([gains.observer, gains.reaction]))
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        latest = last - memory[3] - params.motor_inertia * (speed - memory[2]) / CONTROL_PERIOD
+        load, fast_load = memory[:2] + shares * (latest - memory[:2])
+        servo = -params.motor_inertia * (gains.angle * angle + gains.speed * speed)
+        known = params.motor_viscous_friction * speed
+        torque = servo - (gains.reaction_gain - 1) * (fast_load - load) + known + load
+        return torque, np.array([load, fast_load, speed, known])
+
+    return Law(4, step)
+
+
+def _filter(params: ArmParams, k: int, gain: Floats) -> Callable[[float, float, Floats], Floats]:
+    """One sample of the steady-state Kalman filter of x, or of [x; d], with the motor sliding."""
+    arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
+
+    def update(angle: float, last: float, estimate: Floats) -> Floats:
+        predicted = arm.transition @ estimate[:4] + arm.by_torque * (last + estimate[4:].sum())
+        return np.append(predicted, estimate[4:]) + gain * (angle - predicted[0])
+
+    return update
+
+
+def _state_feedback(params: ArmParams, k: int, gain: Floats, filter_gain: Floats) -> Law:
+    """-K x, and -d where a filter of gain (5,) rather than (4,) estimates it; memory: the estimates."""
+    update = _filter(params, k, filter_gain)
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        estimate = update(angle, last, memory)
+        return float(-gain @ estimate[:4] - estimate[4:].sum()), estimate
+
+    return Law(len(filter_gain), step)
+
+
+def resting_gain(params: ArmParams, weights: Weights, k: int) -> Floats:
+    """K of the optimal plan for an arm that rests at `ANGLES[k]` for ever, shape (4,): an LQR.
+
+    At rest the tip's errors are -2 l sin(theta) (theta_a / G - theta_s) and (2 l cos(theta) + l_3) theta_s.
+    """
+    arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
+    link = 2 * params.link_length
+    slope, reach = link * max(np.sin(ANGLES[k]), LEAST_SLOPE), link * np.cos(ANGLES[k]) + params.hand_length
+    errors = np.array([[-slope / params.gear_ratio, 0, slope, 0], [0, 0, reach, 0]])
+    rates = np.roll(errors, 1, axis=1)
+    q = errors.T @ errors / POSITION_SCALE**2 + weights.velocity / VELOCITY_SCALE**2 * rates.T @ rates
+    return np.asarray(control.dlqr(arm.transition, arm.by_torque[:, None], q, [[weights.torque]])[0])[0]
+
+
+def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
+    """The plan's gain long before the episode's end, which is that of `lqg` for the same weights."""
+    params, g = controller.params, controller.gains
+    noise = Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
+    gain = resting_gain(params, Weights(g.velocity_weight, g.torque_weight), k)
+    return _state_feedback(params, k, gain, kalman_gains(params, noise)[k])
+
+
+def identification_gain(params: ArmParams, doubt: Doubt, k: int) -> Floats:
+    """Steady-state gain of the identification's filter for x with the constants held at the nominal, shape (4,)."""
+    arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
+    covariance = doubt.torque**2 * np.outer(arm.by_torque, arm.by_torque)
+    covariance += doubt.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
+    covariance[0, 0] += QUANTUM**2 / 120
+    measured, rounding = np.array([[1.0, 0, 0, 0]]), np.array([[QUANTUM**2 / 12]])
+    _, before, _ = control.dlqe(arm.transition, np.eye(4), measured, covariance, rounding)
+    return np.asarray(before)[:, 0] / (before[0, 0] + rounding[0, 0])
+
+
+def adaptive_law(controller: AdaptiveController, k: int) -> Law:
+    """The same with the identification held at the nominal constants, and without d."""
+    params, g = controller.params, controller.gains
+    doubt = Doubt(torque=g.torque_noise, acceleration=g.acceleration_noise)
+    gain = resting_gain(params, Weights(g.velocity_weight, g.torque_weight), k)
+    return _state_feedback(params, k, gain, identification_gain(params, doubt, k))
+
+
+@lru_cache(maxsize=8)
+def _horizon(params: ArmParams, velocity_weight: float, change_weight: float) -> Horizon:
+    return horizon(params, velocity_weight, change_weight)
+
+
+def horizon_gain(ahead: Horizon, angle: float) -> Floats:
+    """Derivative of the first net torque planned by [x, net torque of the last sample] at rest, shape (5,).
+
+    The plan is linear where it keeps within the torque limit: one difference for each entry is exact.
+    """
+    rest = np.array([ahead.plant.gear * angle, 0.0, 0.0, 0.0, 0.0])
+    small = np.diag([1e-3, 1e-2, 1e-5, 1e-3, 1e-3])
+    states = rest + np.vstack([np.zeros(5), small])
+    away = 0.5 if angle < 0.8 else -0.5  # of the move's start; it ended long ago
+    moves, times = np.tile([angle + away, angle, 1.0, 0.3], (6, 1)), np.full(6, 100.0)
+    torques = plan_horizon(ahead, np.ascontiguousarray(states[:, :4]), states[:, 4].copy(), times, moves, 0.0)[:, 0]
+    return (torques[1:] - torques[0]) / small.diagonal()
+
+
+def mpc_law(controller: MpcController, k: int) -> Law:
+    """First torque of the horizon's plan; memory: the filter's and the net torque of the last sample."""
+    params, g = controller.params, controller.gains
+    update = _filter(params, k, kalman_gains(params, Noise(g.torque_noise, g.torsion_noise, g.bias_noise))[k])
+    gain = horizon_gain(_horizon(params, g.velocity_weight, g.change_weight), float(ANGLES[k]))
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        estimate = update(angle, last, memory[:5])
+        net = float(gain @ [*estimate[:4], memory[5]])
+        return net - estimate[4], np.append(estimate, net)
+
+    return Law(6, step)
+
+
+LAWS: dict[type, Callable[[Any, int], Law]] = {
+    PaperController: paper_law,
+    RetunedController: retuned_law,
+    PidServo: pid_law,
+    DisturbanceController: disturbance_law,
+    LqgController: preview_law,
+    PreviewController: preview_law,
+    MpcController: mpc_law,
+    AdaptiveController: adaptive_law,
+}
+"""By the type of controller, its law at `ANGLES[k]`."""
+
+
+def law_of(controller: Any, k: int) -> Law:
+    """The law of a controller at rest at `ANGLES[k]`.
+
+    Raises:
+        ValueError: If there is none for its type.
+    """
+    for kind, law in LAWS.items():
+        if isinstance(controller, kind):
+            return law(controller, k)
+    raise ValueError(f"no linear law for {type(controller).__name__}: add one to LAWS in eval/loops/laws.py")

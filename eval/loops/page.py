@@ -1,0 +1,235 @@
+"""The numbers of all controllers as a page in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from eval.estimates import Estimate, estimate
+from eval.loops.costs import CHANGES, PRIVILEGED, SEED
+from eval.loops.gains import gains_table
+from eval.loops.models import Margins, Poles
+from eval.loops.study import Study, at_angle, worst
+from eval.reproduction.words import number
+
+_SHOWN = (0, 45, 90)
+_METRICS = {"cost": ("cost", 0), "tip_rms_mm": ("tip RMS (mm)", 1), "residual_pp_mm": ("residual p-p (mm)", 1)}
+"""Title of each metric, and digits after the point."""
+_MOST_POLES = 3
+
+
+def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown, the first column to the left."""
+    lines = ["| " + " | ".join(titles) + " |", "|---|" + "---:|" * (len(titles) - 1)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def factor(value: float) -> str:
+    """A gain margin; a dash where there is none."""
+    if not np.isfinite(value) or value == 0:
+        return "–"
+    return f"×{value:.3g}"
+
+
+def _cells(margin: Margins) -> list[str]:
+    if not margin.stable:
+        return ["unstable", *["–"] * 4]
+    texts = [factor(margin.gain_up), factor(margin.gain_down), number(margin.phase, 0)]
+    return [*texts, number(margin.delay, 1), number(margin.modulus, 2)]
+
+
+def poles_text(poles: Poles) -> str:
+    """The slowest poles [1/s], each conjugate pair once with its damping ratio."""
+    upper = poles[poles.imag > -1e-6][:_MOST_POLES]
+    return ", ".join(
+        f"{number(p.real, 1)} ± {number(p.imag, 1)}j (ζ {-p.real / abs(p):.2f})" if p.imag > 1e-6 else number(p.real, 1)
+        for p in upper
+    )
+
+
+def margins_table(study: Study) -> str:
+    """Each margin's worst over the angles, with the angle."""
+    titles = ["controller", "gain up", "gain down", "phase (°)", "delay (samples)", "modulus", "slowest pole (1/s)"]
+    rows = []
+    for name, found in study.scans.items():
+        cells = []
+        for column, text in (
+            ("gain_up", factor),
+            ("gain_down", factor),
+            ("phase", lambda value: number(value, 0)),
+            ("delay", lambda value: number(value, 1)),
+            ("modulus", lambda value: number(value, 2)),
+        ):
+            value, degrees = worst(found, column)
+            shown = text(value)
+            cells.append(shown if shown == "–" else f"{shown} at {degrees:.0f}°")
+        slowest = [float(poles.real.max()) for poles in found.poles]
+        rows.append([name, *cells, number(max(slowest), 1 if max(slowest) < -1 else 2)])
+    return table(titles, rows)
+
+
+def stability_line(study: Study) -> str:
+    """Which loops are stable at all angles."""
+    unstable = [name for name, found in study.scans.items() if not all(margin.stable for margin in found.margins)]
+    total = len(study.scans)
+    if not unstable:
+        return f"All {total} loops are stable at all angles: every pole lies inside the unit circle."
+    return f"Not stable at all angles: {', '.join(unstable)}; the other {total - len(unstable)} loops are."
+
+
+def delay_lines(study: Study) -> list[str]:
+    """Whether the delay margin foretells what a delayed encoder does to the arm with friction."""
+    lines = []
+    for samples in (1, 2):
+        title = f"delay {samples} sample" + ("s" if samples > 1 else "")
+        column = [change.title for change in CHANGES].index(title)
+        beyond, within = [], []
+        for name, found in study.scans.items():
+            (beyond if worst(found, "delay")[0] < samples else within).append(name)
+        said = [
+            f"{names}: {_ratios(study, listed, column)}"
+            for names, listed in (("worst margin below that", beyond), ("above", within))
+            if listed
+        ]
+        lines.append(f"- {title}, cost over that without it; {'; '.join(said)}.")
+    return lines
+
+
+def _ratios(study: Study, names: list[str], column: int) -> str:
+    return ", ".join(f"{name} {_ratio(study.costs[name].breaks[column].ratio)}" for name in names)
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}" if value < 9.95 else f"{value:.0f}"
+
+
+def _label(name: str) -> str:
+    return f"*{name}* (not ranked)" if name == PRIVILEGED else name
+
+
+def _interval(value: Estimate, digits: int) -> str:
+    return f"{value.iqm:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
+
+
+def costs_table(study: Study) -> str:
+    """Metrics on nominal and randomized arms."""
+    titles = [
+        "controller",
+        *(f"{title}, {arms}" for arms in ("nominal", "train ranges") for title, _ in _METRICS.values()),
+    ]
+    rows = []
+    for name, costs in study.costs.items():
+        cells = [
+            _interval(estimate(found[metric][None]), digits)
+            for found in (costs.nominal, costs.randomized)
+            for metric, (_, digits) in _METRICS.items()
+        ]
+        rows.append([_label(name), *cells])
+    return table(titles, rows)
+
+
+def times_table(study: Study) -> str:
+    """Wall-clock per action."""
+    titles = [
+        "controller", "one arm, p50 (µs)", "p99 (µs)", f"per action, batch of {study.batch} (µs)",
+        f"episode of {study.batch} arms (s)",
+    ]  # fmt: skip
+    rows = [
+        [name, number(t.median, 0), number(t.slow, 0), number(t.batched, 2), number(t.episode, 1)]
+        for name, t in study.times.items()
+    ]
+    return table(titles, rows)
+
+
+def breaks_table(study: Study) -> str:
+    """Cost ratios, and on how many arms the workspace was left."""
+    rows = []
+    for name, costs in study.costs.items():
+        cells = [_ratio(b.ratio) + (f" ({b.failures} left)" if b.failures else "") for b in costs.breaks]
+        rows.append([_label(name), *cells])
+    return table(["controller", *(change.title for change in CHANGES)], rows)
+
+
+def gap_table(study: Study) -> str:
+    """Costs over the clairvoyant optimum's, scenario by scenario and in the mean of each kind."""
+    optimum = study.oracle
+    kinds = [name.split(":")[0] for name in optimum.names]
+    groups = {kind: np.array([other == kind for other in kinds]) for kind in dict.fromkeys(kinds)}
+    titles = ["controller", *(f"{kind}, all" for kind in groups), *optimum.names]
+    rows = [["*optimum's cost*", *(number(optimum.costs[m].mean(), 1) for m in groups.values())]]
+    rows[0] += [number(cost, 1) for cost in optimum.costs]
+    for name, costs in study.costs.items():
+        means = [costs.oracle[m].sum() / optimum.costs[m].sum() for m in groups.values()]
+        rows.append([_label(name), *(_ratio(value) for value in [*means, *costs.oracle / optimum.costs])])
+    return table(titles, rows)
+
+
+def controller_section(study: Study, name: str) -> str:
+    """Gains, and margins and poles at some angles, of one controller."""
+    found = study.scans[name]
+    titles = ["angle", "gain up", "gain down", "phase (°)", "delay (samples)", "modulus", "slowest poles (1/s)"]
+    rows = []
+    for degrees in _SHOWN:
+        margin, k = at_angle(found, degrees)
+        rows.append([f"{degrees}°", *_cells(margin), poles_text(found.poles[k])])
+    return f"### {name}\n\n{gains_table(name)}\n\n{table(titles, rows)}"
+
+
+def markdown(study: Study, pictures: Sequence[Path], origin: str) -> str:
+    """The content of `summary.md`."""
+    shown = {path.stem: f"![{path.stem}]({path.name})" for path in pictures}
+    parts = [
+        "# The classical controllers in numbers",
+        "Laws and what limits them are in [../baselines.md](../baselines.md). Everything on this page is written by "
+        "`make loops`.",
+        "## Linear loops",
+        _LOOPS,
+        stability_line(study),
+        margins_table(study),
+        shown["margins"],
+        "Gain margins: upwards in blue, downwards in vermilion where there is one. Dashed: 6 dB, 30°, one sample, 0.5.",
+        "The encoder's delay is where the loop and the arm with friction can be compared:",
+        "\n".join(delay_lines(study)),
+        shown["poles"],
+        "Poles s = ln z / 1.5 ms, upper half plane; faster ones lie outside. Dashed: damping ratios 0.1 and 0.3.",
+        "## Costs",
+        f"Interquartile means with bootstrap 95 % intervals over {study.arms} arms with Coulomb friction, nominal and "
+        f"from the training ranges, seeds {SEED} to {SEED + study.arms - 1}, on which nothing was tuned, trained "
+        f"or tested. *{PRIVILEGED}* knows the true constants and the true state.",
+        costs_table(study),
+        "## Where each breaks",
+        f"Mean cost over the mean cost on the nominal arm, same {study.arms} moves, one thing moved at a time; "
+        "*left*: episodes in which the arm left the workspace. A ratio near 1 does not make a controller good: read it "
+        f"with the costs above. *{PRIVILEGED}* is told the constants that are moved, but neither of the delay nor of "
+        "the full arm.",
+        shown["breaks"],
+        breaks_table(study),
+        "## Gap to the clairvoyant optimum",
+        "Cost over that of `baselines/oracle.json`, which knows arm, state and move; a local optimum. The seeds are "
+        "among those that tuning may draw arms from.",
+        gap_table(study),
+        "## Time",
+        "Wall-clock on the machine below, the controller's period being 1500 µs; the last column has the environment "
+        "and the plans made at the start in it.",
+        times_table(study),
+        "## Each controller",
+        *(controller_section(study, name) for name in study.scans),
+        "## Where this comes from",
+        origin,
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+_LOOPS = (
+    "The arm is at rest at a joint angle, on the lumped model with nominal constants; Coulomb friction and its "
+    "compensation, the encoder's resolution and the torque limit are left out. There is one measurement, the motor's "
+    "angle, so the loop may be cut at the torque or at the encoder alike. *Gain up* and *gain down* are the factors at "
+    "which the loop becomes unstable, *delay* is the encoder's delay (or the torque's, if the controller does not know "
+    "of it) that it bears in samples of 1.5 ms, *modulus* is 1 / max|S|. The worst over 46 angles from 0° to 90°, and "
+    "where. `preview` and `adaptive` have the gain of the plan long before its end, `adaptive` with the nominal arm "
+    "identified and held, `mpc` the first torque of its horizon within the torque limit. Friction damps what these "
+    "loops leave undamped, and compensating it at rest multiplies the gain for small pushes: a small margin here is a "
+    "warning, not yet a failure."
+)

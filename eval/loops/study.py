@@ -1,0 +1,67 @@
+"""Everything that the page shows of the controllers, computed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from baselines import CONTROLLERS
+from baselines.linear import ANGLES
+from eval.loops.costs import SEED, Costs, Oracle, makers, measure, oracle
+from eval.loops.models import Margins, Scan, scan
+from eval.timing import Times, measure_times
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Study:
+    """Results by controller; `costs` also has the privileged yardstick, last."""
+
+    arms: int  # per cost
+    batch: int  # of the times
+    scans: dict[str, Scan]
+    costs: dict[str, Costs]
+    times: dict[str, Times]
+    oracle: Oracle
+
+
+def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str], object]) -> Study:
+    """Compute everything about some of `CONTROLLERS`, telling what is done.
+
+    Raises:
+        ValueError: If gains or the oracle's file are damaged, or a controller has no linear law.
+    """
+    known = makers(names)
+    scans, costs, times = {}, {}, {}
+    for name in names:
+        scans[name] = _told(f"{name}: margins", tell, lambda name=name: scan(CONTROLLERS[name]()))
+    for name, make in known.items():
+        costs[name] = _told(f"{name}: costs", tell, lambda name=name, make=make: measure(name, make, arms))
+    for name in names:
+        times[name] = _told(f"{name}: times", tell, lambda name=name: measure_times(known[name]([]), batch, SEED))
+    return Study(arms, batch, scans, costs, times, oracle())
+
+
+def _told(what: str, tell: Callable[[str], object], work: Callable[[], Result]) -> Result:
+    began = time.perf_counter()
+    result = work()
+    tell(f"{what}, {time.perf_counter() - began:.1f} s")
+    return result
+
+
+def worst(found: Scan, name: str) -> tuple[float, float]:
+    """The worst of a margin over the angles, and the angle [degrees]; only that of `gain_down` is the largest."""
+    values = np.array([getattr(margin, name) for margin in found.margins])
+    k = int(values.argmax() if name == "gain_down" else values.argmin())
+    return float(values[k]), float(np.degrees(ANGLES[k]))
+
+
+def at_angle(found: Scan, degrees: float) -> tuple[Margins, int]:
+    """The margins at the angle of the tables nearest to one [degrees], and its place in them."""
+    k = int(np.abs(np.degrees(ANGLES) - degrees).argmin())
+    return found.margins[k], k

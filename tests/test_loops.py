@@ -1,0 +1,256 @@
+"""Linear loops of the classical controllers: each against its controller at work, margins against poles."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import control
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from baselines import CONTROLLERS, TUNABLE
+from baselines.gains import tuned
+from baselines.linear import ANGLES
+from baselines.paper import PaperController, rigid_controller
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
+from beltarm_env.simulation import ArmSimulation
+from eval.loops.gains import MEANING
+from eval.loops.laws import law_of
+from eval.loops.models import (
+    NYQUIST,
+    arm_model,
+    closed_poles,
+    delayed,
+    is_stable,
+    law_model,
+    loop_model,
+    margins,
+    response,
+)
+
+Floats = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parent.parent
+FRICTIONLESS = ArmParams(coulomb_friction=0.0)
+STEPS = 500
+SETTLED = {"adaptive": 2500}
+"""Samples after which a filter that begins with doubts has its steady gain, by controller."""
+TOLERANCE = {"adaptive": 1e-3}
+"""Its filter takes derivatives by differences over steps at which the arm is not quite linear."""
+each_controller = pytest.mark.parametrize("name", CONTROLLERS)
+
+
+def frictionless(name: str) -> Any:
+    """A controller with its gains that believes in an arm without Coulomb friction."""
+    if name in ("paper", "rigid"):
+        return {"paper": PaperController, "rigid": rigid_controller}[name](FRICTIONLESS)
+    make: Any = TUNABLE[name].controller
+    return make(tuned(name, TUNABLE[name].gains), params=FRICTIONLESS)
+
+
+def resting_observation(joint: float, state: Floats, before: float, last_torque: float, **at: float) -> Any:
+    """What the environment shows of an arm near rest at an angle, the encoder's resolution left out; shape (1, 22)."""
+    values = dict.fromkeys((entry.name for entry in observation.ENTRIES["encoder"]), 0.0)
+    speed = (state[0] - before) / CONTROL_PERIOD
+    values |= {"motor_angle_error": 88 * joint - state[0], "motor_speed_error": -speed, "motor_speed": speed}
+    values |= {"reference_angle": joint, "start": joint + (0.5 if joint < 0.8 else -0.5), "goal": joint}
+    values |= {"duration": 0.5, "ramp_time": 0.2, "elapsed_time": 0.9, "last_torque": last_torque / 0.3} | at
+    return (np.array([list(values.values())]) / observation.scales()).astype(np.float32)
+
+
+def at_work(
+    name: str, controller: Any, k: int, pulse: float, steps: int = STEPS, delay: int = 0, gain: float = 1.0
+) -> Floats:
+    """Motor angle of the environment's arm under the real controller, from a pulse of torque on; shape (steps,).
+
+    The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motor
+    from standing still, which observers take for sticking. From the pulse on the encoder is late by `delay` samples
+    and the torque multiplied by `gain`.
+    """
+    begin = SETTLED.get(name, 300)
+    joint = float(np.float32(ANGLES[k]))
+    plant, noise = ArmSimulation(FRICTIONLESS), 1e-8 * np.random.default_rng(0).standard_normal(begin + steps)
+    state = np.array([88 * joint, 0.0, 0.0, 0.0])
+    angles = [state[0]]
+    memory, last = None, 0.0
+    for i in range(begin + steps):
+        angles.append(state[0])
+        late = delay if i >= begin else 0
+        seen = np.array([angles[i + 1 - late], *state[1:]])
+        action, memory = controller.predict(resting_observation(joint, seen, angles[i - late], last), memory)
+        last = float(action[0, 0]) * 0.3
+        torque = (gain if i >= begin else 1.0) * last + noise[i] + (pulse if i == begin else 0.0)
+        state = plant.advance(state[None], np.array([torque]))[0]
+    return np.array(angles[begin + 1 :])
+
+
+def check_pulse(name: str, k: int, **changed: Any) -> None:
+    """Compare the motion after a pulse of torque with what python-control makes of the linear loop."""
+    controller, pulse = frictionless(name), 1e-6
+    motion = at_work(name, controller, k, pulse, **changed) - at_work(name, controller, k, 0.0, **changed)
+    law = delayed(changed.get("gain", 1.0) * law_model(law_of(controller, k)), changed.get("delay", 0))
+    closed: Any = control.feedback(arm_model(FRICTIONLESS, k), cast("Any", law), sign=1)
+    torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
+    expected = np.asarray(closed.forced_response(inputs=torques).outputs)
+    assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
+
+
+def test_observations_are_those_of_the_environment():
+    env = BeltArmVectorEnv(1, encoder_counts=10_000_000)
+    env.reset(options={"move": {"start": 0.3, "goal": 0.9, "duration": 0.5, "ramp_time": 0.2}})
+    seen, before = np.empty((1, 22), np.float32), 0.0
+    for _ in range(600):
+        before = env.state[0, 0]
+        seen, *_ = env.step(np.array([[0.01]], np.float32))
+    mine = resting_observation(0.9, env.state[0], before, 0.003, start=0.3)
+    count = 2 * math.pi / 10_000_000
+    tolerance = np.full(22, 1e-6)
+    tolerance[:3] = 1e-5 + np.array([1.0, 1 / CONTROL_PERIOD, 1 / CONTROL_PERIOD]) * count / observation.scales()[:3]
+    assert np.all(np.abs(mine - seen)[0] < tolerance)
+
+
+class TestAgainstTheController:
+    """The controller's own `predict`, in closed loop with the environment's arm, does what its linear loop does."""
+
+    @pytest.mark.parametrize("k", [0, 15, 45])
+    @each_controller
+    def test_response_to_a_pulse_of_torque(self, name: str, k: int):
+        check_pulse(name, k)
+
+    @each_controller
+    @pytest.mark.parametrize("beyond", [False, True])
+    def test_at_the_edge_of_its_gain_margin(self, name: str, beyond: bool):
+        gain = margins(loop_model(frictionless(name), 22)).gain_up * (1.02 if beyond else 0.98)
+        check_pulse(name, 22, gain=gain, steps=100)
+
+    @each_controller
+    @pytest.mark.parametrize("beyond", [False, True])
+    def test_at_the_edge_of_its_delay_margin(self, name: str, beyond: bool):
+        delay = math.floor(margins(loop_model(frictionless(name), 22)).delay) + int(beyond)
+        check_pulse(name, 22, delay=delay, steps=100)
+
+
+@each_controller
+class TestMargins:
+    def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
+        controller = CONTROLLERS[name]()
+        for k in range(len(ANGLES)):
+            assert np.abs(closed_poles(loop_model(controller, k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
+
+    def test_coulomb_friction_plays_no_part(self, name: str):
+        for k in (0, 45):
+            loop, other = (loop_model(c, k, ArmParams()) for c in (CONTROLLERS[name](), frictionless(name)))
+            np.testing.assert_allclose(closed_poles(loop), closed_poles(other), rtol=1e-6, atol=1e-6)
+
+    @pytest.mark.parametrize("k", range(0, 46, 9))
+    def test_poles_cross_the_unit_circle_at_the_margins(self, name: str, k: int):
+        loop = loop_model(CONTROLLERS[name](), k)
+        found = margins(loop)
+        assert found.stable
+        inside = np.geomspace(max(found.gain_down * 1.001, 1e-3), min(found.gain_up * 0.999, 1e3), 12)
+        assert all(is_stable(loop, gain) for gain in inside)
+        if found.gain_up < 1e3:
+            assert not is_stable(loop, found.gain_up * 1.001)
+        if found.gain_down > 1e-3:
+            assert not is_stable(loop, found.gain_down * 0.999)
+        most = math.floor(found.delay)
+        assert is_stable(delayed(loop, most))
+        assert not is_stable(delayed(loop, most + 1))
+
+    @pytest.mark.parametrize("k", [0, 45])
+    def test_python_control_finds_the_same(self, name: str, k: int):
+        loop = loop_model(CONTROLLERS[name](), k)
+        frequencies = np.geomspace(0.05, NYQUIST, 8000)
+        sampled = control.FrequencyResponseData(response(loop, frequencies), frequencies, smooth=True)
+        gains, phases, _, _, crossings, _ = control.stability_margins(sampled, returnall=True)
+        found = margins(loop)
+        assert found.phase == pytest.approx(np.abs(phases).min(), rel=1e-3)
+        up = gains[gains > 1]
+        if len(up) and up.min() < 50:
+            assert found.gain_up <= up.min() * (1 + 1e-3)
+        delays = np.radians(phases % 360) / crossings / CONTROL_PERIOD
+        assert found.delay == pytest.approx(delays.min(), rel=1e-3)
+        assert found.modulus == pytest.approx(np.abs(1 + response(loop, frequencies)).min(), rel=1e-3)
+
+
+class TestKnownLoops:
+    """Margins of loops for which they are known in closed form."""
+
+    @staticmethod
+    def integrator(gain: float) -> control.StateSpace:
+        return control.StateSpace([[1.0]], [[gain]], [[1.0]], 0, CONTROL_PERIOD)
+
+    def test_an_integrator(self):
+        # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
+        gain = 0.4
+        w = 2 * math.asin(gain / 2)
+        found = margins(self.integrator(gain))
+        assert found.gain_up == pytest.approx(2 / gain, rel=1e-9)
+        assert found.gain_down == 0
+        assert found.phase == pytest.approx(90 - math.degrees(w / 2), rel=1e-9)
+        assert found.delay == pytest.approx((math.pi / 2 - w / 2) / w, rel=1e-9)
+
+    def test_a_loop_that_is_unstable_by_itself(self):
+        # z - 1.2 + g: stable for 0.2 < g < 2.2.
+        loop = control.StateSpace([[1.2]], [[0.5]], [[1.0]], 0, CONTROL_PERIOD)
+        found = margins(loop)
+        assert found.gain_up == pytest.approx(2.2 / 0.5, rel=1e-6)
+        assert found.gain_down == pytest.approx(0.2 / 0.5, rel=1e-6)
+        # |1 + L| = |z - 0.7| / |z - 1.2| is monotonic between z = 1 and -1.
+        assert found.modulus == pytest.approx(1.7 / 2.2, rel=1e-6)
+
+    def test_an_unstable_loop_is_called_so(self):
+        assert not margins(self.integrator(2.1)).stable
+
+
+def test_every_gain_has_a_symbol_and_a_unit():
+    for name in CONTROLLERS:
+        for gain in dataclasses.fields(CONTROLLERS[name]().gains):
+            assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/loops/gains.py"
+
+
+def test_a_controller_without_a_law_is_refused():
+    with pytest.raises(ValueError, match="no linear law for object: add one to LAWS"):
+        law_of(object(), 0)
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "eval/baselines.py"), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
+
+
+def test_the_command_writes_the_page(tmp_path: Path):
+    shown = ("paper", "ei", "adaptive")
+    result = run(*shown, "--arms", "4", "--batch", "2", "--out", "out", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"summary.md", "margins.png", "poles.png", "breaks.png"}
+    page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
+    for name in shown:
+        assert f"\n### {name}\n" in page
+        assert page.count(f"\n| {name} | ") == 5
+    assert page.count("not ranked") == 3
+    assert "nan" not in page
+    assert "stable at all angles" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("adaptve",), "no controller 'adaptve' to show; did you mean 'adaptive'?"),
+        (("--arms", "3"), "--arms must lie within 4 and 10000, got 3"),
+        (("--batch", "0"), "--batch must lie within 1 and 100000, got 0"),
+        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
+    ],
+)
+def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    result = run(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
