@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compare paper loops physics test lint format bench tune train readme clean
+.PHONY: help setup compare scenarios paper loops physics test lint format bench tune train readme clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,8 +20,11 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-compare: $(READY)  ## Compare the controllers: table on the terminal, pictures in results/compare
-	$(BIN)/python eval/compare.py $(ARGS)
+compare: $(READY)  ## Compare all controllers on 100 scenarios of every split: tables, pictures in results/compare
+	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 100)
+
+scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them
+	$(BIN)/python eval/scenarios.py $(ARGS)
 
 paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
 	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)

@@ -26,6 +26,6 @@ def one_line_errors(script: str) -> Iterator[None]:
     except (OSError, ValueError) as error:
         print(f"{script}: {error}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print(f"{script}: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"{script}: {str(stop) or 'interrupted'}", file=sys.stderr)
         sys.exit(130)

@@ -1,11 +1,12 @@
 """Compare controllers on the same scenarios: `python eval/compare.py`.
 
-Runs the paper's controller, its rigid variant without vibration feedback and the shipped residual PPO policies on every
-split, prints a table, and writes results.json, episodes.csv, summary.md and pictures.
+Runs all classical controllers, the shipped policies and a yardstick that knows its arm on every split, prints a table,
+and writes results.json, episodes.csv, summary.md and pictures. What is done is kept in the folder, and not done again.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -13,53 +14,74 @@ from pathlib import Path
 from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process per core; read as numpy is imported, in all of them
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
 
-import numpy as np
 import torch
 import tyro
 from rich.console import Console
+from rich.progress import Progress
 
-from agents.bundle import BundleError
 from baselines.files import require_writable, write_text
 from baselines.provenance import command_line
-from beltarm_env.rollout import Recording, rollout
-from eval.methods import Method, classical_methods, learned_method, shipped_policies
-from eval.plots import Traces, save_plots
-from eval.results import (
-    Comparison,
-    Outcome,
-    against_best_classical,
-    make_outcome,
-    provenance,
-    write_results,
+from beltarm_env import ArmParams
+from eval.check_controller import first_failure
+from eval.command import one_line_errors
+from eval.markdown import markdown
+from eval.methods import (
+    PRIVILEGED,
+    Method,
+    added_method,
+    chosen,
+    classical_methods,
+    learned_methods,
+    privileged_method,
+    shipped_policies,
 )
-from eval.splits import EPISODES, MAX_EPISODES, QUICK_EPISODES, SPLITS
-from eval.summary import markdown, print_tables
+from eval.pairs import Failure, Metrics, Pair, default_jobs, run_pairs
+from eval.plots import save_plots
+from eval.results import Comparison, make_comparison, make_outcome, provenance
+from eval.scenarios import require_same_physics
+from eval.schema import require_same_version, write_results
+from eval.splits import EPISODES, QUICK_EPISODES, Split, load
+from eval.summary import print_tables
 from eval.timing import action_times
+from eval.traces import record
 
 
 @dataclass(frozen=True)
 class Config:
     """Compare controllers on the belt-driven arm."""
 
+    methods: tuple[str, ...] = ()
+    """Methods to run, by name. Default: all classical controllers, all policies, the yardstick and what --add names."""
+    splits: tuple[str, ...] = ()
+    """Splits to run them on. Default: all."""
     policy: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
-    """Folder of a policy bundle, such as runs/ppo/best; repeat it for several training seeds of one method. Default:
-    the shipped policies."""
+    """Folder of a policy bundle, such as runs/ppo/best; repeat it for more training seeds or methods. Default: the
+    shipped policies."""
+    add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several."""
     out: Path = Path("results/compare")
-    """Folder for results.json, episodes.csv, summary.md and the pictures."""
+    """Folder for results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
     episodes: int | None = None
     """Scenarios per split; 200 by default."""
     quick: bool = False
     """A first look: 24 scenarios per split."""
+    jobs: int = default_jobs()
+    """Number of processes; by default one per core."""
 
     def check(self) -> None:
-        """Check the number of episodes.
+        """Check the numbers.
 
         Raises:
-            ValueError: If it is out of range.
+            ValueError: If one is out of range.
         """
-        if self.episodes is not None and not 4 <= self.episodes <= MAX_EPISODES:
-            raise ValueError(f"--episodes must lie within 4 and {MAX_EPISODES}, got {self.episodes}")
+        if self.episodes is not None and not 4 <= self.episodes <= EPISODES:
+            raise ValueError(f"--episodes must lie within 4 and {EPISODES}, got {self.episodes}")
+        if not 1 <= self.jobs <= 256:
+            raise ValueError(f"--jobs must lie within 1 and 256, got {self.jobs}")
 
     @property
     def scenarios(self) -> int:
@@ -72,54 +94,88 @@ def compare(config: Config, console: Console) -> Comparison:
     config.check()
     torch.set_num_threads(1)  # the networks are too small for more
     began = time.perf_counter()
+    methods = _methods(config)
+    known = load()
+    splits = {name: known[name] for name in chosen("split", config.splits, known)}
     require_writable(config.out)
-    policies = list(config.policy) or shipped_policies()
-    methods = classical_methods() + ([learned_method(policies)] if policies else [])
-    times = {method.name: action_times(method.controllers[0]) for method in methods}
-    outcomes: list[Outcome] = []
-    against_best = {}
-    traces: Traces = {}
-    for split in SPLITS:
-        of_split, traces[split] = _run_split(split, methods, config.scenarios, times)
-        outcomes += of_split
-        against_best[split] = against_best_classical(of_split)
-    origin = provenance(command_line(), time.perf_counter() - began, policies)
-    comparison = Comparison(outcomes, against_best, origin)
-    print_tables(comparison, console)
-    write_results(comparison, config.out)
-    pictures = save_plots(comparison, traces, config.out)
-    text = markdown(comparison) + "".join(f"\n![{path.stem}]({path.name})\n" for path in pictures)
-    write_text(config.out / "summary.md", text)
-    console.print(f"written to {config.out}: results.json, episodes.csv, summary.md, {len(pictures)} pictures")
+    if (config.out / "results.json").exists():
+        require_same_version(config.out / "results.json")
+    require_same_physics(splits)
+    times = {method.name: action_times(method.controller(0, [ArmParams()]), method.sensors) for method in methods}
+    pairs = [Pair(method, split, config.scenarios) for split in splits.values() for method in methods]
+    kept = sum(pair.file(config.out).exists() for pair in pairs)
+    results = _run(pairs, config, console)
+    outcomes, failures = [], []
+    for pair, result in zip(pairs, results, strict=True):
+        if isinstance(result, Failure):
+            failures.append(result)
+        else:
+            outcomes.append(make_outcome(pair.method, pair.split.name, result, times[pair.method.name]))
+    if not any(outcome.ranked for outcome in outcomes):
+        raise ValueError(f"no method could be run: {failures[0].method} on {failures[0].split}: {failures[0].message}")
+    origin = provenance(command_line(), time.perf_counter() - began, methods, splits) | {"pairs_kept_before": kept}
+    comparison = make_comparison(outcomes, failures, origin)
+    _write(comparison, splits, config.out, console)
     return comparison
 
 
-def _run_split(
-    split: str, methods: list[Method], episodes: int, times: dict[str, tuple[float, float]]
-) -> tuple[list[Outcome], dict[str, tuple[Recording, int]]]:
-    """Run all methods on one split; also a recording of each and the scenario to show of it."""
-    scenarios = SPLITS[split]
-    outcomes: list[Outcome] = []
-    traces: dict[str, tuple[Recording, int]] = {}
-    shown = 0
+def _methods(config: Config) -> list[Method]:
+    """The methods to run, checked.
+
+    Raises:
+        ValueError: If a name is unknown or given twice, or a controller of the user's own does not keep the protocol.
+    """
+    known = [*classical_methods(), *learned_methods(config.policy or shipped_policies())]
+    known += [added_method(spec) for spec in config.add] + [privileged_method()]
+    names = [method.name for method in known]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two methods are called {name!r}: give yours another name")
+    wanted = chosen("method", config.methods, names)
+    if config.methods and set(wanted) == {PRIVILEGED}:
+        raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
+    methods = [method for method in known if method.name in wanted]
     for method in methods:
-        runs = [rollout(c, episodes, seed=scenarios.seed, **scenarios.settings) for c in method.controllers]
-        outcome = make_outcome(method, split, [run.metrics() for run in runs], times[method.name])
-        if not outcomes:  # show the scenario in which the first method does as well as it does in the median
-            shown = int(np.argsort(outcome.metrics["tip_rms_mm"][0])[episodes // 2])
-        outcomes.append(outcome)
-        traces[method.name] = (runs[0], shown)
-    return outcomes, traces
+        if method.kind == "added" and (failure := first_failure(method.sources[0])):
+            raise ValueError(f"{failure}; see `python eval/check_controller.py {method.sources[0]}`")
+    return methods
+
+
+def _run(pairs: list[Pair], config: Config, console: Console) -> list[Metrics | Failure]:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(f"{len(pairs)} pairs of method and split", total=len(pairs))
+        try:
+            return run_pairs(pairs, config.out, config.jobs, lambda _: progress.advance(task))
+        except KeyboardInterrupt:
+            kept = sum(pair.file(config.out).exists() for pair in pairs)
+            raise Interrupted(
+                f"interrupted: {kept} of {len(pairs)} pairs of method and split are kept in {config.out}; the same "
+                "command goes on from there"
+            ) from None
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, with what is kept."""
+
+
+def _write(comparison: Comparison, splits: dict[str, Split], folder: Path, console: Console) -> None:
+    """Print tables and write all files."""
+    print_tables(comparison, console)
+    write_results(comparison, folder)
+    pictures = save_plots(comparison, record(comparison, splits), folder)
+    text = markdown(comparison) + "".join(f"\n![{path.stem}]({path.name})\n" for path in pictures)
+    write_text(folder / "summary.md", text)
+    console.print(f"written to {folder}: results.json, episodes.csv, summary.md, {len(pictures)} pictures")
+    for failure in comparison.failures:
+        print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
 
 
 def main() -> None:
     """Command line."""
-    try:
-        config = tyro.cli(Config, description=__doc__)
-        compare(config, Console())
-    except (BundleError, OSError, ValueError) as error:
-        print(f"eval/compare.py: {error}", file=sys.stderr)
-        sys.exit(2)
+    config = tyro.cli(Config, description=__doc__)
+    with one_line_errors("eval/compare.py"):
+        comparison = compare(config, Console())
+        sys.exit(1 if comparison.failures else 0)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ for both; a classical controller has a single row.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,16 +24,49 @@ CONFIDENCE = 0.95
 class Estimate:
     """An interquartile mean with its 95 % interval."""
 
-    iqm: float
+    iqm: float  # of shares the plain mean
     low: float
     high: float
 
 
 def interquartile_mean(values: Floats) -> float:
     """Mean of the middle half of all values, as `scipy.stats.trim_mean` has it, without its cost per call."""
-    ordered = np.sort(values, axis=None)
-    cut = len(ordered) // 4
-    return float(ordered[cut : len(ordered) - cut].mean())
+    return float(_middle_mean(np.reshape(values, -1)))
+
+
+def _middle_mean(values: Floats) -> Floats:
+    """Mean of the middle half along the last axis."""
+    ordered = np.sort(values, axis=-1)
+    cut = ordered.shape[-1] // 4
+    return ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+
+
+def _mean(values: Floats) -> Floats:
+    return values.mean(axis=-1)
+
+
+def resampled(values: Floats, mean: bool = False) -> Floats:
+    """Interquartile means (or plain means) of bootstrap samples of a (seeds, episodes) table, shape (RESAMPLES,)."""
+    seeds, episodes = values.shape
+    center = _mean if mean else _middle_mean
+
+    def of_both(scenarios: NDArray[np.intp], runs: NDArray[np.intp], axis: int = -1) -> Floats:
+        drawn = values[runs[..., :, None], scenarios[..., None, :]]
+        return center(drawn.reshape(*drawn.shape[:-2], -1))
+
+    def of_scenarios(scenarios: NDArray[np.intp], axis: int = -1) -> Floats:
+        return center(np.moveaxis(values[:, scenarios], 0, -2).reshape(*scenarios.shape[:-1], -1))
+
+    result = bootstrap(
+        (np.arange(episodes), np.arange(seeds)) if seeds > 1 else (np.arange(episodes),),
+        of_both if seeds > 1 else of_scenarios,
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        vectorized=True,
+        rng=np.random.default_rng(0),
+    )
+    return result.bootstrap_distribution
 
 
 def estimate(values: Floats, mean: bool = False) -> Estimate:
@@ -41,31 +75,18 @@ def estimate(values: Floats, mean: bool = False) -> Estimate:
     Raises:
         ValueError: If there are fewer than two episodes.
     """
-    seeds, episodes = values.shape
-    if episodes < 2:
-        raise ValueError(f"an interval needs at least 2 episodes, got {episodes}")
-    center = np.mean if mean else interquartile_mean
-    point = float(center(values))
+    if values.shape[1] < 2:
+        raise ValueError(f"an interval needs at least 2 episodes, got {values.shape[1]}")
+    point = float(values.mean()) if mean else interquartile_mean(values)
     if np.ptp(values) == 0:
         return Estimate(point, point, point)
+    return _interval(point, resampled(values, mean))
 
-    def of_both(scenarios: NDArray[np.intp], runs: NDArray[np.intp]) -> float:
-        return float(center(values[np.ix_(runs, scenarios)]))
 
-    def of_scenarios(scenarios: NDArray[np.intp]) -> float:
-        return float(center(values[:, scenarios]))
-
-    result = bootstrap(
-        (np.arange(episodes), np.arange(seeds)) if seeds > 1 else (np.arange(episodes),),
-        of_both if seeds > 1 else of_scenarios,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        vectorized=False,
-        rng=np.random.default_rng(0),
-    )
-    interval = result.confidence_interval
-    return Estimate(point, float(interval.low), float(interval.high))
+def _interval(point: float, distribution: Floats) -> Estimate:
+    tail = 50 * (1 - CONFIDENCE)
+    low, high = np.percentile(distribution, [tail, 100 - tail])
+    return Estimate(point, float(low), float(high))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +94,53 @@ class Paired:
     """A method against another on the same scenarios, lower values being better."""
 
     difference: Estimate  # method minus other
-    win_rate: float  # share of (seed, scenario) pairs in which the method is lower
+    win_rate: Estimate  # probability of improvement: share of (seed, scenario) pairs that are lower, ties half
+    p: float  # of no difference, two-sided, from the bootstrap of the difference; at least 2 / (RESAMPLES + 1)
+    p_holm: float = 1.0  # the same after Holm's correction for all comparisons of one family
 
     @property
     def verdict(self) -> str:
-        """Whether a difference was shown."""
+        """Whether a difference was shown, this comparison taken on its own."""
         if self.difference.low > 0:
             return "worse"
         return "better" if self.difference.high < 0 else "no difference shown"
+
+    @property
+    def survives(self) -> bool:
+        """Whether the difference is still shown once all comparisons of its family are accounted for."""
+        return self.p_holm < 1 - CONFIDENCE
 
 
 def paired(values: Floats, other: Floats) -> Paired:
     """Compare two methods scenario by scenario; the other's seeds are averaged per scenario."""
     difference = values - other.mean(axis=0, keepdims=True)
-    return Paired(estimate(difference), float(np.mean(difference < 0)))
+    wins = estimate((difference < 0) + 0.5 * (difference == 0), mean=True)
+    if np.ptp(difference) == 0:
+        return Paired(estimate(difference), wins, 1.0 if difference.flat[0] == 0 else 2 / (RESAMPLES + 1))
+    distribution = resampled(difference)
+    beyond = min(np.sum(distribution <= 0), np.sum(distribution >= 0))
+    p = min(1.0, 2 * (1 + float(beyond)) / (RESAMPLES + 1))
+    return Paired(_interval(interquartile_mean(difference), distribution), wins, p)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P values adjusted for their number by Holm's step-down method: reject those below the level.
+
+    The k-th smallest of m is multiplied by m - k + 1, kept at least as large as the one before, and at most 1. The
+    probability of any false rejection among the m is then at most the level, whatever their dependence (S. Holm, A
+    simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 1979).
+    """
+    values = np.asarray(p_values, np.float64)
+    order = np.argsort(values, kind="stable")
+    factors = len(values) - np.arange(len(values))
+    adjusted = np.empty_like(values)
+    adjusted[order] = np.minimum(np.maximum.accumulate(factors * values[order]), 1.0)
+    return adjusted.tolist()
+
+
+def profile(values: Floats, thresholds: Floats) -> Floats:
+    """Performance profile: the share of all (seed, episode) pairs at or below each threshold.
+
+    R. Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021.
+    """
+    return np.searchsorted(np.sort(values, axis=None), thresholds, side="right") / values.size

@@ -74,7 +74,7 @@ def _against(ours: Floats, other: Floats) -> str:
     found = paired(ours[None], other[None])
     d = found.difference
     wins = "lower" if d.high < 0 else "higher" if d.low > 0 else "not shown to differ"
-    return f"{wins} ({d.iqm:+.1f} [{d.low:+.1f}, {d.high:+.1f}]; lower on {100 * found.win_rate:.0f} % of the arms)"
+    return f"{wins} ({d.iqm:+.1f} [{d.low:+.1f}, {d.high:+.1f}]; lower on {100 * found.win_rate.iqm:.0f} % of the arms)"
 
 
 def verdict(outcomes: list[Outcome], kind: str) -> str:

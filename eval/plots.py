@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
+from numpy.typing import NDArray
 
 matplotlib.use("Agg")
 
@@ -16,25 +19,26 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from baselines.files import write_atomically
 from beltarm_env.rollout import Recording
-from eval.colours import COLOURS
-from eval.results import Comparison
-from eval.summary import COLUMNS
+from eval.colours import BLUE, COLOURS, GREEN, ORANGE
+from eval.results import Comparison, Outcome, best_classical
+from eval.summary import heading
+from eval.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
-
-Traces = dict[str, dict[str, tuple[Recording, int]]]
-"""Per split and method: a recording, and which of its episodes to show (the same scenario for all methods)."""
+_KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN, "privileged": "0.55"}
+_ACROSS = 4  # splits side by side
+Quantity = Callable[[Recording], NDArray[np.float64]]
 
 
 def save_plots(comparison: Comparison, traces: Traces, folder: Path) -> list[Path]:
     """Draw all pictures into `folder`."""
-    colours: dict[str, str] = dict(zip(_drawn(comparison), COLOURS, strict=False))
-    drawn = {split: {name: runs[name] for name in colours} for split, runs in traces.items()}
+    shown = dict.fromkeys(name for methods in traces.values() for name in methods)
+    colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
     figures = {
-        "tip_error.png": _time_plot(drawn, colours, _tip_error, "tip error (mm)"),
-        "residual.png": _residual_plot(drawn, colours),
-        "torque.png": _time_plot(drawn, colours, _torque, "motor torque (N m)"),
+        "tip_error.png": _time_plot(traces, colours, _tip_error, "tip error (mm)"),
+        "residual.png": _residual_plot(traces, colours),
+        "torque.png": _time_plot(traces, colours, _torque, "motor torque (N m)"),
         "intervals.png": _intervals(comparison),
     }
     paths = []
@@ -46,27 +50,25 @@ def save_plots(comparison: Comparison, traces: Traces, folder: Path) -> list[Pat
     return paths
 
 
-def _drawn(comparison: Comparison) -> list[str]:
-    """Methods whose motion is drawn: the first, all learned ones, and the best others by cost on the last split."""
-    outcomes = comparison.on(comparison.splits()[-1])
-    ranked = sorted(outcomes[1:], key=lambda outcome: outcome.estimates["cost"].iqm)
-    learned = [outcome for outcome in ranked if outcome.method.kind == "learned"]
-    others = [outcome for outcome in ranked if outcome.method.kind != "learned"]
-    chosen = [outcomes[0], *learned, *others][: len(COLOURS) - 2]
-    return [outcome.method.name for outcome in outcomes if outcome in chosen]
+def _tip_error(recording: Recording) -> NDArray[np.float64]:
+    return 1000 * np.linalg.norm(recording.tip_error[:, 0], axis=1)
 
 
-def _tip_error(recording: Recording, episode: int) -> np.ndarray:
-    return 1000 * np.linalg.norm(recording.tip_error[:, episode], axis=1)
+def _torque(recording: Recording) -> NDArray[np.float64]:
+    return recording.torque[:, 0]
 
 
-def _torque(recording: Recording, episode: int) -> np.ndarray:
-    return recording.torque[:, episode]
-
-
-def _axes(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure, axes = plt.subplots(1, count, figsize=(5.2 * count, height), layout="constrained", squeeze=False)
-    return figure, list(axes[0])
+def _grid(count: int, height: float, rows: int = 1) -> tuple[Figure, list[list[Axes]]]:
+    """A figure with `rows` axes, one below the other, for each of `count` splits."""
+    across = min(count, _ACROSS)
+    down = -(-count // across)
+    figure, axes = plt.subplots(
+        down * rows, across, figsize=(4.0 * across, height * down * rows + 0.5), layout="constrained", squeeze=False
+    )
+    for unused in range(count, down * across):
+        for row in range(rows):
+            axes[rows * (unused // across) + row][unused % across].set_axis_off()
+    return figure, [[axes[rows * (k // across) + row][k % across] for row in range(rows)] for k in range(count)]
 
 
 def _mark_move(axis: Axes, duration: float) -> None:
@@ -74,75 +76,98 @@ def _mark_move(axis: Axes, duration: float) -> None:
     axis.text(duration / 2, 0.98, "move", transform=axis.get_xaxis_transform(), ha="center", va="top", color="0.45")
 
 
-def _describe(recording: Recording, episode: int) -> str:
-    start, goal = np.degrees(recording.moves[episode, :2])
+def _describe(recording: Recording) -> str:
+    start, goal = np.degrees(recording.moves[0, :2])
     return f"{start:.0f}° to {goal:.0f}°"
 
 
-def _time_plot(traces: Traces, colours: dict[str, str], quantity, label: str) -> Figure:
-    figure, axes = _axes(len(traces), 3.6)
-    for axis, (split, methods) in zip(axes, traces.items(), strict=True):
-        for method, (recording, episode) in methods.items():
-            axis.plot(recording.time, quantity(recording, episode), color=colours[method], lw=1.3, label=method)
-        recording, episode = next(iter(methods.values()))
-        _mark_move(axis, recording.moves[episode, 2])
+def _legend(figure: Figure, axes: list[Axes], columns: int, **options: Any) -> None:
+    entries = {}
+    for axis in axes:
+        entries.update(dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True)))
+    order = list(_KIND_COLOURS)
+    if all(label in order for label in entries):
+        entries = {label: entries[label] for label in sorted(entries, key=order.index)}
+    options = {"loc": "outside lower center", "ncols": columns, "frameon": False} | options
+    figure.legend(list(entries.values()), list(entries), **options)
+
+
+def _time_plot(traces: Traces, colours: dict[str, str], quantity: Quantity, label: str) -> Figure:
+    figure, axes = _grid(len(traces), 3.0)
+    for (axis,), (split, methods) in zip(axes, traces.items(), strict=True):
+        for method, recording in methods.items():
+            axis.plot(recording.time, quantity(recording), color=colours[method], lw=1.2, label=method)
+        recording = next(iter(methods.values()))
+        axis.margins(y=0.12)
+        _mark_move(axis, recording.moves[0, 2])
         axis.set(xlabel="time (s)", ylabel=label, xlim=(0, recording.time[-1]))
-        axis.set_title(f"{split}: median scenario, {_describe(recording, episode)}", fontsize=10)
+        axis.set_title(f"{split}: median scenario, {_describe(recording)}", fontsize=10)
         axis.grid(alpha=0.3)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(colours), frameon=False)
+    _legend(figure, [axis for (axis,) in axes], len(colours))
     return figure
 
 
 def _residual_plot(traces: Traces, colours: dict[str, str]) -> Figure:
-    figure, axes = plt.subplots(
-        2, len(traces), figsize=(5.2 * len(traces), 5), layout="constrained", squeeze=False, sharex="col"
-    )
-    for column, (split, methods) in enumerate(traces.items()):
-        for method, (recording, episode) in methods.items():
-            duration = recording.moves[episode, 2]
+    figure, axes = _grid(len(traces), 2.2, rows=2)
+    for pair, (split, methods) in zip(axes, traces.items(), strict=True):
+        for method, recording in methods.items():
+            duration = recording.moves[0, 2]
             after = recording.time >= duration
-            for row in range(2):
-                motion = 1000 * recording.tip_error[after, episode, row]
-                axes[row][column].plot(
-                    recording.time[after] - duration, motion, color=colours[method], lw=1.3, label=method
-                )
-        recording, episode = next(iter(methods.values()))
-        axes[0][column].set_title(f"{split}: after the move, {_describe(recording, episode)}", fontsize=10)
-        axes[0][column].set_ylabel("radial tip error (mm)")
-        axes[1][column].set(ylabel="lateral tip error (mm)", xlabel="time since the move's end (s)")
-    for axis in axes.flat:
-        axis.grid(alpha=0.3)
-        axis.axhline(0, color="0.6", lw=0.8)
-    handles = axes[0][0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=len(colours), frameon=False)
+            for row, axis in enumerate(pair):
+                motion = 1000 * recording.tip_error[after, 0, row]
+                axis.plot(recording.time[after] - duration, motion, color=colours[method], lw=1.2, label=method)
+        pair[0].set_title(f"{split}: after the move, {_describe(next(iter(methods.values())))}", fontsize=10)
+        pair[0].set_ylabel("radial tip\nerror (mm)")
+        pair[1].set(ylabel="lateral tip\nerror (mm)", xlabel="time since the move's end (s)")
+        for axis in pair:
+            axis.grid(alpha=0.3)
+            axis.axhline(0, color="0.6", lw=0.8)
+    _legend(figure, [pair[0] for pair in axes], len(colours))
     return figure
 
 
 def _intervals(comparison: Comparison) -> Figure:
-    """Every method's interquartile means with their intervals, a row each, best at the top."""
+    """Interquartile means with their intervals: a row of axes per split, best at the top, what is not ranked below."""
     splits = comparison.splits()
-    last = sorted(comparison.on(splits[-1]), key=lambda outcome: -outcome.estimates["cost"].iqm)
-    rows = {outcome.method.name: row for row, outcome in enumerate(last)}
+    count = len(comparison.methods())
     figure, axes = plt.subplots(
-        1, len(_SHOWN), figsize=(3.0 * len(_SHOWN), 1.6 + 0.28 * len(rows)), layout="constrained", sharey=True
+        len(splits),
+        len(_SHOWN),
+        figsize=(3.0 * len(_SHOWN), (0.9 + 0.19 * count) * len(splits) + 0.6),
+        layout="constrained",
+        squeeze=False,
     )
     figure.suptitle("Interquartile means with 95 % intervals; further left is better", fontsize=10, color="0.4")
-    for axis, name in zip(axes, _SHOWN, strict=True):
-        for k, split in enumerate(splits):
-            outcomes = comparison.on(split)
-            values = [outcome.estimates[name] for outcome in outcomes]
-            point = np.array([value.iqm for value in values])
-            ends = np.abs(np.array([[value.low for value in values], [value.high for value in values]]) - point)
-            height = [rows[outcome.method.name] + 0.24 * ((len(splits) - 1) / 2 - k) for outcome in outcomes]
-            axis.errorbar(point, height, xerr=ends, fmt="os"[k % 2], color=COLOURS[k], ms=4.5, capsize=2.5, label=split)
-        title, unit = COLUMNS[name]
-        axis.set_xlabel(title if unit == "-" else f"{title} ({unit})")
-        axis.set_xscale("log")
-        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.grid(axis="x", which="both", alpha=0.3)
-        axis.grid(axis="y", alpha=0.15)
-    axes[0].set_yticks(range(len(rows)), list(rows))
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(splits), frameon=False)
+    for row, split in zip(axes, splits, strict=True):
+        ranking = sorted(comparison.on(split), key=lambda o: (o.ranked, -o.estimates["cost"].iqm))
+        for axis, name in zip(row, _SHOWN, strict=True):
+            _interval_axis(axis, ranking, name)
+            axis.set_xlabel(heading(name))
+            axis.set_yticks([])
+        row[0].set_yticks(range(len(ranking)), [outcome.method.name for outcome in ranking], fontsize=8)
+        row[0].set_title(split, loc="left", fontsize=11)
+    _legend(figure, [axis for row in axes for axis in row], 4)
     return figure
+
+
+def _interval_axis(axis: Axes, ranking: list[Outcome], name: str) -> None:
+    for height, outcome in enumerate(ranking):
+        value = outcome.estimates[name]
+        ends = [[value.iqm - value.low], [value.high - value.iqm]]
+        kind = outcome.method.kind
+        axis.errorbar(
+            value.iqm, height, xerr=np.abs(ends), fmt="o", color=_KIND_COLOURS[kind], ms=4, capsize=2, label=kind
+        )
+    unranked = sum(not outcome.ranked for outcome in ranking)
+    if unranked:
+        axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
+    best = best_classical(ranking)
+    if best:
+        axis.axvline(best.estimates[name].iqm, color=BLUE, lw=0.8, ls=":")
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_ylim(-0.7, len(ranking) - 0.3)
+    axis.grid(axis="x", which="both", alpha=0.3)
+    axis.tick_params(labelsize=8)

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -16,13 +18,15 @@ import tyro
 
 from baselines.files import write_text
 from eval.estimates import Estimate
-from eval.summary import COLUMNS, cell
+from eval.summary import COLUMNS, cell, heading
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "comparison" / "results.json"
 README = ROOT / "README.md"
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
-_SHOWN = ("tip_rms_mm", "residual_pp_mm", "failure_share", "cost")
+_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share")
+_DETAILED = "randomized"
+_TITLES = {name: heading(name) for name in COLUMNS}
 
 
 @dataclass(frozen=True)
@@ -33,22 +37,60 @@ class Config:
     """Change nothing; exit with 1 if the README is out of date."""
 
 
-def block(results: dict) -> str:
-    """The README's table, from the content of results.json."""
-    titles = [f"{title} ({unit})" if unit != "-" else title for title, unit in (COLUMNS[name] for name in _SHOWN)]
-    lines = ["| split | method | " + " | ".join(titles) + " |", "|---|---|" + "---:|" * len(_SHOWN)]
-    for row in results["rows"]:
-        seeds = f" ({row['seeds']} seeds)" if row["kind"] == "learned" else ""
-        values = [cell(name, Estimate(**row["metrics"][name])) for name in _SHOWN]
-        lines.append(f"| {row['split']} | {row['method']}{seeds} | " + " | ".join(values) + " |")
-    provenance = results["provenance"]
-    episodes = results["rows"][0]["episodes"]
-    lines += [
-        "",
-        f"{episodes} scenarios per split; interquartile means (shares: means) with bootstrap 95 % intervals over "
-        f"scenarios and training seeds. From `{provenance['command']}`, which took {provenance['seconds']:.0f} s.",
+def block(results: dict[str, Any]) -> str:
+    """The README's tables, from the content of results.json: the cost on every split, and more of one split."""
+    rows = sorted(results["rows"], key=lambda row: row["kind"] == "privileged")
+    splits = list(dict.fromkeys(row["split"] for row in rows))
+    shown = _DETAILED if _DETAILED in splits else splits[-1]
+    parts = [
+        "Cost on every split:",
+        _table(rows, splits, lambda row, split: row["split"] == split, lambda row, _: _cell("cost", row)),
+        f"More of `{shown}`:",
+        _table(
+            [row for row in rows if row["split"] == shown], _SHOWN, lambda *_: True, lambda row, name: _cell(name, row)
+        ),
+        _origin(results),
     ]
+    return "\n\n".join(parts)
+
+
+def _table(
+    rows: list[dict[str, Any]],
+    columns: Iterable[str],
+    belongs: Callable[[dict[str, Any], str], bool],
+    show: Callable[[dict[str, Any], str], str],
+) -> str:
+    """A row per method; each cell from the first of its rows that belongs in the column."""
+    columns = list(columns)
+    lines = ["| method | " + " | ".join(_TITLES.get(name, name) for name in columns) + " |"]
+    lines += ["|---|" + "---:|" * len(columns)]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        mine = [row for row in rows if row["method"] == method]
+        cells = [next((show(row, name) for row in mine if belongs(row, name)), "failed") for name in columns]
+        lines.append(f"| {_name(mine[0])} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _name(row: dict[str, Any]) -> str:
+    seeds = f" ({row['seeds']} seeds)" if row["kind"] == "learned" else ""
+    return f"*{row['method']}*" if row["kind"] == "privileged" else row["method"] + seeds
+
+
+def _cell(name: str, row: dict[str, Any]) -> str:
+    shown = cell(name, Estimate(**row["metrics"][name]))
+    return f"*{shown}*" if row["kind"] == "privileged" else shown
+
+
+def _origin(results: dict[str, Any]) -> str:
+    provenance, episodes = results["provenance"], results["rows"][0]["episodes"]
+    unranked = any(row["kind"] == "privileged" for row in results["rows"])
+    italics = " In italics: what knows its arm and sees its state, a yardstick that is not ranked." if unranked else ""
+    fresh = not provenance.get("pairs_kept_before", 0)
+    took = f", which took {provenance['seconds']:.0f} s" if fresh else ", part of it from an earlier run"
+    return (
+        f"{episodes} scenarios per split; interquartile means (shares: means) with bootstrap 95 % intervals over "
+        f"scenarios and training seeds.{italics} From `{provenance['command']}`{took}."
+    )
 
 
 def updated(readme: str, table: str) -> str:

@@ -1,30 +1,32 @@
-"""What the comparison found, as data: tables per method and split, and the files written from them."""
+"""What the comparison found, as data; how it is written is in `eval.schema`, how it is shown in `eval.summary`."""
 
 from __future__ import annotations
 
-import json
 import platform
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from baselines.files import write_atomically, write_text
 from baselines.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS as EPISODE_METRICS
 from eval import splits
-from eval.estimates import Estimate, Paired, estimate, paired
-from eval.methods import Method
+from eval.estimates import Estimate, Paired, estimate, holm, paired, profile
+from eval.methods import Method, policies_of
+from eval.pairs import LEFT, Failure, Metrics
 
 METRICS = tuple(name for name in EPISODE_METRICS if name not in ("residual_radial_pp_mm", "residual_lateral_pp_mm"))
 """Metrics of `results.json`; `episodes.csv` also has the two parts of the residual vibration."""
-_SHARES = ("failure_share", "saturated_share")  # plain means: the middle half of zeros and ones says nothing
+SHARES = ("failure_share", "saturated_share")  # plain means: the middle half of zeros and ones says nothing
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
+_THRESHOLDS = 25  # of a performance profile
+
+Against = dict[str, dict[str, dict[str, Paired]]]
+"""Comparisons scenario by scenario, by split, method and metric."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,23 +35,40 @@ class Outcome:
 
     method: Method
     split: str
-    metrics: dict[str, NDArray[np.float64]]  # each (seeds, episodes)
+    metrics: Metrics  # each (seeds, episodes)
     estimates: dict[str, Estimate]
     action_times: tuple[float, float]  # median, 99th percentile [us]
 
     @property
     def seeds(self) -> int:
         """Number of training seeds; 1 for a classical controller."""
-        return len(self.method.controllers)
+        return len(self.method.sources)
+
+    @property
+    def ranked(self) -> bool:
+        """Whether it is compared with others: it sees what they see."""
+        return self.method.kind != "privileged"
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Of how many runs the tip never settled, and in how many the arm left the workspace."""
+        settled = self.metrics["failure_share"]
+        left = self.metrics[LEFT]
+        return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
 
 
-def make_outcome(
-    method: Method, split: str, runs: list[dict[str, NDArray[np.float64]]], action_times: tuple[float, float]
-) -> Outcome:
-    """Gather the metrics of one method's runs, one per training seed, and estimate them."""
-    metrics = {name: np.stack([run[name] for run in runs]) for name in runs[0]}
-    estimates = {name: estimate(metrics[name], mean=name in _SHARES) for name in METRICS}
+def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> Outcome:
+    """Estimate the metrics of one method on one split."""
+    estimates = {name: estimate(metrics[name], mean=name in SHARES) for name in METRICS}
     return Outcome(method, split, metrics, estimates, action_times)
+
+
+@dataclass(frozen=True, slots=True)
+class Profiles:
+    """Performance profiles of all methods on one split, in one metric."""
+
+    thresholds: NDArray[np.float64]
+    shares: dict[str, NDArray[np.float64]]  # of the runs at or below each threshold, by method
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,39 +76,83 @@ class Comparison:
     """All outcomes of one run."""
 
     outcomes: list[Outcome]
-    against_best: dict[str, dict[str, dict[str, Paired]]]  # by split, method and metric
+    against_best: Against  # every ranked method against the classical one of the lowest cost
+    against_base: Against  # every learned method against the controller that it corrects
+    failures: list[Failure]
     provenance: dict[str, Any]
 
     def on(self, split: str) -> list[Outcome]:
-        """Outcomes on one split, in the order of the methods."""
-        return [outcome for outcome in self.outcomes if outcome.split == split]
+        """Outcomes on one split, in the order of the methods; those that are not ranked last."""
+        found = [outcome for outcome in self.outcomes if outcome.split == split]
+        return sorted(found, key=lambda outcome: not outcome.ranked)
 
     def splits(self) -> list[str]:
         """Names of the splits, in order."""
         return list(dict.fromkeys(outcome.split for outcome in self.outcomes))
 
-    def best_classical(self, split: str) -> Outcome:
-        """The classical method of the lowest cost."""
+    def methods(self) -> list[Outcome]:
+        """One outcome of every method, in order; those that are not ranked last."""
+        found = {outcome.method.name: outcome for outcome in reversed(self.outcomes)}
+        order = dict.fromkeys(outcome.method.name for outcome in self.outcomes)
+        return sorted((found[name] for name in order), key=lambda outcome: not outcome.ranked)
+
+    def best_classical(self, split: str) -> Outcome | None:
+        """The classical method of the lowest cost, if there is any."""
         return best_classical(self.on(split))
 
 
-def best_classical(outcomes: list[Outcome]) -> Outcome:
-    """The classical method of the lowest cost among the outcomes of one split."""
+def make_comparison(outcomes: list[Outcome], failures: list[Failure], provenance: dict[str, Any]) -> Comparison:
+    """Compare the outcomes with one another."""
+    by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
+    best = {split: _against(found, _opponent_of_all(found)) for split, found in by_split.items()}
+    base = {split: _against(found, _base_of(found)) for split, found in by_split.items()}
+    return Comparison(outcomes, best, base, failures, provenance)
+
+
+def best_classical(outcomes: list[Outcome]) -> Outcome | None:
+    """The classical method of the lowest cost among the outcomes of one split, if there is any."""
     classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
-    return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm)
+    return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm, default=None)
 
 
-def against_best_classical(outcomes: list[Outcome]) -> dict[str, dict[str, Paired]]:
-    """Every other method of one split against the best classical one, scenario by scenario: by method and metric."""
+def _opponent_of_all(outcomes: list[Outcome]) -> Callable[[Outcome], Outcome | None]:
     best = best_classical(outcomes)
-    return {
-        outcome.method.name: {name: paired(outcome.metrics[name], best.metrics[name]) for name in PAIRED_METRICS}
-        for outcome in outcomes
-        if outcome is not best
+    return lambda outcome: None if outcome is best else best
+
+
+def _base_of(outcomes: list[Outcome]) -> Callable[[Outcome], Outcome | None]:
+    by_name = {outcome.method.name: outcome for outcome in outcomes}
+    return lambda outcome: by_name.get(outcome.method.base or "")
+
+
+def _against(outcomes: list[Outcome], opponent: Callable[[Outcome], Outcome | None]) -> dict[str, dict[str, Paired]]:
+    """Ranked methods of one split against an opponent each: by method and metric.
+
+    All comparisons in one metric are a family for Holm's correction: one question, asked of every method.
+    """
+    pairs = [(outcome, opponent(outcome)) for outcome in outcomes if outcome.ranked]
+    found: dict[str, dict[str, Paired]] = {
+        one.method.name: {name: paired(one.metrics[name], other.metrics[name]) for name in PAIRED_METRICS}
+        for one, other in pairs
+        if other is not None
     }
+    for name in PAIRED_METRICS:
+        adjusted = holm([of_method[name].p for of_method in found.values()])
+        for of_method, p in zip(found.values(), adjusted, strict=True):
+            of_method[name] = replace(of_method[name], p_holm=p)
+    return found
 
 
-def provenance(command: str, seconds: float, policies: list[Path]) -> dict[str, Any]:
+def profiles(outcomes: list[Outcome], metric: str) -> Profiles:
+    """Performance profiles of one split's methods, at thresholds between the least and the largest value of all."""
+    everything = np.concatenate([outcome.metrics[metric].ravel() for outcome in outcomes])
+    least = max(float(everything.min()), 1e-6)
+    thresholds = np.geomspace(least, max(float(everything.max()), least), _THRESHOLDS)
+    thresholds[-1] = max(float(everything.max()), least)  # not a rounding error below
+    return Profiles(thresholds, {o.method.name: profile(o.metrics[metric], thresholds) for o in outcomes})
+
+
+def provenance(command: str, seconds: float, methods: list[Method], chosen: dict[str, splits.Split]) -> dict[str, Any]:
     """Where the results come from."""
     packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
     return {
@@ -97,62 +160,11 @@ def provenance(command: str, seconds: float, policies: list[Path]) -> dict[str, 
         "beltarm": __version__,
         "commit": commit(),
         "splits_version": splits.VERSION,
-        "split_seeds": {name: split.seed for name, split in splits.SPLITS.items()},
-        "policies": [json.loads((path / "policy.json").read_text())["content_hash"] for path in policies],
+        "split_seeds": {name: split.seed for name, split in chosen.items()},
+        "split_sha256": {name: split.digest for name, split in chosen.items()},
+        "policies": policies_of(methods),
         "python": platform.python_version(),
         "machine": platform.machine(),
         "packages": {name: version(name) for name in packages},
         "seconds": round(seconds, 1),
     }
-
-
-def to_json(comparison: Comparison) -> dict[str, Any]:
-    """The content of `results.json`."""
-    rows = [
-        {
-            "method": outcome.method.name,
-            "kind": outcome.method.kind,
-            "split": outcome.split,
-            "episodes": outcome.metrics["cost"].shape[1],
-            "seeds": outcome.seeds,
-            "metrics": {name: asdict(value) for name, value in outcome.estimates.items()},
-            "action_us": {"p50": outcome.action_times[0], "p99": outcome.action_times[1]},
-            "training": outcome.method.training,
-        }
-        for outcome in comparison.outcomes
-    ]
-    against = [
-        {
-            "method": method,
-            "other": comparison.best_classical(split).method.name,
-            "split": split,
-            "metrics": {
-                name: {**asdict(pair.difference), "win_rate": pair.win_rate, "verdict": pair.verdict}
-                for name, pair in pairs.items()
-            },
-        }
-        for split in comparison.splits()
-        for method, pairs in comparison.against_best[split].items()
-    ]
-    return {"version": splits.VERSION, "provenance": comparison.provenance, "rows": rows, "paired": against}
-
-
-def to_episodes(comparison: Comparison) -> pd.DataFrame:
-    """One line per method, split, training seed and episode."""
-    frames = []
-    for outcome in comparison.outcomes:
-        for seed in range(outcome.seeds):
-            frame = pd.DataFrame({name: values[seed] for name, values in outcome.metrics.items()})
-            frame.insert(0, "episode", range(len(frame)))
-            frame.insert(0, "seed", seed)
-            frame.insert(0, "split", outcome.split)
-            frame.insert(0, "method", outcome.method.name)
-            frames.append(frame)
-    return pd.concat(frames, ignore_index=True)
-
-
-def write_results(comparison: Comparison, folder: Path) -> None:
-    """Write `results.json` and `episodes.csv`, each atomically."""
-    write_text(folder / "results.json", json.dumps(to_json(comparison), indent=1) + "\n")
-    episodes = to_episodes(comparison)
-    write_atomically(folder / "episodes.csv", lambda path: episodes.to_csv(path, index=False, float_format="%.6g"))

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.rollout import Controller
 
+Sensors = Literal["encoder", "tip", "full"]
 TIMED_ACTIONS = 300
 
 
-def action_times(controller: Controller) -> tuple[float, float]:
+def action_times(controller: Controller, sensors: Sensors = "encoder") -> tuple[float, float]:
     """Median and 99th percentile of the time per action for one arm [us]."""
-    env = BeltArmVectorEnv(1)
+    env = BeltArmVectorEnv(1, sensors=sensors)
     observation, _ = env.reset(seed=0)
+    return time_actions(controller, env, observation)
+
+
+def time_actions(controller: Controller, env: BeltArmVectorEnv, observation: Any) -> tuple[float, float]:
+    """Median and 99th percentile of the time per action [us], from a given first observation on."""
     memory: Any = None
     start = np.array([True])
     times = []

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
-from eval.estimates import estimate, interquartile_mean, paired
+from eval.estimates import RESAMPLES, estimate, holm, interquartile_mean, paired, profile, resampled
 
 
 def test_interquartile_mean_by_hand():
@@ -62,5 +64,101 @@ def test_paired_differences(shift: float, verdict: str, wins: float):
     noise = rng.normal(0, 0.5, (1, 400)) if shift == 0 else rng.normal(0, 0.1, (2, 400))
     result = paired(other + shift + noise, other)
     assert result.verdict == verdict
-    assert result.win_rate == pytest.approx(wins, abs=0.08)
+    assert result.win_rate.iqm == pytest.approx(wins, abs=0.08)
+    assert (result.p < 0.05) == (verdict != "no difference shown")
     assert result.difference.iqm == pytest.approx(shift, abs=0.1)
+
+
+# Bootstrap samples
+
+
+def test_bootstrap_samples_are_of_scenarios_and_of_seeds():
+    """Each sample is a mean over whole rows and whole columns: multiples of what those are made of."""
+    rows, columns = np.array([0.0, 100.0, 200.0]), np.arange(8.0)
+    means = resampled(rows[:, None] + columns, mean=True)
+    assert means.shape == (RESAMPLES,)
+    of_rows = {round(sum(a) / 3, 9) for a in np.stack(np.meshgrid(rows, rows, rows), -1).reshape(-1, 3)}
+    multiples = (means[:, None] - np.array(sorted(of_rows))) * 8
+    assert np.all(np.any((np.abs(multiples - np.round(multiples)) < 1e-6) & (multiples > -1e-6), axis=1))
+    assert means.std() > 0.5 * rows.std() / np.sqrt(3)
+
+
+def test_spread_of_bootstrap_samples_is_the_standard_error():
+    values = np.random.default_rng(4).normal(3, 2, (1, 300))
+    assert resampled(values, mean=True).std() == pytest.approx(values.std() / np.sqrt(300), rel=0.06)
+
+
+def test_intervals_over_seeds_cover_the_truth():
+    """Scenarios and seeds both drawn anew, twelve seeds; with few, a bootstrap is known to be too narrow."""
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(60):
+        values = rng.normal(2, 1, (1, 40)) + rng.normal(0, 0.5, (12, 1)) + rng.normal(0, 0.3, (12, 40))
+        result = estimate(values, mean=True)
+        hits += result.low <= 2.0 <= result.high
+    assert hits >= 50  # 57 expected of 60; fewer than 50 has a probability below 1e-3
+
+
+# Paired comparisons
+
+
+def test_paired_by_hand():
+    result = paired(np.array([[1.0, 2, 3, 4], [2, 2, 2, 2]]), np.array([[2.0, 2, 2, 8], [2, 2, 2, 4]]))
+    # The other's mean is 2, 2, 2, 6, so the differences are -1, 0, 1, -2 and 0, 0, 0, -4.
+    assert result.difference.iqm == pytest.approx((-1 + 0 + 0 + 0) / 4)
+    assert result.win_rate.iqm == pytest.approx((3 + 4 * 0.5) / 8)
+
+
+def test_a_method_against_itself():
+    values = np.random.default_rng(6).normal(size=(1, 30))
+    result = paired(values, values)
+    assert (result.difference.iqm, result.win_rate.iqm, result.p) == (0.0, 0.5, 1.0)
+    assert result.verdict == "no difference shown"
+
+
+def test_a_constant_difference_is_as_sure_as_can_be():
+    values = np.arange(30.0)[None]
+    assert paired(values - 1, values).p == pytest.approx(2 / (RESAMPLES + 1))
+    assert paired(values - 1, values).verdict == "better"
+
+
+def test_p_values_are_about_uniform_where_there_is_no_difference():
+    rng = np.random.default_rng(7)
+    p = [paired(rng.normal(size=(1, 60)), np.zeros((1, 60))).p for _ in range(150)]
+    assert np.mean(np.array(p) < 0.05) < 0.12  # 0.05 expected; more has a probability below 1e-3
+    assert np.mean(p) == pytest.approx(0.5, abs=0.1)
+
+
+def test_holm_by_hand():
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.4, 0.5]) == pytest.approx([0.8, 0.8])
+    assert holm([0.7]) == [0.7]
+    assert holm([]) == []
+
+
+def rejected(p_values: list[float], level: float) -> set[int]:
+    """Holm's procedure as he wrote it: step down until the first that is too large."""
+    found: set[int] = set()
+    for k, index in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
+        if p_values[index] > level / (len(p_values) - k):
+            break
+        found.add(index)
+    return found
+
+
+@given(st.lists(st.integers(1, 4000), min_size=1, max_size=12), st.sampled_from([0.01, 0.05, 0.1]))
+def test_holm_rejects_what_the_procedure_does(thousands: list[int], level: float):
+    p_values = [(p + 0.3) / 4001 for p in thousands]  # never just at a bound
+    assert {k for k, p in enumerate(holm(p_values)) if p <= level} == rejected(p_values, level)
+
+
+def test_holm_keeps_false_findings_rare():
+    rng = np.random.default_rng(8)
+    families = rng.uniform(size=(2000, 10))
+    assert np.mean([min(holm(family.tolist())) < 0.05 for family in families]) == pytest.approx(0.05, abs=0.02)
+    assert np.mean(families.min(axis=1) < 0.05) > 0.35  # without it
+
+
+def test_profile_by_hand():
+    values = np.array([[1.0, 2, 3, 4], [2, 2, 9, 9]])
+    assert profile(values, np.array([0.5, 1, 2, 4, 8.9, 9])).tolist() == [0, 1 / 8, 4 / 8, 6 / 8, 6 / 8, 1]

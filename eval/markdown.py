@@ -1,0 +1,132 @@
+"""The comparison as `summary.md`: all metrics, all paired differences, what each method takes."""
+
+from __future__ import annotations
+
+from eval.estimates import RESAMPLES
+from eval.results import PAIRED_METRICS, Comparison, Outcome
+from eval.splits import SPLITS
+from eval.summary import COLUMNS, best_value, cell, heading, verdict
+
+
+def markdown(comparison: Comparison) -> str:
+    """The content of `summary.md`."""
+    episodes = comparison.outcomes[0].metrics["cost"].shape[1]
+    parts = [
+        "# Comparison on the belt-driven arm",
+        "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
+        "Lower is better everywhere; the best value of a column is bold. All methods run the same scenarios on the "
+        "same observations (motor encoder only), but for those in italics, which see what no controller can and are "
+        "not ranked.",
+    ]
+    parts += _failed(comparison)
+    parts += ["## Cost on every split", overview_table(comparison, "cost")]
+    for split in comparison.splits():
+        outcomes = comparison.on(split)
+        parts += [f"## {split}", f"{SPLITS[split].description.capitalize()}; {episodes} scenarios."]
+        parts += [metrics_table(outcomes)]
+    parts += ["## Paired differences", _how_to_read()]
+    for split in comparison.splits():
+        parts += [f"### {split}", paired_table(comparison, split)]
+    parts += ["## What it takes", compute_table(comparison), "The controller's period is 1500 µs."]
+    return "\n\n".join([*parts, "## Where this comes from", _origin(comparison)]) + "\n"
+
+
+def _failed(comparison: Comparison) -> list[str]:
+    if not comparison.failures:
+        return []
+    lines = [f"- {failure.method} on {failure.split}: {failure.message}" for failure in comparison.failures]
+    return ["**Could not be run to the end:**\n\n" + "\n".join(lines)]
+
+
+def _how_to_read() -> str:
+    return (
+        "Method minus the other one on the same scenarios: interquartile mean of the differences, and the probability "
+        "of improvement (share of scenarios and seeds in which the method is lower, ties counting half), both with "
+        "bootstrap 95 % intervals. A star marks a difference that is shown by its own interval, but not after Holm's "
+        "correction for all methods compared in that metric on that split "
+        f"(p values from {RESAMPLES} bootstrap samples). The best classical method is the one of the lowest cost on "
+        "these very scenarios, which favours it a little."
+    )
+
+
+def _italic(text: str, outcome: Outcome) -> str:
+    return text if outcome.ranked else f"*{text}*"
+
+
+def overview_table(comparison: Comparison, name: str) -> str:
+    """One metric: a row per method, a column per split."""
+    splits = comparison.splits()
+    lines = ["| method | " + " | ".join(splits) + " |", "|---|" + "---:|" * len(splits)]
+    by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
+    best = {split: best_value(comparison.on(split), name) for split in splits}
+    for method in comparison.methods():
+        cells = []
+        for split in splits:
+            outcome = by_split[split].get(method.method.name)
+            cells.append(_cell(outcome, name, best[split]) if outcome else "failed")
+        lines.append(f"| {_italic(method.method.name, method)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def metrics_table(outcomes: list[Outcome]) -> str:
+    """All metrics of one split."""
+    lines = ["| method | " + " | ".join(map(heading, COLUMNS)) + " |", "|---|" + "---:|" * len(COLUMNS)]
+    for outcome in outcomes:
+        cells = [_cell(outcome, name, best_value(outcomes, name)) for name in COLUMNS]
+        lines.append(f"| {_italic(outcome.method.name, outcome)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(outcome: Outcome, name: str, best: float) -> str:
+    shown = cell(name, outcome.estimates[name])
+    point, interval = shown.split(" ", 1)
+    if outcome.ranked and outcome.estimates[name].iqm == best:
+        shown = f"**{point}** {interval}"
+    return _italic(shown, outcome)
+
+
+def paired_table(comparison: Comparison, split: str) -> str:
+    """Every comparison on one split: against the best classical method, and of learned ones against their base."""
+    columns = [part for name in PAIRED_METRICS for part in (heading(name), "improves")]
+    lines = ["| method | against | " + " | ".join(columns) + " |", "|---|---|" + "---|---:|" * len(PAIRED_METRICS)]
+    best = comparison.best_classical(split)
+    of_best = comparison.against_best[split].items()
+    rows = [(method, best.method.name, pairs) for method, pairs in of_best] if best else []
+    bases = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
+    rows += [(method, f"{bases[method]}, its base", pairs) for method, pairs in comparison.against_base[split].items()]
+    for method, other, pairs in rows:
+        cells = []
+        for name in PAIRED_METRICS:
+            wins = pairs[name].win_rate
+            cells.append(f"{verdict(pairs[name])}: {cell(name, pairs[name].difference)}")
+            cells.append(f"{wins.iqm:.0%} [{wins.low:.0%}, {wins.high:.0%}]")
+        lines.append(f"| {method} | {other} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) if rows else "Nothing to compare with."
+
+
+def compute_table(comparison: Comparison) -> str:
+    """What each method costs: tuning or training, and time per action."""
+    lines = [
+        "| method | kind | training seeds | simulator steps, tuning or training, per seed | the same in seconds | per "
+        "action, one arm (µs, median / 99 %) |",
+        "|---|---|---:|---:|---:|---:|",
+    ]
+    for outcome in comparison.methods():
+        method = outcome.method
+        steps = f"{max(method.training['simulator_steps']):.3g}" if method.training else "-"
+        seconds = f"{max(method.training['wall_clock_s']):.0f}" if method.training else "-"
+        seeds = str(outcome.seeds) if method.kind == "learned" else "-"
+        median, slow = outcome.action_times
+        name = _italic(method.name, outcome)
+        lines.append(f"| {name} | {method.kind} | {seeds} | {steps} | {seconds} | {median:.0f} / {slow:.0f} |")
+    return "\n".join(lines)
+
+
+def _origin(comparison: Comparison) -> str:
+    origin = comparison.provenance
+    digests = ", ".join(f"{name} {digest[:12]}" for name, digest in origin["split_sha256"].items())
+    return (
+        f"`{origin['command']}`, beltarm {origin['beltarm']} ({origin['commit']}), Python {origin['python']} on "
+        f"{origin['machine']}, {origin['seconds']} s. Scenarios version {origin['splits_version']}, by SHA-256: "
+        f"{digests}."
+    )

@@ -1,0 +1,196 @@
+"""The protocol that a controller of a user's own has to keep."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines import CONTROLLERS
+from eval import custom
+from eval.check_controller import findings
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "eval/check_controller.py"), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+class Proportional:
+    """A sound controller, which those below spoil."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+        self.rng = np.random.default_rng()
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        begins = np.ones(len(observation), np.bool_) if state is None else episode_start
+        before = np.zeros(len(observation)) if state is None else np.where(begins, 0.0, state)
+        error = 0.5 * before + 0.5 * observation[:, 0]
+        return (0.3 * error)[:, None].astype(np.float32), error
+
+
+class WrongShape(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action[:, 0], state
+
+
+class WrongType(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action.astype(np.float64), state
+
+
+class NotFinite(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        self.calls += 1
+        return action * np.float32(np.nan if self.calls == 50 else 1), state
+
+
+class Raises(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        raise KeyError("no gain")
+
+
+class ChangesItsInput(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        result = super().predict(observation, *rest, **options)
+        observation[:] = 0
+        return result
+
+
+class Random(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action + self.rng.normal(0, 1e-3, action.shape).astype(np.float32), state
+
+
+class MixesArms(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action + np.float32(0.01) * action.mean(), state
+
+
+class Leaks(Proportional):
+    """Forgets to begin episodes afresh."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        return super().predict(observation, state, np.zeros(len(observation), np.bool_))
+
+
+class RemembersItself(Proportional):
+    """Keeps its memory in itself, and empties it as a batch begins."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        if episode_start.any():
+            self.kept = getattr(self, "kept", None) if not episode_start.all() else None
+        action, self.kept = super().predict(observation, getattr(self, "kept", None), episode_start)
+        return action, None
+
+
+SPOILT = {
+    WrongShape: ("drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
+    WrongType: ("drives", "got float64 of shape"),
+    NotFinite: ("drives", "in sample 49 it returns .*nan.* torques must be finite"),
+    Raises: ("drives", "KeyError: 'no gain'"),
+    ChangesItsInput: ("drives", "changes the observation that it is given, in sample 0"),
+    Random: ("same observations", "torques differ from sample 0 on"),
+    MixesArms: ("as if alone", "torques differ from sample"),
+    Leaks: ("without memory of the last", "torques differ from sample 0 on"),
+    RemembersItself: ("memory is in the state", "torques differ from sample"),
+}
+
+
+def test_a_sound_controller_passes():
+    found = list(findings(Proportional))
+    assert all(finding.passed for finding in found)
+    assert [finding.detail for finding in found[1:5]] == ["bit for bit"] * 4
+
+
+@pytest.mark.parametrize("kind", SPOILT, ids=lambda kind: kind.__name__)
+def test_each_check_finds_what_it_is_for(kind: type):
+    check, message = SPOILT[kind]
+    failed = [finding for finding in findings(kind) if not finding.passed]
+    assert check in failed[0].check
+    assert re.search(message, failed[0].detail), failed[0].detail
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_classical_controllers_keep_the_protocol(name: str):
+    assert not [finding for finding in findings(CONTROLLERS[name]) if not finding.passed]
+
+
+def test_the_example_passes_as_a_user_runs_it(tmp_path: Path):
+    result = run(f"{EXAMPLE}:MyController", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert len(result.stdout.splitlines()) == 6
+    assert all(line.startswith("ok") for line in result.stdout.splitlines())
+
+
+def test_a_module_beside_the_user_is_found(tmp_path: Path):
+    (tmp_path / "mine.py").write_text("from baselines.paper import PaperController as Mine\n")
+    assert run("mine:Mine", cwd=tmp_path).returncode == 0
+
+
+def test_a_controller_that_fails(tmp_path: Path):
+    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
+    result = run("bad.py:Bad", cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stdout.startswith("FAILED  drives 5 arms")
+    assert "got int" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("nothing", "package.module:Class or path/to/file.py:Class"),
+        ("nowhere.py:Class", "there is no file"),
+        ("no.such.module:Class", "No module named 'no'"),
+        ("broken.py:Class", "cannot be imported: SyntaxError"),
+        ("stops.py:Class", "cannot be imported: RuntimeError: not today"),
+        ("empty.py:Class", "has no class or function 'Class'; its classes: Other"),
+        ("empty.py:Other", "has no method predict"),
+        ("needs.py:Class", "cannot be made without arguments: TypeError"),
+    ],
+)
+def test_controllers_that_cannot_be_loaded(spec: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "broken.py").write_text("class\n")
+    (tmp_path / "stops.py").write_text("raise RuntimeError('not today')\n")
+    (tmp_path / "empty.py").write_text("class Other: pass\n")
+    (tmp_path / "needs.py").write_text("class Class:\n    def __init__(self, gain): pass\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=r".+") as caught:
+        custom.make(spec)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mistake_on_the_command_line_is_one_line(tmp_path: Path):
+    result = run("nowhere.py:Class", cwd=tmp_path)
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_identity_changes_with_the_sources(tmp_path: Path):
+    path = tmp_path / "mine.py"
+    path.write_text("class Mine: pass\n")
+    before = custom.identity(f"{path}:Mine")
+    assert custom.identity(f"{path}:Mine") == before
+    (tmp_path / "helper.py").write_text("GAIN = 2\n")
+    assert custom.identity(f"{path}:Mine") != before
