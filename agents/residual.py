@@ -2,8 +2,7 @@
 
     action = clip(base + limit * residual, -1, 1)
 
-The base acts every sample; the residual is held for `hold` samples. The agent observes what the base observes, and what
-the base knows: the torque it is about to apply and its estimate of the belt's torsion.
+The base acts every sample; the residual is held for `hold` samples. What the agent observes is in `agents.knowledge`.
 """
 
 from __future__ import annotations
@@ -12,26 +11,13 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
-from beltarm_env import observation as layout
+from agents.knowledge import KNOWLEDGE, InformedBase, InformedMemory, Knowledge
 from beltarm_env.rollout import Controller
 
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-
-_TORSION_SCALE = np.array([0.05, 1.0])  # [rad, rad/s]
-_TORSION_BOUND = 40.0
-EXTRA_ENTRIES = ("base_torque", "estimated_torsion", "estimated_torsion_speed")
-
-
-class BaseController(Controller, Protocol):
-    """A controller that residuals can be learned on."""
-
-    def torsion_estimate(self, memory: Any) -> NDArray[np.float64]:
-        """Estimated torsion [rad] and its rate [rad/s] for a memory returned by `predict`, shape (n, 2)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +30,7 @@ class ResidualSettings:
 
     limit: float = 0.5  # largest residual, as a share of the torque limit
     hold: int = 4  # samples per residual: 6 ms
+    knowledge: Knowledge = "belief"  # what the agent is told besides the observation
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -53,18 +40,8 @@ class ResidualSettings:
         whole = isinstance(self.hold, int) and not isinstance(self.hold, bool)
         if not (whole and 1 <= self.hold <= 100):
             raise ValueError(f"residual hold must be a whole number of samples from 1 to 100, got {self.hold!r}")
-
-
-def residual_observation_space(sensors: str = "encoder") -> spaces.Box:
-    """What a residual agent observes."""
-    bounds = np.concatenate([layout.bounds(sensors), [1.0, _TORSION_BOUND, _TORSION_BOUND]]).astype(np.float32)
-    return spaces.Box(-bounds, bounds, dtype=np.float32)
-
-
-def augment(observation: Singles, base_action: Singles, torsion: NDArray[np.float64]) -> Singles:
-    """Append what the base knows: shape (n, size) becomes (n, size + 3)."""
-    scaled = np.clip(torsion / _TORSION_SCALE, -_TORSION_BOUND, _TORSION_BOUND)
-    return np.concatenate([observation, base_action, scaled.astype(np.float32)], axis=1)
+        if self.knowledge not in KNOWLEDGE:
+            raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {self.knowledge!r}")
 
 
 def combine(base_action: Singles, residual: Singles, limit: float) -> Singles:
@@ -92,7 +69,7 @@ class Policy(Protocol):
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
-        """Residuals of shape (n, 1) for observations of shape (n, size + 3)."""
+        """Residuals of shape (n, 1) for what a residual agent observes, a row each."""
         ...
 
 
@@ -100,7 +77,7 @@ class Policy(Protocol):
 class ResidualMemory:
     """Memory of a `ResidualController`."""
 
-    base: Any
+    informed: InformedMemory | None
     policy: Any
     residual: Singles  # held, (n, 1)
     age: NDArray[np.int64]  # samples since the episode's start, (n,)
@@ -109,8 +86,8 @@ class ResidualMemory:
 class ResidualController:
     """A base controller with a learned residual, as one controller on the environment's own observation."""
 
-    def __init__(self, base: BaseController, policy: Policy, settings: ResidualSettings) -> None:
-        self.base = base
+    def __init__(self, base: Controller, policy: Policy, settings: ResidualSettings) -> None:
+        self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
 
@@ -126,12 +103,21 @@ class ResidualController:
         if state is None:
             state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
             episode_start = np.ones(count, np.bool_)
-        base_action, base = self.base.predict(observation, state.base, episode_start, deterministic)
+        informed = self.informed.advance(observation, state.informed, episode_start)
         age = state.age if episode_start is None else np.where(episode_start, 0, state.age)
         residual, policy = state.residual, state.policy
         due = age % self.settings.hold == 0
         if due.any():
-            seen = augment(observation, base_action, self.base.torsion_estimate(base))
-            fresh, policy = self.policy.predict(seen, policy, episode_start, deterministic)
+            seen = self.informed.seen(observation, informed)
+            fresh, following = self.policy.predict(seen, policy, episode_start, deterministic)
             residual = np.where(due[:, None], fresh, residual)
-        return combine(base_action, residual, self.settings.limit), ResidualMemory(base, policy, residual, age + 1)
+            policy = _remembered(policy, following, due)
+        action = combine(informed.action, residual, self.settings.limit)
+        return action, ResidualMemory(informed, policy, residual, age + 1)
+
+
+def _remembered(before: Any, following: Any, due: Flags) -> Any:
+    """A policy's memory, row by row: what it has become where the policy was due, what it was elsewhere."""
+    if not isinstance(before, np.ndarray):
+        return following
+    return np.where(due.reshape(-1, *[1] * (before.ndim - 1)), following, before)

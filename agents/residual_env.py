@@ -8,19 +8,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from agents.residual import (
-    BaseController,
-    ResidualSettings,
-    augment,
-    checked_residual,
-    combine,
-    residual_observation_space,
-)
+from agents.knowledge import InformedBase, InformedMemory, residual_observation_space
+from agents.residual import ResidualSettings, checked_residual, combine
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.rollout import Controller
 
 Singles = NDArray[np.float32]
 
@@ -28,42 +24,41 @@ Singles = NDArray[np.float32]
 class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
     """One arm whose action is a residual on a base controller; a step is `hold` samples, its reward their sum."""
 
-    def __init__(self, env: gym.Env[Singles, Singles], base: BaseController, settings: ResidualSettings) -> None:
+    def __init__(self, env: gym.Env[Singles, Singles], base: Controller, settings: ResidualSettings) -> None:
         super().__init__(env)
         if not isinstance(env.unwrapped, BeltArmEnv):
             raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
-        self.base = base
+        self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
-        self.observation_space: spaces.Space[Any] = residual_observation_space(env.unwrapped.sensors)
-        self._memory: Any = None
-        self._base_action = np.zeros((1, 1), np.float32)
+        self.observation_space: spaces.Space[Any] = residual_observation_space(
+            env.unwrapped.sensors, settings.knowledge
+        )
+        self._memory: InformedMemory | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Singles, dict[str, Any]]:
         """Begin an episode, see `BeltArmEnv.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._memory = None
-        return self._observe(observation), info
+        self._memory = self.informed.advance(observation[None], None, None)
+        return self.informed.seen(observation[None], self._memory)[0], info
 
     def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
         """Hold a residual for `hold` samples, or until the episode ends."""
+        if self._memory is None:
+            raise ResetNeeded("no episode is running: call reset() before step()")
         residual = checked_residual(np.asarray(action)[None], 1)
         total, samples = 0.0, 0
         while True:
-            command = combine(self._base_action, residual, self.settings.limit)
+            command = combine(self._memory.action, residual, self.settings.limit)
             observation, reward, terminated, truncated, info = self.env.step(command[0])
             total += float(reward)
             samples += 1
-            seen = self._observe(observation)
+            self._memory = self.informed.advance(observation[None], self._memory, None)
             if terminated or truncated or samples == self.settings.hold:
+                seen = self.informed.seen(observation[None], self._memory)[0]
                 return seen, total, terminated, truncated, info
-
-    def _observe(self, observation: Singles) -> Singles:
-        start = np.array([self._memory is None])
-        self._base_action, self._memory = self.base.predict(observation[None], self._memory, start)
-        return augment(observation[None], self._base_action, self.base.torsion_estimate(self._memory))[0]
 
 
 class ResidualVecEnv(VecEnv):
@@ -77,30 +72,32 @@ class ResidualVecEnv(VecEnv):
         base: The base controller.
         settings: How the residual acts.
         reward_scale: Factor on the reward, the sum over the samples of a hold.
+        worst_reward: Scaled rewards are cut to at least minus this, for learners that a rare huge charge throws off.
         stagger: Spread the arms over the phases of the episode, so that a rollout sees all of them.
     """
 
     def __init__(
         self,
         env: BeltArmVectorEnv,
-        base: BaseController,
+        base: Controller,
         settings: ResidualSettings,
         *,
         reward_scale: float = 1.0,
+        worst_reward: float = np.inf,
         stagger: bool = True,
     ) -> None:
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"ResidualVecEnv needs autoreset_mode='SameStep', got {env.autoreset_mode.value!r}")
         self.env = env
-        self.base = base
+        self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.reward_scale = reward_scale
+        self.worst_reward = worst_reward
         self.stagger = stagger
         self.render_mode = env.render_mode
-        self._memory: Any = None
-        self._base_action = np.zeros((env.num_envs, 1), np.float32)
+        self._memory: InformedMemory | None = None
         self._residual = np.zeros((env.num_envs, 1), np.float32)
-        space = residual_observation_space(env.sensors)
+        space = residual_observation_space(env.sensors, settings.knowledge)
         super().__init__(env.num_envs, space, spaces.Box(-1.0, 1.0, (1,), np.float32))
 
     def reset(self) -> Singles:
@@ -113,20 +110,30 @@ class ResidualVecEnv(VecEnv):
         start = np.ones(self.num_envs, np.bool_)
         if self.stagger:
             observation, start = self._spread(observation, start)
-        return self._observe(observation, start)
+        self._memory = self.informed.advance(observation, self._memory, start)
+        return self.informed.seen(observation, self._memory)
 
     def _spread(self, observation: Singles, start: NDArray[np.bool_]) -> tuple[Singles, NDArray[np.bool_]]:
         """Run the arms under the base for one episode, restarting one group after another."""
         hold = self.settings.hold
         turn = (np.arange(self.num_envs) * (EPISODE_STEPS // hold) // self.num_envs + 1) * hold
         for step in range(1, EPISODE_STEPS + 1):
-            action, self._memory = self.base.predict(observation, self._memory, start)
-            observation, _, terminated, truncated, _ = self.env.step(action)
+            self._memory = self.informed.advance(observation, self._memory, start)
+            observation, _, terminated, truncated, _ = self.env.step(self._memory.action)
             start = terminated | truncated
             if (mask := turn == step).any():
                 observation, _ = self.env.reset(options={"reset_mask": mask})
                 start |= mask
         return observation, start
+
+    def snapshot(self) -> dict[str, Any]:
+        """Arms, moves, random generators, sensors' history and the base's memory: all that a step depends on."""
+        return {"arms": self.env, "memory": self._memory}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a snapshot of a batch with the same settings, whose arms then belong to this one."""
+        self.env, self._memory = snapshot["arms"], snapshot["memory"]
+        self._reset_seeds()
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Refused unless empty: arms and moves are drawn at random here."""
@@ -142,11 +149,11 @@ class ResidualVecEnv(VecEnv):
         rewards = np.zeros(self.num_envs)
         done = np.zeros(self.num_envs, np.bool_)
         infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
-        residual = self._residual
-        seen = np.empty(0, np.float32)
+        residual, observation = self._residual, np.empty(0, np.float32)
+        assert self._memory is not None, "Stable-Baselines3 resets before it steps"
         for _ in range(self.settings.hold):
             observation, reward, terminated, truncated, info = self.env.step(
-                combine(self._base_action, residual, self.settings.limit)
+                combine(self._memory.action, residual, self.settings.limit)
             )
             rewards += reward if not done.any() else np.where(done, 0.0, reward)
             ended = terminated | truncated
@@ -154,8 +161,10 @@ class ResidualVecEnv(VecEnv):
                 self._report(infos, observation, ended & ~done, truncated, info)
                 done |= ended
                 residual = np.where(done[:, None], np.float32(0), residual)
-            seen = self._observe(observation, ended)
-        return seen, (self.reward_scale * rewards).astype(np.float32), done, infos
+            self._memory = self.informed.advance(observation, self._memory, ended)
+        seen = self.informed.seen(observation, self._memory)
+        scaled = np.maximum(self.reward_scale * rewards, -self.worst_reward)
+        return seen, scaled.astype(np.float32), done, infos
 
     def _report(
         self,
@@ -169,8 +178,7 @@ class ResidualVecEnv(VecEnv):
         arms = np.flatnonzero(ended)
         last = observation.copy()
         last[arms] = np.stack(info["final_obs"][arms])
-        base_action, memory = self.base.predict(last, self._memory, None)
-        terminal = augment(last, base_action, self.base.torsion_estimate(memory))
+        terminal = self.informed.seen(last, self.informed.advance(last, self._memory, None))
         totals = info["final_info"]["total_cost"]
         for arm in arms:
             infos[arm] = {
@@ -178,10 +186,6 @@ class ResidualVecEnv(VecEnv):
                 "TimeLimit.truncated": bool(truncated[arm]),
                 "episode": {"r": -float(totals[arm]), "l": int(info["final_info"]["episode_steps"][arm]), "t": 0.0},
             }
-
-    def _observe(self, observation: Singles, start: NDArray[np.bool_]) -> Singles:
-        self._base_action, self._memory = self.base.predict(observation, self._memory, start)
-        return augment(observation, self._base_action, self.base.torsion_estimate(self._memory))
 
     def close(self) -> None:
         """Close the arms."""

@@ -1,178 +1,116 @@
-"""What training scripts share: validation, checkpoints, progress, and stopping without losing anything."""
+"""A training run, from its options to its policies; `agents.runs` is the command line around it."""
 
 from __future__ import annotations
 
-import csv
 import json
-import signal
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+import platform
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from importlib.metadata import version
 
-import numpy as np
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.bundle import BundleSpec, save_bundle
-from agents.residual import ResidualController
-from baselines import CONTROLLERS
-from baselines.files import write_atomically, write_text
-from beltarm_env.rollout import Controller, rollout
+from agents.bases import make_base
+from agents.bundle import BundleSpec, annotate, save_bundle
+from agents.checkpoint import RunFolder
+from agents.monitor import Maker, News, StopRequest, TrainingMonitor
+from agents.residual_env import ResidualVecEnv
+from agents.settings import RunConfig, first_arm_seed
+from baselines.provenance import command_line, commit
+from beltarm_env import BeltArmVectorEnv, __version__
 
-VALIDATION_SEED = 7_000_000
-"""Seed of the arms on which checkpoints are compared: training seeds lie below, the comparison's seeds above."""
-SCORES = ("cost", "tip_rms_mm", "residual_pp_mm")
-_WORDS = ("cost", "tip", "ringing")
-
-
-def validate(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
-    """Mean scores over arms drawn from the training ranges with the validation seed."""
-    metrics = rollout(controller, arms, seed=VALIDATION_SEED, randomization="train", sensors=sensors).metrics()
-    return {name: float(np.mean(metrics[name])) for name in SCORES}
+_PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
 
 
-class Checkpoint:
-    """The folder of a run: `checkpoint.zip` and `progress.json` to go on from, `best/` the best policy so far."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.model = folder / "checkpoint.zip"
-        self.progress = folder / "progress.json"
-        self.best = folder / "best"
-
-    def save(self, model: BaseAlgorithm, progress: dict[str, Any]) -> None:
-        """Write model and progress, each atomically."""
-        write_atomically(self.model, lambda path: model.save(path))
-        write_text(self.progress, json.dumps(progress, indent=2) + "\n")
-
-    def load_progress(self) -> dict[str, Any]:
-        """Progress of the last save.
-
-        Raises:
-            FileNotFoundError: If there is nothing to resume.
-        """
-        if not (self.model.exists() and self.progress.exists()):
-            raise FileNotFoundError(f"nothing to resume in {self.folder}: run once without --resume")
-        return json.loads(self.progress.read_text(encoding="utf-8"))
+def make_env(config: RunConfig) -> ResidualVecEnv:
+    """The training arms."""
+    arms = BeltArmVectorEnv(config.arms, sensors=config.sensors, randomization="train", autoreset_mode="SameStep")
+    return ResidualVecEnv(
+        arms,
+        make_base(config.base),
+        config.residual,
+        reward_scale=config.reward_scale / config.hold,
+        worst_reward=config.worst_reward,
+    )
 
 
-class TrainingMonitor(BaseCallback):
-    """Validates every so often, keeps the best policy and a checkpoint, and shows progress.
+def train(
+    config: RunConfig,
+    make_model: Maker,
+    report: Callable[[News], object] = lambda _: None,
+    stop: StopRequest | None = None,
+) -> TrainingMonitor:
+    """Run a training, from the beginning or from its checkpoint, to its end.
 
     Args:
-        checkpoint: Where to save.
-        spec: What the policy is; its provenance is completed with what was reached.
-        total_steps: Steps of the whole run.
-        every: Steps between validations.
-        arms: Arms per validation.
-        progress: What an interrupted run had reached, for `--resume`.
+        config: Options.
+        make_model: Makes the untrained model.
+        report: Called with news.
+        stop: Whether to stop early, saving what there is.
+
+    Returns:
+        The monitor, which knows what came out.
+
+    Raises:
+        Interrupted: If it was asked to stop; it can be resumed.
+        ValueError: If an option is not allowed, the folder holds another run, or the training diverges.
+        OSError: If files cannot be written; the last checkpoint stays.
     """
-
-    def __init__(
-        self,
-        checkpoint: Checkpoint,
-        spec: BundleSpec,
-        *,
-        total_steps: int,
-        every: int,
-        arms: int,
-        progress: dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__()
-        self.checkpoint = checkpoint
-        self.spec = spec
-        self.total_steps = total_steps
-        self.every = every
-        self.arms = arms
-        self.state = progress or {"steps": 0, "seconds": 0.0, "best_cost": float("inf"), "best_steps": 0}
-        self._next = self.state["steps"] + every
-        self._before = self.state["seconds"]
-        self._began = time.perf_counter()
-        base = CONTROLLERS[spec.base]()
-        self.base_scores = validate(base, arms, spec.sensors)
-        self._display = Progress(
-            TextColumn("{task.percentage:3.0f} %"),
-            BarColumn(bar_width=16),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[scores]}"),
-        )
-        self._task = self._display.add_task("train", total=total_steps, completed=self.state["steps"], scores="")
-
-    @property
-    def seconds(self) -> float:
-        """Wall-clock of the run so far, earlier parts included [s]."""
-        return self._before + time.perf_counter() - self._began
-
-    def _on_training_start(self) -> None:
-        self._display.start()
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self._display.update(self._task, completed=self.num_timesteps)
-
-    def _on_rollout_start(self) -> None:
-        # Between update and rollout, so that what is validated is what is saved.
-        if self.num_timesteps >= self._next:
-            self.evaluate()
-            self._next = self.num_timesteps + self.every
-
-    def _on_training_end(self) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """Validate and save once more, and end the display."""
-        self.evaluate()
-        self._display.stop()
-
-    def evaluate(self) -> None:
-        """Validate, log, keep the policy if it is the best so far, and save a checkpoint."""
-        base = CONTROLLERS[self.spec.base]()
-        controller = ResidualController(base, self.model.policy, self.spec.residual)  # pyright: ignore[reportArgumentType]
-        scores = validate(controller, self.arms, self.spec.sensors)
-        ratios = {name: scores[name] / self.base_scores[name] for name in SCORES}
-        for name in SCORES:
-            self.logger.record(f"validation/{name}", scores[name])
-            self.logger.record(f"validation/{name}_over_base", ratios[name])
-        self.state.update(steps=self.num_timesteps, seconds=round(self.seconds, 1))
-        if scores["cost"] < self.state["best_cost"]:
-            self.state.update(best_cost=scores["cost"], best_steps=self.num_timesteps)
-            save_bundle(self.checkpoint.best, self._completed_spec(scores), self.model.policy)
-        self._append({"steps": self.num_timesteps, "seconds": round(self.seconds, 1), **scores})
-        self.checkpoint.save(self.model, self.state)
-        shown = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in zip(SCORES, _WORDS, strict=True))
-        self._display.update(self._task, completed=self.num_timesteps, scores=f"{shown} of the base")
-
-    def _completed_spec(self, scores: dict[str, float]) -> BundleSpec:
-        reached = {"steps": self.num_timesteps, "seconds": round(self.seconds, 1), "validation": scores}
-        provenance = {**self.spec.provenance, "reached": reached, "validation_of_base": self.base_scores}
-        return replace(self.spec, provenance=provenance)
-
-    def _append(self, row: dict[str, float]) -> None:
-        """Add a line to validation.csv, which a resumed run goes on with."""
-        path = self.checkpoint.folder / "validation.csv"
-        new = not path.exists()
-        with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=list(row))
-            if new:
-                writer.writeheader()
-            writer.writerow(row)
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Let SIGTERM interrupt like Ctrl-C, so that both can be caught as KeyboardInterrupt."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
+    config.check()
+    torch.set_num_threads(config.threads)
+    folder = RunFolder(config.out)
+    folder.begin(config)
+    env = make_env(config)
+    model = make_model(config, env)
+    env.seed(first_arm_seed(config.seed))
+    progress = folder.load(model, env) if config.resume else None
+    suffix = f"_from_{model.num_timesteps}" if config.resume else ""
+    formats = [make_output_format(kind, str(config.out), suffix) for kind in ("csv", "tensorboard")]
+    model.set_logger(logger := Logger(str(config.out), formats))
+    spec = config.spec(**_origin(config))
+    monitor = TrainingMonitor(config, folder, env, spec, report, stop or StopRequest(), progress)
+    monitor.init_callback(model)
     try:
-        yield
+        remaining = config.total_steps - model.num_timesteps
+        if remaining > 0:
+            _learn(model, remaining, monitor)
+            _finish(monitor, spec)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        logger.close()
+        env.close()
+    return monitor
+
+
+def _learn(model: BaseAlgorithm, steps: int, monitor: TrainingMonitor) -> None:
+    """Train for so many agent steps; ValueError, naming the remedy, if the training diverges."""
+    config = monitor.config
+    try:
+        model.learn(steps, monitor, config.log_interval, reset_num_timesteps=not config.resume)
+    except ValueError as error:
+        if any(word in str(error) for word in ("nan", "inf", "finite")):
+            message = f"diverged at {model.num_timesteps} steps: begin anew with a smaller --learning-rate"
+            raise ValueError(message) from None
+        raise
+
+
+def _finish(monitor: TrainingMonitor, spec: BundleSpec) -> None:
+    """Leave the last policy, and in the best one what has become of the run since."""
+    folder, known = monitor.folder, monitor.provenance()
+    scores = {name: value for name, value in monitor.progress["curve"][-1].items() if name not in ("steps", "seconds")}
+    reached = {**known["run"], "validation": scores}
+    provenance = {**spec.provenance, **known, "reached": reached, "validation_of_base": monitor.base_scores}
+    save_bundle(folder.last, replace(spec, provenance=provenance), monitor.actor())
+    annotate(folder.best, **known)
+
+
+def _origin(config: RunConfig) -> dict[str, object]:
+    """Where a policy comes from."""
+    return {
+        "command": command_line(),
+        "version": __version__,
+        "commit": commit(),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "config": json.loads(json.dumps(asdict(config), default=str)),
+    }

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.gains import Gains, tunable
+from baselines.gains import Gains, tunable, tuned
 from baselines.identification import IDENTIFIED, ArmIdentifier, Belief, Doubt
-from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
+from baselines.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
 from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import ArmParams
 
@@ -42,13 +42,23 @@ class AdaptiveGains(Gains):
     friction_share: float = tunable(1.0, 0.5, 1.3)  # [-]        of tau_c that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
 
+    def doubt(self) -> Doubt:
+        """What the identification does not know at first."""
+        return Doubt(
+            swing=self.swing_doubt,
+            stiffness=self.stiffness_doubt,
+            friction=self.friction_doubt,
+            torque=self.torque_noise,
+            acceleration=self.acceleration_noise,
+        )
+
 
 @dataclass(frozen=True)
 class AdaptiveMemory:
     """Belief about n arms, and plans for the arms once believed in."""
 
     belief: Belief
-    plan: Plan
+    plans: Plans
     planned_for: Floats  # logs at the time of the plan, shape (n, 6)
 
 
@@ -63,18 +73,8 @@ class AdaptiveController:
     def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or AdaptiveGains()
         self.params = params or ArmParams()
-        g = self.gains
-        self._weights = Weights(g.velocity_weight, g.torque_weight)
-        self._identifier = ArmIdentifier(
-            self.params,
-            Doubt(
-                swing=g.swing_doubt,
-                stiffness=g.stiffness_doubt,
-                friction=g.friction_doubt,
-                torque=g.torque_noise,
-                acceleration=g.acceleration_noise,
-            ),
-        )
+        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._identifier = ArmIdentifier(self.params, self.gains.doubt())
 
     def predict(
         self,
@@ -98,14 +98,18 @@ class AdaptiveController:
         news = np.abs(belief.logs - planned_for).max(axis=1) > _NEWS
         due = begins | (news & (reading.step % _EVERY == 0))
         table = self._identifier.table(belief)
-        plan = replanned(state.plan if state else None, due, reading.move, table, self._weights)
-        torque = planned_torque(plan, reading.step, belief.state)
+        plans = replanned(state.plans if state else None, due, reading.move, table, self._weights)
+        torque = planned_torque(plans, reading.step, belief.state)
         direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
-        memory = AdaptiveMemory(belief, plan, np.where(due[:, None], belief.logs, planned_for))
+        memory = AdaptiveMemory(belief, plans, np.where(due[:, None], belief.logs, planned_for))
         return torque + self.gains.friction_share * friction * direction, memory
 
-    @staticmethod
-    def torsion_estimate(memory: AdaptiveMemory) -> Floats:
-        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return memory.belief.state[:, 2:].copy()
+
+def tuned_identifier() -> ArmIdentifier:
+    """The identification with the doubts that this controller was tuned to, for others to use.
+
+    Raises:
+        ValueError: If the file of gains is damaged or out of date.
+    """
+    return ArmIdentifier(ArmParams(), tuned("adaptive", AdaptiveGains).doubt())

@@ -113,8 +113,3 @@ class DisturbanceController:
         load = np.where(stuck, memory.load, memory.load + self._share * (latest - memory.load))
         fast_load = np.where(stuck, load, memory.fast_load + self._fast_share * (latest - memory.fast_load))
         return np.where(starting, 0.0, load), np.where(starting, 0.0, fast_load)
-
-    @staticmethod
-    def torsion_estimate(memory: DisturbanceMemory) -> Floats:
-        """Zeros of shape (n, 2): the load is estimated, not the torsion and its rate."""
-        return np.zeros((len(memory.load), 2))

@@ -136,8 +136,3 @@ class LqgController:
         start = np.where(begins, new.start, corners.start)
         rest = (np.where(which, fresh, old) for fresh, old in zip(new[1:], corners[1:], strict=True))
         return Corners(start, *rest)
-
-    @staticmethod
-    def torsion_estimate(memory: LqgMemory) -> Floats:
-        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return memory.estimate.state[:, 2:].copy()

@@ -84,8 +84,3 @@ class MpcController:
         direction = breakaway_direction(estimate.state[:, 1], net, _RESTING)
         torque = net + friction * direction - estimate.disturbance
         return as_action(torque, self.params), MpcMemory(estimate, net)
-
-    @staticmethod
-    def torsion_estimate(memory: MpcMemory) -> Floats:
-        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return memory.estimate.state[:, 2:].copy()

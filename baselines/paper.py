@@ -147,11 +147,6 @@ class PaperController:
         )
         return np.clip(torque / p.torque_limit, -1, 1).astype(np.float32)[:, None], memory
 
-    @staticmethod
-    def torsion_estimate(memory: PaperMemory) -> NDArray[np.float64]:
-        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return np.column_stack([memory.torsion, memory.torsion_rate])
-
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:
     """The paper's controller without vibration feedback, K_4 = 0: computed torque and PD for a rigid arm."""

@@ -102,8 +102,3 @@ class PidServo(ABC):
         viscous = p.motor_viscous_friction * p.gear_ratio * wanted.speed
         friction = gains.friction * p.coulomb_friction * friction_direction(wanted, push, gains.rest_width)
         return self._arm.torque(wanted) + viscous + friction + push
-
-    @staticmethod
-    def torsion_estimate(memory: PidMemory) -> Floats:
-        """Zeros of shape (n, 2): the servo does not estimate the torsion and its rate."""
-        return np.zeros((len(memory.integral), 2))

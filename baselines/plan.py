@@ -174,24 +174,29 @@ def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
     return plan
 
 
-def replanned(plan: Plan | None, which: NDArray[np.bool_], moves: Floats, table: Floats, weights: Weights) -> Plan:
-    """The plan with those of some arms made anew; `table` has a row for every arm, or one for all."""
-    if plan is not None and not which.any():
-        return plan
+Plans = list[Floats]
+"""Plans of n arms, each of shape (1200, 9), a row a sample: reference, gain, torque. A list, so that a new plan for
+some arms leaves those of the others where they are; never changed in place, since a memory that was returned must stay
+what it was."""
+
+
+def replanned(plans: Plans | None, which: NDArray[np.bool_], moves: Floats, table: Floats, weights: Weights) -> Plans:
+    """The plans with those of some arms made anew; `table` has a row for every arm, or one for all."""
+    if plans is not None and not which.any():
+        return plans
     new = plan_moves(moves[which], table[which] if len(table) > 1 else table, weights)
-    if plan is None:
-        return new
-    merged = Plan(*(part.copy() for part in plan))
-    for part, of_new in zip(merged, new, strict=True):
-        part[which] = of_new
+    rows = np.concatenate([new.reference, new.gain, new.torque[:, :, None]], axis=2)
+    merged = [np.empty(0)] * len(which) if plans is None else plans.copy()
+    for arm, of_arm in zip(np.flatnonzero(which), rows, strict=True):
+        merged[arm] = of_arm.copy()  # a view would keep the plans of all arms alive
     return merged
 
 
-def planned_torque(plan: Plan, step: NDArray[np.intp], state: Floats) -> Floats:
+def planned_torque(plans: Plans, step: NDArray[np.intp], state: Floats) -> Floats:
     """tau_ff - K (x - x_ref) [N m] of n arms, each at its step of the episode and in its state, shape (n, 4)."""
-    arms, k = np.arange(len(step)), np.minimum(step, EPISODE_STEPS - 1)
-    feedback = plan.gain[arms, k] * (state - plan.reference[arms, k])
-    return plan.torque[arms, k] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
+    rows = np.array([plan[k] for plan, k in zip(plans, np.minimum(step, EPISODE_STEPS - 1), strict=True)])
+    feedback = rows[:, 4:8] * (state - rows[:, :4])
+    return rows[:, 8] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
 
 
 def breakaway_direction(speed: Floats, torque: Floats, slow: float) -> Floats:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from baselines.gains import Gains, tunable
 from baselines.observer import Estimate, Noise, StickSlipObserver
-from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
+from baselines.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env.simulation import params_table
@@ -43,7 +43,7 @@ class PreviewGains(Gains):
 class PreviewMemory:
     """Plan and estimate of n arms."""
 
-    plan: Plan
+    plans: Plans
     estimate: Estimate
 
 
@@ -76,13 +76,8 @@ class PreviewController:
         reading = read(observation, self.params)
         begins = beginning(state, episode_start, len(observation))
         estimate = self._observer.update(state.estimate if state else None, reading, begins)
-        plan = replanned(state.plan if state else None, begins, reading.move, self._table, self._weights)
-        torque = planned_torque(plan, reading.step, estimate.state)
+        plans = replanned(state.plans if state else None, begins, reading.move, self._table, self._weights)
+        torque = planned_torque(plans, reading.step, estimate.state)
         direction = breakaway_direction(estimate.state[:, 1], torque, self.gains.friction_speed)
         friction = self.gains.friction_share * self.params.coulomb_friction * direction
-        return as_action(torque - estimate.disturbance + friction, self.params), PreviewMemory(plan, estimate)
-
-    @staticmethod
-    def torsion_estimate(memory: PreviewMemory) -> Floats:
-        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return memory.estimate.state[:, 2:].copy()
+        return as_action(torque - estimate.disturbance + friction, self.params), PreviewMemory(plans, estimate)

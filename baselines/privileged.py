@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.plan import Plan, Weights, breakaway_direction, planned_torque, replanned
+from baselines.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
 from baselines.preview import PreviewGains
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams, observation
@@ -29,7 +29,7 @@ _SCALES = observation.scales("full")[_TORSION]
 class PrivilegedMemory:
     """Plans of n arms."""
 
-    plan: Plan
+    plans: Plans
 
 
 class PrivilegedController:
@@ -66,11 +66,11 @@ class PrivilegedController:
             )
         reading = read(observation, self.params)
         begins = beginning(state, episode_start, len(observation))
-        plan = replanned(state.plan if state else None, begins, reading.move, self._table, self._weights)
+        plans = replanned(state.plans if state else None, begins, reading.move, self._table, self._weights)
         torsion = observation[:, _TORSION].astype(np.float64) * _SCALES
         x = np.column_stack([reading.motor_angle, reading.motor_speed, torsion])
-        torque = planned_torque(plan, reading.step, x)
+        torque = planned_torque(plans, reading.step, x)
         direction = breakaway_direction(reading.motor_speed, torque, self.gains.friction_speed)
         return as_action(
             torque + self.gains.friction_share * self._friction * direction, self.params
-        ), PrivilegedMemory(plan)
+        ), PrivilegedMemory(plans)

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.gains import tunable
-from baselines.paper import PaperController, PaperMemory, TorsionSimulation
+from baselines.paper import PaperMemory, TorsionSimulation
 from baselines.reading import as_action, beginning, read
 from baselines.servo import FrictionGains, RigidArm, friction_direction, motor_errors, task_motion
 from beltarm_env import ArmParams
@@ -77,8 +77,3 @@ class RetunedController:
         friction = gains.friction * p.coulomb_friction * friction_direction(wanted, push, gains.rest_width)
         torque = self._arm.torque(wanted) + p.motor_viscous_friction * now.motor_speed + friction + push
         return as_action(torque, p), memory
-
-    @staticmethod
-    def torsion_estimate(memory: PaperMemory) -> Floats:
-        """Estimated torsion [rad] and its rate [rad/s], shape (n, 2)."""
-        return PaperController.torsion_estimate(memory)

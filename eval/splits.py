@@ -4,8 +4,8 @@
     python eval/scenarios.py             check the file, and that the physics is still that of the file
 
 A scenario is one arm with one move and its sensors. Arm i of a split is what the environment draws from seed + i with
-the split's ranges. Training uses seeds below 7 000 000 and validation those from there on (see `agents.training`); the
-splits lie above.
+the split's ranges. Training uses seeds below 4 000 000 and validation those from 7 000 000 on (see `agents.settings`);
+the splits lie above.
 
 Every split but `nominal` has the arms and moves of `randomized`, with what its name says replaced: an episode draws the
 same random numbers whatever its ranges, so a shifted constant has the same place in its new range that it had in the

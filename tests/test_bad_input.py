@@ -5,6 +5,7 @@ import hashlib
 import json
 import math
 import os
+import pickle
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -15,11 +16,24 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 from gymnasium.error import ResetNeeded
+from safetensors.torch import load_file
+from safetensors.torch import save as save_tensors
 
 import agents.bundle
-from agents.bundle import FORMAT, MANIFEST, VERSION, BundleError, BundleSpec, build_policy, load_controller, save_bundle
+from agents.actor import MAX_LAYERS, MAX_WIDTH, Actor
+from agents.bases import settings_hash
+from agents.bundle import (
+    FORMAT,
+    MANIFEST,
+    MAX_BYTES,
+    VERSION,
+    BundleError,
+    BundleSpec,
+    load_controller,
+    read_spec,
+    save_bundle,
+)
 from agents.residual import ResidualController, ResidualSettings
 from agents.residual_env import ResidualEnv, ResidualVecEnv
 from baselines import CONTROLLERS
@@ -463,10 +477,14 @@ def test_residuals_that_are_not_finite():
 SPEC = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
 
 
+def new_actor(spec: BundleSpec = SPEC) -> Actor:
+    return Actor(spec.shape()).requires_grad_(False)
+
+
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
     folder = tmp_path / "policy"
-    save_bundle(folder, SPEC, build_policy(SPEC))
+    save_bundle(folder, SPEC, new_actor())
     load_controller(folder)
     return folder
 
@@ -500,12 +518,8 @@ def flip_a_bit(path: Path) -> None:
 
 def foreign_weights(bundle: Path) -> None:
     """Weights of another network, with fitting hashes."""
-    other = bundle.parent / "other"
-    save_bundle(
-        other,
-        BundleSpec("ppo", "paper", ResidualSettings(), (5,)),
-        build_policy(BundleSpec("ppo", "paper", ResidualSettings(), (5,))),
-    )
+    other, spec = bundle.parent / "other", BundleSpec("ppo", "paper", ResidualSettings(), (5,))
+    save_bundle(other, spec, new_actor(spec))
     manifest = json.loads((other / MANIFEST).read_text())
     shutil.copy(weights(other), bundle)
     edit(bundle, rehash=True, weights=manifest["weights"])
@@ -514,6 +528,46 @@ def foreign_weights(bundle: Path) -> None:
 def not_weights(bundle: Path, data: bytes) -> None:
     (bundle / "weights-x.safetensors").write_bytes(data)
     edit(bundle, rehash=True, weights={"file": "weights-x.safetensors", "sha256": hashlib.sha256(data).hexdigest()})
+
+
+def name_weights(bundle: Path, name: object) -> None:
+    manifest = json.loads((bundle / MANIFEST).read_text())
+    edit(bundle, rehash=True, weights={**manifest["weights"], "file": name})
+
+
+class Exploit:
+    """Its pickle, loaded, creates a file."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> Any:
+        return (Path.touch, (self.target,))
+
+
+def nan_weights(bundle: Path) -> None:
+    """Weights with a NaN, and fitting hashes."""
+    tensors = load_file(weights(bundle))
+    next(iter(tensors.values())).view(-1)[0] = NAN
+    not_weights(bundle, save_tensors(tensors))
+
+
+def other_gains(bundle: Path) -> None:
+    settings = json.loads((bundle / MANIFEST).read_text())["base_settings"]
+    settings["gains"]["angle"] += 1
+    edit(bundle, rehash=True, base_settings=settings, base_hash=settings_hash(settings))
+
+
+def other_doubts(bundle: Path) -> None:
+    settings = json.loads((bundle / MANIFEST).read_text())["base_settings"]
+    settings["doubts"]["swing"] = 0.5
+    edit(bundle, rehash=True, base_settings=settings, base_hash=settings_hash(settings))
+
+
+def rescaled(bundle: Path) -> None:
+    entries = json.loads((bundle / MANIFEST).read_text())["entries"]
+    entries[0][2] *= 2
+    edit(bundle, rehash=True, entries=entries)
 
 
 DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
@@ -546,6 +600,33 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "other sensors": (lambda b: edit(b, rehash=True, sensors="tip"), (MANIFEST, "does not fit")),
     "unknown sensors": (lambda b: edit(b, rehash=True, sensors="sonar"), (MANIFEST, "does not fit", "sonar")),
     "another layout": (lambda b: edit(b, rehash=True, entries=["speed"]), (MANIFEST, "does not fit")),
+    "another layout version": (lambda b: edit(b, rehash=True, layout=99), (MANIFEST, "does not fit", "layout")),
+    "inputs of another scale": (rescaled, (MANIFEST, "does not fit", "layout")),
+    "gains of the base": (other_gains, (MANIFEST, "'paper'", "gains.angle", "train it again")),
+    "doubts of the identification": (other_doubts, (MANIFEST, "doubts.swing was 0.5", "train it again")),
+    "no settings of the base": (lambda b: edit(b, rehash=True, base_settings=3, base_hash=""), ("unknown gains",)),
+    "provenance of a wrong type": (lambda b: edit(b, rehash=True, provenance=[]), (MANIFEST, "does not fit")),
+    "huge layers": (
+        lambda b: edit(b, rehash=True, hidden=[10**9, 10**9]),
+        (MANIFEST, "does not fit", str(MAX_WIDTH), str(10**9)),
+    ),
+    "very many layers": (
+        lambda b: edit(b, rehash=True, hidden=[1] * 10**5),
+        (MANIFEST, "does not fit", str(MAX_LAYERS), str(10**5)),
+    ),
+    "huge LSTM": (lambda b: edit(b, rehash=True, lstm=10**9), (MANIFEST, "does not fit", "LSTM", str(10**9))),
+    "an LSTM that is not in the weights": (lambda b: edit(b, rehash=True, lstm=4), ("weights-", "does not hold")),
+    "weights of NaN": (nan_weights, ("weights-x", "not finite")),
+    "weights elsewhere": (lambda b: name_weights(b, "../elsewhere.safetensors"), ("../elsewhere", "beside it")),
+    "weights at an absolute path": (lambda b: name_weights(b, "/etc/passwd"), ("/etc/passwd", "beside it")),
+    "weights named by a number": (lambda b: name_weights(b, 7), ("7", "beside it")),
+    "weights with a NUL in their name": (lambda b: name_weights(b, "weights-\0.safetensors"), ("beside it",)),
+    "huge manifest": (
+        lambda b: (b / MANIFEST).write_text(" " * (MAX_BYTES + 1)),
+        (MANIFEST, "cannot be read", str(MAX_BYTES)),
+    ),
+    "huge weights": (lambda b: os.truncate(weights(b), MAX_BYTES + 1), ("weights-", "cannot be read", str(MAX_BYTES))),
+    "deeply nested manifest": (lambda b: (b / MANIFEST).write_text("[" * 10**5), (MANIFEST, "cannot be read")),
     "limit out of range": (
         lambda b: edit(b, rehash=True, residual={"limit": 5.0, "hold": 4}),
         (MANIFEST, "does not fit", "5.0", "(0, 2]"),
@@ -582,21 +663,27 @@ def test_a_file_is_no_bundle(tmp_path: Path):
         load_controller(tmp_path / "policy.zip")
 
 
-def test_weights_outside_the_bundle_are_not_read(bundle: Path):
-    elsewhere = bundle.parent / "elsewhere.safetensors"
-    shutil.move(weights(bundle), elsewhere)
-    manifest = json.loads((bundle / MANIFEST).read_text())
-    edit(bundle, rehash=True, weights={**manifest["weights"], "file": "../elsewhere.safetensors"})
-    refused(BundleError, ("elsewhere.safetensors", "cannot be read"), lambda: load_controller(bundle))
+def test_loading_executes_nothing(bundle: Path):
+    """Pickles in place of the weights and of the manifest are refused and not run."""
+    target = bundle.parent / "executed"
+    not_weights(bundle, pickle.dumps(Exploit(target)))
+    refused(BundleError, ("weights-x", "does not hold"), lambda: load_controller(bundle))
+    (bundle / MANIFEST).write_bytes(pickle.dumps(Exploit(target)))
+    refused(BundleError, (MANIFEST, "cannot be read"), lambda: load_controller(bundle))
+    assert not target.exists()
+    pickle.loads(pickle.dumps(Exploit(target)))
+    assert target.exists(), "the exploit should work where a pickle is loaded"
 
 
-def test_nan_in_the_weights(bundle: Path):
-    policy = build_policy(SPEC)
-    with torch.no_grad():
-        next(policy.parameters())[:] = NAN
-    with pytest.raises(ValueError, match=r"finite|nan"):
-        save_bundle(bundle, SPEC, policy)
-        rollout(load_controller(bundle)[0], 1, seed=0)
+def test_policies_that_are_not_saved(bundle: Path):
+    before = read_spec(bundle)
+    actor = new_actor()
+    next(actor.parameters())[:] = NAN
+    refused(BundleError, ("not finite", "layers.0.weight"), lambda: save_bundle(bundle, SPEC, actor))
+    wide = BundleSpec("ppo", "paper", ResidualSettings(), (600, 600))
+    refused(ValueError, (str(MAX_BYTES), "smaller layers"), lambda: save_bundle(bundle, wide, new_actor(wide)))
+    refused(ValueError, ("(600, 600)", "(4, 3)"), lambda: save_bundle(bundle, wide, new_actor()))
+    assert read_spec(bundle) == before
 
 
 # Writing
@@ -699,11 +786,11 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
 
     monkeypatch.setattr(os, "replace", replace_then_fail)
     with pytest.raises(OSError, match="No space"):
-        save_bundle(bundle, SPEC, build_policy(SPEC))
+        save_bundle(bundle, SPEC, new_actor())
     monkeypatch.undo()
     again, _ = load_controller(bundle)
     assert isinstance(again, ResidualController)
     assert np.array_equal(again.predict(seen)[0], expected)
     assert not [name for name in os.listdir(bundle) if name.startswith(".")]
-    save_bundle(bundle, SPEC, build_policy(SPEC))
-    assert len(os.listdir(bundle)) == 2
+    save_bundle(bundle, SPEC, new_actor())
+    assert len(os.listdir(bundle)) == 3

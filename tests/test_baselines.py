@@ -73,7 +73,7 @@ def test_simulated_torsion_follows_the_true_one_on_the_nominal_arm():
     for _ in range(300):
         action, memory = controller.predict(seen, memory)
         true.append(env.state[:, 2])
-        simulated.append(controller.torsion_estimate(memory)[:, 0])
+        simulated.append(memory.torsion)
         seen, *_ = env.step(action)
     error = np.std(np.array(true) - np.array(simulated))
     assert error < 0.3 * np.std(true)

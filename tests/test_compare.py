@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.bundle import BundleSpec, build_policy, save_bundle
+from agents.actor import Actor
+from agents.bundle import BundleSpec, save_bundle
 from agents.residual import ResidualSettings
 from baselines import CONTROLLERS
 from eval import compare, pairs
@@ -286,7 +287,7 @@ def test_a_controller_that_fails_on_the_way_does_not_stop_the_others(tmp_path: P
 
 def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
     spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
-    save_bundle(folder, spec, build_policy(spec))
+    save_bundle(folder, spec, Actor(spec.shape()))
     return folder
 
 

@@ -262,7 +262,7 @@ class TestControllers:
         observations[1] = first[1]
         again, memory = controller.predict(observations, memory, np.array([False, True]))
         assert again[1] == fresh[1]
-        kept = controller.torsion_estimate(memory)
+        kept = (memory.belief if isinstance(controller, AdaptiveController) else memory.estimate).state[:, 2:]
         assert (kept[1] == 0).all() and (kept[0] != 0).any()
 
     @pytest.mark.parametrize("make", CONTROLLERS)

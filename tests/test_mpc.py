@@ -174,7 +174,7 @@ def test_estimated_torsion_follows_the_true_one_on_the_nominal_arm(controller: M
     for _ in range(400):
         action, memory = controller.predict(seen, memory)
         true.append(env.state[:, 2:])
-        errors.append(controller.torsion_estimate(memory) - env.state[:, 2:])
+        errors.append(memory.estimate.state[:, 2:] - env.state[:, 2:])
         seen, *_ = env.step(action)
     assert (np.std(errors, axis=(0, 1)) < 0.1 * np.std(true, axis=(0, 1))).all()
 

@@ -8,14 +8,18 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.bundle import BundleSpec, build_policy, load_controller, read_spec, save_bundle
-from agents.residual import ResidualController, ResidualSettings, augment, combine, residual_observation_space
+from agents.actor import Actor
+from agents.bases import make_base
+from agents.bundle import BundleSpec, load_controller, read_spec, save_bundle
+from agents.knowledge import ENTRIES, InformedBase, residual_observation_space, tip_errors
+from agents.residual import ResidualController, ResidualSettings, combine
 from agents.residual_env import ResidualEnv, ResidualVecEnv
 from baselines import CONTROLLERS
-from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
+from baselines.adaptive import tuned_identifier
+from baselines.reading import read
+from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import index, size
 from beltarm_env.rollout import Recording, rollout
 
@@ -62,14 +66,10 @@ def base_run(base: str, count: int) -> Recording:
     return rollout(CONTROLLERS[base](), count, seed=30, **ARMS)
 
 
-def lively_policy(spec: BundleSpec | None = None, seed: int = 0) -> BasePolicy:
-    """Random weights, the last layer's as large as training makes them."""
+def lively_policy(spec: BundleSpec | None = None, seed: int = 0) -> Actor:
+    """Random weights, that move the arms but leave them in their workspace."""
     torch.manual_seed(seed)
-    policy = build_policy(spec or BundleSpec("ppo", "paper", SETTINGS, (16, 16)))
-    with torch.no_grad():
-        policy.get_parameter("action_net.weight").mul_(100)
-    policy.set_training_mode(False)
-    return policy
+    return Actor((spec or BundleSpec("ppo", "paper", SETTINGS, (16, 16))).shape()).requires_grad_(False)
 
 
 class Silent:
@@ -200,23 +200,52 @@ def test_prediction_is_deterministic_and_leaves_its_arguments_alone():
 # The batch as Stable-Baselines3 sees it
 
 
-def test_what_the_agent_observes_is_what_the_base_knows():
+def test_what_the_agent_observes():
+    """The observation, the base's torque, and what the identification makes of the encoder."""
     batch = many(3)
-    observations, base, memory = observed(batch), CONTROLLERS["paper"](), None
-    plain = BeltArmVectorEnv(3, **ARMS)
+    observations, base, memory, belief = observed(batch), CONTROLLERS["paper"](), None, None
+    identifier, plain = tuned_identifier(), BeltArmVectorEnv(3, **ARMS)
     seen, _ = plain.reset(seed=30)
-    for _ in range(30):
-        action, memory = base.predict(seen, memory)
-        torsion = base.torsion_estimate(memory)
-        assert np.array_equal(observations, augment(seen, action, torsion))
-        assert np.array_equal(observations[:, :-3], seen)
-        assert np.array_equal(observations[:, -3:-2], action)
-        assert np.allclose(observations[:, -2:] * [0.05, 1.0], torsion, atol=1e-6)
-        observations, *_ = stepped(batch, np.zeros((3, 1), np.float32))
+    names = [entry.name for entry in ENTRIES["belief"]]
+    scales = np.array([entry.scale for entry in ENTRIES["belief"]])
+    for hold in range(30):
         for sample in range(SETTINGS.hold):
+            action, memory = base.predict(seen, memory)
+            belief = identifier.update(belief, read(seen, ArmParams()), np.full(3, belief is None))
+            if sample == 0:
+                told = dict(zip(names, (observations[:, size() :] * scales).T, strict=True))
+                assert np.array_equal(observations[:, : size()], seen), hold
+                assert np.array_equal(told["base_torque"], action[:, 0])
+                assert np.allclose(told["believed_torsion"], belief.state[:, 2], rtol=1e-6)
+                assert np.allclose(told["believed_belt_stiffness"], belief.logs[:, 1], rtol=1e-6, atol=1e-9)
             seen, *_ = plain.step(action)
-            if sample < SETTINGS.hold - 1:
-                action, memory = base.predict(seen, memory)
+        observations, *_ = stepped(batch, np.zeros((3, 1), np.float32))
+
+
+def test_believed_tip_errors_are_the_true_ones_of_a_true_state():
+    plain = BeltArmVectorEnv(4)
+    seen, _ = plain.reset(seed=30)
+    for _ in range(60):
+        seen, *_ = plain.step(np.full((4, 1), 0.4, np.float32))
+    errors, exact = tip_errors(plain.state, read(seen, ArmParams()), ArmParams()), plain.tip_errors()
+    assert np.abs(exact[:, 1]).min() > 1e-4
+    np.testing.assert_allclose(errors[:, 0], exact[:, 0], atol=1e-7)
+    np.testing.assert_allclose(errors[:, 1], exact[:, 1], atol=1e-7)
+
+
+def test_knowledge_none_is_the_base_torque_alone():
+    settings = replace(SETTINGS, knowledge="none")
+    batch = many(3, settings)
+    observations = observed(batch)
+    action, _ = CONTROLLERS["paper"]().predict(observations[:, : size()])
+    assert np.array_equal(observations[:, size() :], action)
+
+
+def test_a_base_that_identifies_the_arm_is_not_asked_twice():
+    informed = InformedBase(CONTROLLERS["adaptive"]())
+    seen, _ = BeltArmVectorEnv(2).reset(seed=0)
+    memory = informed.advance(seen, None, None)
+    assert memory.belief is memory.base.belief
 
 
 def test_spaces():
@@ -285,7 +314,7 @@ def test_an_arm_that_leaves_within_a_hold():
     for _ in range(samples):
         action, memory = base.predict(observation[None], memory)
         observation = inner.step(action[0])[0]
-    assert np.array_equal(seen[0, :-3], observation)
+    assert np.array_equal(seen[0, : size()], observation)
 
 
 @pytest.mark.parametrize("hold", [4, 7])
@@ -310,14 +339,14 @@ def test_staggered_arms_go_on_as_if_they_had_been_alone():
     observations = observed(batch)
     steps = np.rint(observations[:, index("elapsed_time")] / 0.0015).astype(int)
     for arm in range(4):
-        env, base = BeltArmEnv(**ARMS), CONTROLLERS["paper"]()
+        env, informed = BeltArmEnv(**ARMS), InformedBase(CONTROLLERS["paper"]())
         move = dict(zip(env.move, batch.env.moves[arm], strict=True))
         seen, _ = env.reset(options={"params": asdict(batch.env.params[arm]), "move": move})
-        action, memory = base.predict(seen[None], None)
+        memory = informed.advance(seen[None], None, None)
         for _ in range(steps[arm]):
-            seen = env.step(action[0])[0]
-            action, memory = base.predict(seen[None], memory)
-        assert np.array_equal(observations[arm], augment(seen[None], action, base.torsion_estimate(memory))[0])
+            seen = env.step(memory.action[0])[0]
+            memory = informed.advance(seen[None], memory, None)
+        assert np.array_equal(observations[arm], informed.seen(seen[None], memory)[0])
 
 
 def test_same_seed_same_run_and_seeds_are_used_once():
@@ -393,18 +422,19 @@ def test_ppo_learns_on_it():
 
 SPECS = [
     BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
-    BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", {"seed": 3, "note": "ζ"}),
-    BundleSpec("ppo", "paper", ResidualSettings(2.0, 10), (), "elu", "full", {"nested": {"list": [1, 2.5, None]}}),
+    BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", 0, {"seed": 3, "note": "ζ"}),
+    BundleSpec("td3", "none", ResidualSettings(2.0, 10), (), "elu", "full", 0, {"nested": {"list": [1, 2.5, None]}}),
+    BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
 ]
 
 
-@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.activation)
+@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.algorithm + spec.activation)
 def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSpec):
     policy = lively_policy(spec)
     save_bundle(tmp_path, spec, policy)
     loaded, told = load_controller(tmp_path)
     assert told == spec == read_spec(tmp_path)[0]
-    original = ResidualController(CONTROLLERS[spec.base](), policy, spec.residual)  # pyright: ignore[reportArgumentType]
+    original = ResidualController(make_base(spec.base), policy, spec.residual)
     sensors: Any = spec.sensors
     expected = rollout(original, 3, seed=1, sensors=sensors, **ARMS)
     recording = rollout(loaded, 3, seed=1, sensors=sensors, **ARMS)
@@ -419,7 +449,7 @@ def test_content_hash_depends_on_content_alone(tmp_path: Path):
     files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
     assert files[0] == files[1]
     loaded, told = load_controller(tmp_path / "a")
-    assert isinstance(loaded.policy, BasePolicy)
+    assert isinstance(loaded.policy, Actor)
     assert save_bundle(tmp_path / "c", told, loaded.policy) == first
     others = [
         save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), policy),
@@ -432,9 +462,9 @@ def test_content_hash_depends_on_content_alone(tmp_path: Path):
 def test_saving_again_replaces_the_bundle(tmp_path: Path):
     save_bundle(tmp_path, SPECS[0], lively_policy())
     save_bundle(tmp_path, SPECS[0], lively_policy(seed=1))
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 3
     seen = np.ones((1, size()), np.float32)
-    expected = ResidualController(CONTROLLERS["paper"](), lively_policy(seed=1), SETTINGS).predict(seen)[0]  # pyright: ignore[reportArgumentType]
+    expected = ResidualController(CONTROLLERS["paper"](), lively_policy(seed=1), SETTINGS).predict(seen)[0]
     assert np.array_equal(load_controller(tmp_path)[0].predict(seen)[0], expected)
 
 

@@ -130,13 +130,11 @@ class TestEveryServo:
             assert values.shape[0] == 5
 
     @pytest.mark.parametrize("name", SERVOS)
-    def test_answers_with_actions_and_a_torsion_estimate(self, name: str):
+    def test_answers_with_actions(self, name: str):
         controller, memory = SERVOS[name](), None
         for step in observations(steps=40):
             action, memory = controller.predict(step, memory)
             assert action.shape == (5, 1) and action.dtype == np.float32 and np.abs(action).max() <= 1
-        estimate = controller.torsion_estimate(memory)
-        assert estimate.shape == (5, 2) and estimate.any() == (name == "retuned")
 
     @pytest.mark.parametrize("name", SERVOS)
     def test_refuses_observations_of_another_shape(self, name: str):
@@ -217,9 +215,8 @@ class TestRetuned:
             start = np.array([k in (0, 40), k == 0, k == 0, k == 0, k == 0])
             _, of_retuned = retuned.predict(seen, of_retuned, start)
             _, of_paper = paper.predict(seen, of_paper, start)
-            np.testing.assert_allclose(
-                retuned.torsion_estimate(of_retuned), paper.torsion_estimate(of_paper), rtol=1e-4, atol=1e-9
-            )
+            np.testing.assert_allclose(of_retuned.torsion, of_paper.torsion, rtol=1e-4, atol=1e-9)
+            np.testing.assert_allclose(of_retuned.torsion_rate, of_paper.torsion_rate, rtol=1e-4, atol=1e-9)
 
 
 class TestRamps:

@@ -1,112 +1,81 @@
-"""Train a residual PPO policy on a base controller: `python train/ppo.py`.
+"""Train a residual policy with PPO, proximal policy optimisation: `python train/ppo.py`.
 
 Everything a run writes goes to one folder: `best/` (the policy bundle with the lowest validation cost), `last/`,
-`checkpoint.zip` and `progress.json` (to go on with `--resume`), `config.json`, `validation.csv`, and the training log
-as CSV and for TensorBoard.
+`checkpoint.pkl` (to go on with `--resume`), `config.json`, `validation.csv`, and the training log as CSV and for
+TensorBoard. The checkpoint is a pickle, for this machine only; pass on `best/`, which is numbers and text.
+
+J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017.
 """
 
 from __future__ import annotations
 
-import json
-import shlex
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import torch
-import tyro
 from stable_baselines3 import PPO
-from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.bundle import ACTIVATIONS, BundleSpec, annotate, save_bundle
-from agents.residual import ResidualSettings
+from agents.actor import ACTIVATIONS
 from agents.residual_env import ResidualVecEnv
-from agents.training import Checkpoint, TrainingMonitor, interruptible
-from baselines import CONTROLLERS
-from baselines.files import require_writable, write_text
-from beltarm_env import BeltArmVectorEnv, __version__
+from agents.runs import main
+from agents.settings import RunConfig
+from beltarm_env.cost import MAX_COST
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(RunConfig):
     """Train a residual PPO policy."""
 
+    algorithm: ClassVar[str] = "ppo"
+
     out: Path = Path("runs/ppo")
-    """Folder of the run."""
-    seed: int = 0
-    """Seed of everything: arms, moves, weights, exploration. At most 6 999 999; validation and test lie above."""
-    base: Literal["paper", "rigid"] = "paper"
-    """Controller that the residual corrects."""
-    total_steps: int = 4_000_000
-    """Agent steps, each of `hold` samples."""
-    arms: int = 512
-    """Arms simulated side by side."""
+    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    total_steps: int = 6_000_000
+    """Agent steps, each of `hold` samples; the learning rate falls to zero over them."""
+    gamma: float = 0.98
+    """Discount per agent step: 0.3 s."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Hidden layers of policy and critic."""
+    hold: int = 4
+    """Samples for which a residual is held: 6 ms."""
     rollout_steps: int = 32
     """Agent steps per arm between two updates."""
     batch_size: int = 4096
     """Samples per gradient step."""
     epochs: int = 5
     """Passes over each rollout."""
-    learning_rate: float = 5e-4
-    """Initial learning rate, falling linearly to zero."""
-    gamma: float = 0.97
-    """Discount per agent step."""
     gae_lambda: float = 0.95
     """Bias against variance of the advantage estimate."""
     clip_range: float = 0.2
     """PPO's clipping range."""
-    entropy: float = 0.001
-    """Weight of the entropy bonus, which keeps exploration from dying early."""
+    entropy: float = 1e-4
+    """Weight of the entropy bonus: hardly any, exploration is to fade."""
     initial_log_std: float = -1.0
     """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Hidden layers of policy and value network."""
-    activation: Literal["relu", "tanh", "elu"] = "relu"
-    """Activation function; tanh takes twice as long."""
-    residual_limit: float = 1.0
-    """Largest residual, as a share of the torque limit."""
-    hold: int = 12
-    """Samples for which a residual is held: 18 ms, a slow enough exploration to move the arm."""
-    reward_scale: float = 0.08
-    """Factor on the mean reward over a hold, so that values are of order 1."""
-    validation_every: int = 500_000
-    """Agent steps between validations."""
-    validation_arms: int = 128
-    """Arms per validation."""
-    threads: int = 1
-    """Threads of PyTorch; more than one slows networks of this size down."""
-    device: str = "cpu"
-    """Where the networks live."""
-    resume: bool = False
-    """Go on with the run in `out`, on fresh arms; PPO's own settings stay those that it began with."""
+
+    @property
+    def worst_reward(self) -> float:
+        """The cost of three holds at its bound.
+
+        An arm that leaves is charged for all samples at once, and would drown the advantages of all others.
+        """
+        return 3 * MAX_COST * self.reward_scale
 
     def check(self) -> None:
-        """Check what PPO itself does not.
-
-        Raises:
-            ValueError: Naming the option.
-        """
-        for name in ("total_steps", "arms", "rollout_steps", "batch_size", "epochs", "validation_every", "threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.seed < 7_000_000:
-            raise ValueError(f"--seed must lie within 0 and 6999999, got {self.seed}")
+        """Check the options, see `RunConfig.check`."""
+        super().check()
+        self.at_least(1, "rollout_steps", "batch_size", "epochs")
+        self.at_least(0, "entropy", "gae_lambda")
+        self.positive("clip_range")
         if self.arms * self.rollout_steps < 2:
             raise ValueError("--arms times --rollout-steps must be at least 2")
 
 
-def make_model(config: Config, checkpoint: Checkpoint) -> PPO:
-    """A new PPO model, or the checkpoint's."""
-    settings = ResidualSettings(config.residual_limit, config.hold)
-    arms = BeltArmVectorEnv(config.arms, randomization="train", autoreset_mode="SameStep")
-    env = ResidualVecEnv(arms, CONTROLLERS[config.base](), settings, reward_scale=config.reward_scale / config.hold)
-    if config.resume:
-        model = PPO.load(checkpoint.model, env=env, device=config.device)
-        env.seed(config.seed + model.num_timesteps % 1_000_003)  # other arms than the run began with
-        return model
+def make_model(config: Config, env: ResidualVecEnv) -> PPO:
+    """An untrained model, whose learning rate will fall linearly to zero."""
     return PPO(
         "MlpPolicy",
         env,
@@ -128,64 +97,5 @@ def make_model(config: Config, checkpoint: Checkpoint) -> PPO:
     )
 
 
-def train(config: Config) -> None:
-    """Run the training, from the beginning or from the checkpoint."""
-    config.check()
-    torch.set_num_threads(config.threads)
-    checkpoint = Checkpoint(config.out)
-    progress = checkpoint.load_progress() if config.resume else None
-    require_writable(config.out)
-    model = make_model(config, checkpoint)
-    write_text(config.out / "config.json", json.dumps(asdict(config), indent=2, default=str) + "\n")
-    suffix = f"_from_{model.num_timesteps}" if config.resume else ""
-    formats = [make_output_format(kind, str(config.out), suffix) for kind in ("csv", "tensorboard")]
-    model.set_logger(Logger(str(config.out), formats))
-    spec = BundleSpec(
-        "ppo",
-        config.base,
-        ResidualSettings(config.residual_limit, config.hold),
-        config.hidden,
-        config.activation,
-        provenance={
-            "command": shlex.join(["python", "train/ppo.py", *sys.argv[1:]]),
-            "version": __version__,
-            "config": json.loads(json.dumps(asdict(config), default=str)),
-        },
-    )
-    monitor = TrainingMonitor(
-        checkpoint,
-        spec,
-        total_steps=config.total_steps,
-        every=config.validation_every,
-        arms=config.validation_arms,
-        progress=progress,
-    )
-    with interruptible():
-        try:
-            remaining = config.total_steps - model.num_timesteps
-            if remaining > 0:
-                model.learn(remaining, callback=monitor, log_interval=10, reset_num_timesteps=not config.resume)
-        except KeyboardInterrupt:
-            monitor.stop()
-            command = shlex.join(["python", "train/ppo.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"])
-            print(f"interrupted at {model.num_timesteps} steps, saved in {config.out}; to go on:\n  {command}")
-            sys.exit(130)
-    run = {"steps": model.num_timesteps, "seconds": round(monitor.seconds, 1)}
-    save_bundle(config.out / "last", replace(spec, provenance={**spec.provenance, "run": run}), model.policy)
-    annotate(checkpoint.best, run=run)
-    print(f"{model.num_timesteps} steps in {monitor.seconds:.0f} s; best policy: {config.out / 'best'}")
-    print(f"compare it: python eval/compare.py --policy {config.out / 'best'}")
-
-
-def main() -> None:
-    """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    try:
-        train(config)
-    except (OSError, ValueError) as error:
-        print(f"train/ppo.py: {error}", file=sys.stderr)
-        sys.exit(2)
-
-
 if __name__ == "__main__":
-    main()
+    main(Config, make_model, __doc__)

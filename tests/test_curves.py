@@ -1,0 +1,150 @@
+"""Learning curves, and the search for hyper-parameters."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import optuna
+import pytest
+from matplotlib.axes import Axes
+
+from agents.bundle import ALGORITHMS, BundleError
+from agents.monitor import StopRequest
+from agents.training import train
+from eval.curves import Curve, draw, find_curves
+from train import ppo
+from train.spaces import SPACES
+from train.tune import Config, command, counted, open_study, tune
+
+ROOT = Path(__file__).resolve().parent.parent
+TINY: dict[str, Any] = {
+    **{"arms": 8, "total_steps": 128, "validation_every": 64, "validation_arms": 4, "hold": 40},
+    **{"hidden": (8,), "rollout_steps": 8, "batch_size": 32},
+}
+
+
+def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / script), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "ppo"
+    for seed in range(2):
+        train(ppo.Config(out=folder / f"seed{seed}", seed=seed, **TINY), ppo.make_model)
+    return folder
+
+
+def test_curves_of_runs_and_of_bundles_are_the_same(runs: Path):
+    of_all = find_curves([runs])
+    assert [curve.method for curve in of_all] == ["ppo on paper"] * 2
+    for curve, seed in zip(of_all, range(2), strict=True):
+        assert curve.steps.tolist() == [0, 64 * 40, 128 * 40]
+        assert curve.arms == 4 and (np.diff(curve.minutes) >= 0).all()
+        for folder in (f"seed{seed}", f"seed{seed}/best", f"seed{seed}/last"):
+            (alone,) = find_curves([runs / folder])
+            assert np.allclose(alone.cost, curve.cost) and alone.base_cost == curve.base_cost
+    assert of_all[0].cost[0] != of_all[1].cost[0]
+
+
+def test_no_curves(runs: Path, tmp_path: Path):
+    with pytest.raises(BundleError, match=r"no run and no policy in .*give the folder of a run"):
+        find_curves([runs, tmp_path])
+
+
+def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Every run is a line, beside the median of a method's; bases and the best classical controller are levels."""
+    monkeypatch.setattr(plt, "close", lambda _: None)
+    steps = np.arange(4.0)
+
+    def curve(method: str, base: str, scale: float) -> Curve:
+        return Curve(method, base, 1000.0, 4, 1e6 * steps, steps, scale * np.exp(-steps))
+
+    curves = [*(curve("a on paper", "paper", k) for k in (100, 200, 400)), curve("b on zvd", "zvd", 300)]
+    draw(curves, 50.0, tmp_path / "curves.png")
+    figure = plt.gcf()
+    for axis in figure.axes:
+        assert isinstance(axis, Axes)
+        lines = [np.asarray(line.get_ydata()) for line in axis.lines]
+        assert len([line for line in lines if len(line) == 4]) == 4
+        (median,) = [line for line in lines if len(line) == 200]
+        assert np.allclose(median[[0, -1]], [200, 200 * np.exp(-3)])
+        assert sorted(float(line[0]) for line in lines if len(line) == 2) == [50.0, 1000.0, 1000.0]
+    assert {text.get_text() for text in figure.axes[0].texts} == {"a on paper (3 seeds)", "b on zvd"}
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    monkeypatch.undo()
+    plt.close(figure)
+
+
+def test_the_script_draws(runs: Path, tmp_path: Path):
+    result = run("eval/curves.py", "--runs", str(runs), "--out", "out", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "2 runs" in result.stdout and (tmp_path / "out/curves.png").exists()
+    result = run("eval/curves.py", "--runs", "nowhere", "--out", "out", cwd=tmp_path)
+    assert result.returncode == 2 and "no run and no policy in nowhere" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+# The search for hyper-parameters
+
+
+def few(out: Path, **options: Any) -> Config:
+    common = {"trials": 2, "jobs": 1, "total_steps": 640, "arms": 4, "validation_arms": 2}
+    return Config("sac", **{"out": out, **common, **options})
+
+
+def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
+    assert set(SPACES) == set(ALGORITHMS)
+    for algorithm, space in SPACES.items():
+        own = Config(algorithm, out=tmp_path).run({}, 3)
+        for name, distribution in space.items():
+            assert distribution._contains(distribution.to_internal_repr(getattr(own, name))), name
+        assert (own.seed, own.overwrite) == (503, True)
+
+
+def test_a_search_is_kept_and_goes_on(tmp_path: Path):
+    config = few(tmp_path)
+    study = tune(config, StopRequest())
+    first = study.get_trials()[0]
+    own = config.run({}, 0)
+    assert {name: getattr(own, name) for name in first.params} == first.params, "begins with the script's settings"
+    assert len(counted(study)) == 2 and study.best_value == min(t.value for t in study.get_trials() if t.value)
+    assert len(first.intermediate_values) > 5
+    assert [path.name for path in tmp_path.iterdir()] == ["sac.db"], "runs of trials are not kept"
+    words = command(config, study).split()
+    assert words[:2] == ["python", "train/sac.py"]
+    assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
+    with pytest.raises(ValueError, match=r"holds a study already.*--resume"):
+        tune(config, StopRequest())
+    with pytest.raises(ValueError, match=r"was begun with .*'arms': 4"):
+        tune(few(tmp_path, resume=True, arms=8), StopRequest())
+    study.ask()  # left running by an interruption
+    again = tune(few(tmp_path, resume=True, trials=3), StopRequest())
+    assert len(counted(again)) == 3
+    assert not again.get_trials(states=(optuna.trial.TrialState.RUNNING,))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trials": 0}, "--trials must be at least 1, got 0"),
+        ({"trials": 1000}, "--trials must be at most 400"),
+        ({"base": "papr"}, "did you mean 'paper'"),
+        ({"resume": True}, "nothing to resume"),
+    ],
+)
+def test_bad_options_of_the_search(options: dict[str, Any], message: str, tmp_path: Path):
+    with pytest.raises((ValueError, OSError), match=message):
+        tune(few(tmp_path, **options), StopRequest())
+
+
+def test_a_damaged_study(tmp_path: Path):
+    (tmp_path / "sac.db").write_text("not a database, but long enough to be one at first sight " * 40)
+    with pytest.raises(ValueError, match=r"sac\.db cannot be read"):
+        open_study(few(tmp_path, resume=True))

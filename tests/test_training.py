@@ -1,0 +1,510 @@
+"""Training runs: what is learnt is reproducible, a run that is stopped goes on as if it had not been."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import tyro
+from hypothesis import given
+from hypothesis import strategies as st
+
+import agents.bases
+import agents.monitor
+from agents.actor import actor_of
+from agents.bundle import ALGORITHMS, MAX_BYTES, load_controller, read_spec
+from agents.checkpoint import RunFolder
+from agents.monitor import Interrupted, News, StopRequest, TrainingMonitor
+from agents.off_policy import ClippedAdam
+from agents.runs import main, runs_of
+from agents.settings import MAX_SEED, SEED_SPACING, RunConfig, first_arm_seed
+from agents.training import make_env, train
+from beltarm_env.cost import MAX_COST
+
+ROOT = Path(__file__).resolve().parent.parent
+NAMES = tuple(ALGORITHMS)
+MODULES = {name: importlib.import_module(f"train.{name}") for name in NAMES}
+ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
+OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
+OWN: dict[str, dict[str, Any]] = {
+    "ppo": ON_POLICY,
+    "recurrent_ppo": {**ON_POLICY, "lstm_width": 8},
+    "sac": OFF_POLICY,
+    "td3": OFF_POLICY,
+    "tqc": {**OFF_POLICY, "quantiles": 5},
+}
+SHORT = (
+    "--arms",
+    "8",
+    "--rollout-steps",
+    "8",
+    "--batch-size",
+    "32",
+    "--hold",
+    "40",
+    "--hidden",
+    "8",
+    "--validation-arms",
+    "4",
+)
+TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
+
+
+def tiny(name: str, out: Path, **options: Any) -> RunConfig:
+    """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
+    common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
+    return MODULES[name].Config(**{"out": out, **common, **OWN[name], **options})
+
+
+def as_script(out: Path, **options: Any) -> RunConfig:
+    """What a script makes of TINY."""
+    return tiny("ppo", out, **{"total_steps": 256, "validation_every": 128, **options})
+
+
+def run(config: RunConfig, stop: StopRequest | None = None) -> TrainingMonitor:
+    return train(config, MODULES[config.algorithm].make_model, stop=stop)
+
+
+class StopAt(StopRequest):
+    """Made once a run has come so far."""
+
+    def __init__(self, steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__()
+        original = TrainingMonitor._on_rollout_start
+
+        def on_rollout_start(monitor: TrainingMonitor) -> None:
+            self.made = monitor.num_timesteps >= steps
+            original(monitor)
+
+        monkeypatch.setattr(TrainingMonitor, "_on_rollout_start", on_rollout_start)
+
+
+def script(*arguments: str, cwd: Path, name: str = "ppo") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / f"train/{name}.py"), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, str(ROOT / "train/ppo.py"), *arguments]
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(path: Path) -> None:
+    deadline = time.monotonic() + 120
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert path.exists()
+
+
+def same_weights(first: TrainingMonitor, second: TrainingMonitor) -> bool:
+    ours, theirs = first.model.policy.state_dict(), second.model.policy.state_dict()
+    return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
+
+
+def costs(monitor: TrainingMonitor) -> list[tuple[int, float]]:
+    return [(steps, cost) for steps, _, cost in monitor.curve]
+
+
+def bundle_weights(folder: Path) -> bytes:
+    (path,) = folder.glob("*.safetensors")
+    return path.read_bytes()
+
+
+# Interrupted and resumed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Bit for bit: networks, optimisers, curve and bundles, whatever happened to the generators in between."""
+    whole = run(tiny(name, tmp_path / "whole"))
+    config = tiny(name, tmp_path / "parts")
+    for steps in (64, 320):
+        with pytest.raises(Interrupted, match=rf"interrupted at {steps} steps, saved in .*parts"):
+            run(replace(config, resume=steps > 64), StopAt(steps, monkeypatch))
+        monkeypatch.undo()
+        np.random.seed(5)  # noqa: NPY002
+        torch.manual_seed(9)
+    parts = run(replace(config, resume=True))
+    assert same_weights(whole, parts)
+    for kind in [kind for kind in whole.model.get_parameters() if kind.endswith("optimizer")]:
+        ours, theirs = (monitor.model.get_parameters()[kind]["state"] for monitor in (whole, parts))
+        assert ours.keys() == theirs.keys() and len(ours)
+        assert all(torch.equal(ours[key]["exp_avg"], theirs[key]["exp_avg"]) for key in ours)
+    assert costs(whole) == costs(parts) and len(costs(whole)) == 3
+    for kind in ("best", "last"):
+        assert bundle_weights(tmp_path / "whole" / kind) == bundle_weights(tmp_path / "parts" / kind)
+
+
+def test_resuming_a_finished_run_changes_nothing(tmp_path: Path):
+    config = tiny("ppo", tmp_path)
+    first = run(config)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "best").iterdir()}
+    again = run(replace(config, resume=True))
+    assert same_weights(first, again) and costs(first) == costs(again)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "best").iterdir()} == before
+
+
+def test_another_seed_is_another_run(tmp_path: Path):
+    first, second = (run(tiny("ppo", tmp_path / str(seed), seed=seed, total_steps=64)) for seed in (0, 1))
+    assert not same_weights(first, second)
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
+    """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
+    process = start("--out", "run", *TINY, cwd=tmp_path)
+    wait_for(tmp_path / "run/best/policy.json")
+    process.kill()
+    process.communicate()
+    (tmp_path / "run" / ".checkpoint-half.pkl").write_bytes(b"\x80\x05half")
+    killed = run(as_script(tmp_path / "run", resume=True))
+    assert not list((tmp_path / "run").glob(".*"))
+    whole = run(as_script(tmp_path / "whole"))
+    assert same_weights(killed, whole) and costs(killed) == costs(whole)
+    assert bundle_weights(tmp_path / "run" / "last") == bundle_weights(tmp_path / "whole" / "last")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run, to be copied."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    run(tiny("ppo", folder, total_steps=128))
+    return folder
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def resumed(folder: Path, **options: Any) -> RunConfig:
+    return tiny("ppo", folder, **{"total_steps": 128, "resume": True, **options})
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "used folder": ({"resume": False}, "holds a run already.*--resume.*--out.*--overwrite"),
+    "another seed": ({"seed": 1}, "has --seed 0, not 1"),
+    "other arms": ({"arms": 16}, "has --arms 8, not 16"),
+    "another base": ({"base": "rigid"}, "has --base paper, not rigid"),
+    "other layers": ({"hidden": (4, 4)}, r"has --hidden \[8\], not \[4, 4\]"),
+    "other knowledge": ({"knowledge": "none"}, "has --knowledge belief, not none"),
+    "another rate": ({"learning_rate": 1e-3}, "has --learning-rate 0.0005, not 0.001"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_run_is_not_mixed_with_another(case: str, copied: Path):
+    options, message = REFUSED[case]
+    before = sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir())
+    with pytest.raises(ValueError, match=message):
+        run(resumed(copied, **options))
+    assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
+
+
+def test_another_algorithm_is_not_resumed(copied: Path):
+    with pytest.raises(ValueError, match=r"run in .*--"):
+        run(replace(tiny("sac", copied), resume=True))
+
+
+def test_another_tuning_of_the_base_is_not_resumed(copied: Path, monkeypatch: pytest.MonkeyPatch):
+    content = json.loads((copied / "config.json").read_text())
+    content["identity"]["base_hash"] = "x"
+    (copied / "config.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="began with other gains of the base"):
+        run(resumed(copied))
+
+
+def test_overwriting_deletes_the_run_and_nothing_else(copied: Path):
+    (copied / "notes.txt").write_text("mine")
+    old = bundle_weights(copied / "last")
+    run(resumed(copied, resume=False, overwrite=True, seed=3))
+    assert (copied / "notes.txt").read_text() == "mine"
+    assert bundle_weights(copied / "last") != old
+    assert len((copied / "validation.csv").read_text().splitlines()) == 3
+    assert json.loads((copied / "config.json").read_text())["config"]["seed"] == 3
+
+
+def test_overwriting_spares_what_is_no_run(tmp_path: Path):
+    (tmp_path / "best").mkdir()
+    (tmp_path / "best/picture.png").write_text("mine")
+    with pytest.raises(ValueError, match="not the folder of a run"):
+        run(tiny("ppo", tmp_path, overwrite=True))
+    assert (tmp_path / "best/picture.png").exists()
+
+
+DAMAGES: dict[str, bytes] = {
+    "empty": b"",
+    "no pickle": b"not a pickle",
+    "another pickle": pickle.dumps([1, 2]),
+    "another version": pickle.dumps({"version": 99}),
+    "a class that is gone": b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93.",
+}
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, "truncated"])
+def test_damaged_checkpoints(damage: str, copied: Path):
+    path = copied / "checkpoint.pkl"
+    path.write_bytes(DAMAGES.get(damage, path.read_bytes()[:-1000]))
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read.*--overwrite"):
+        run(resumed(copied))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"identity": 3}', '{"identity": {"options": 3}}'])
+def test_damaged_settings(text: str, copied: Path):
+    (copied / "config.json").write_text(text)
+    with pytest.raises(ValueError, match=r"config\.json is damaged.*--overwrite"):
+        run(resumed(copied))
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    config = tiny("ppo", tmp_path, total_steps=256, validation_every=64)
+    replace_file, saved = os.replace, []
+
+    def fill_up(source: Any, target: Any) -> None:
+        if Path(target).name == "checkpoint.pkl":
+            saved.append(target)
+            if len(saved) == 4:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace_file(source, target)
+
+    monkeypatch.setattr(os, "replace", fill_up)
+    with pytest.raises(OSError, match=r"cannot save to .*No space left.*last good checkpoint stays.*--resume"):
+        run(config)
+    monkeypatch.undo()
+    assert not list(tmp_path.glob(".*"))
+    assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192, 256]
+
+
+# What is trained
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
+    config = tiny(name, tmp_path)
+    env = make_env(config)
+    env.seed(0)
+    model = MODULES[name].make_model(config, env)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.add_(0.1 * torch.randn(parameter.shape))
+    actor = actor_of(model.policy, config.spec().shape())
+    ours, theirs = None, None
+    begins = np.ones(config.arms, np.bool_)
+    seen, residuals = env.reset(), []
+    with pytest.raises(ValueError, match=f"observes {seen.shape[1]} entries, got .*--sensors"):
+        actor.predict(seen[:, 1:])
+    for step in range(20):
+        residual, ours = actor.predict(seen, ours, begins)
+        expected, theirs = model.predict(seen, theirs, begins, deterministic=True)
+        np.testing.assert_allclose(residual, expected, atol=1e-6)
+        residuals.append(residual)
+        seen, _, begins, _ = env.step(residual)
+        assert isinstance(seen, np.ndarray)
+        begins[0] |= step == 10
+    assert np.std(residuals) > 1e-3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_untrained_agent_is_nearly_its_base(name: str, tmp_path: Path):
+    config = tiny(name, tmp_path)
+    env = make_env(config)
+    env.seed(0)
+    residual, _ = MODULES[name].make_model(config, env).predict(env.reset(), deterministic=True)
+    assert np.abs(residual).max() < 0.1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
+    monitor = run(tiny(name, tmp_path, total_steps=128))
+    controller, spec = load_controller(tmp_path / "last")
+    assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
+    assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
+    validated = agents.monitor.validate(controller, 4)
+    assert validated == spec.provenance["reached"]["validation"]
+    card = (tmp_path / "last" / "README.md").read_text()
+    for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
+        assert word in card
+    best, _ = read_spec(tmp_path / "best")
+    assert best.provenance["run"]["steps"] == 128
+
+
+@pytest.mark.parametrize(("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full")])
+def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
+    config = tiny("ppo", tmp_path, base=base, sensors=sensors, knowledge="none", total_steps=64)
+    run(config)
+    _, spec = load_controller(tmp_path / "best")
+    assert (spec.base, spec.sensors, spec.residual.knowledge) == (base, sensors, "none")
+
+
+def test_no_base_is_no_torque():
+    action, memory = agents.bases.make_base("none").predict(np.ones((3, 22), np.float32))
+    assert action.tolist() == [[0.0]] * 3 and action.dtype == np.float32 and memory is None
+
+
+def test_what_leaving_costs(tmp_path: Path):
+    """Cut: for PPO to the highest cost of three holds, off-policy to the highest cost for ever."""
+    worst = {}
+    for name in ("ppo", "sac"):
+        env = make_env(tiny(name, tmp_path, reward_scale=0.1, gamma=0.9, residual_limit=2.0, base="none"))
+        env.seed(0)
+        env.reset()
+        worst[name] = -min(env.step(np.ones((8, 1), np.float32))[1].min() for _ in range(20))
+    assert worst["sac"] == pytest.approx(MAX_COST * 0.1 / (1 - 0.9))
+    assert worst["ppo"] == pytest.approx(3 * MAX_COST * 0.1)
+
+
+def test_gradients_are_clipped():
+    weight = torch.nn.Parameter(torch.zeros(2))
+    optimiser = ClippedAdam([weight], lr=0.1)
+    weight.grad = torch.tensor([300.0, 400.0])
+    optimiser.step()
+    torch.testing.assert_close(weight.grad, torch.tensor([0.6, 0.8]))
+
+
+def test_weights_that_diverge_are_said_to(tmp_path: Path):
+    with pytest.raises(ValueError, match=r"diverged at .* steps.*--learning-rate"):
+        run(tiny("ppo", tmp_path, learning_rate=1e30))
+
+
+# Seeds
+
+
+@given(st.lists(st.integers(0, MAX_SEED), min_size=2, max_size=2, unique=True))
+def test_training_seeds_share_no_arm_and_stay_below_the_others(seeds: list[int]):
+    first, second = sorted(map(first_arm_seed, seeds))
+    assert first + SEED_SPACING <= second
+    assert second + SEED_SPACING <= 4_000_000
+
+
+def test_arms_are_seeded_as_documented(tmp_path: Path):
+    config = tiny("ppo", tmp_path, seed=2, total_steps=64)
+    monitor = run(config)
+    env = make_env(config)
+    env.seed(2 * SEED_SPACING)
+    env.reset()
+    assert env.env._generators[3].bit_generator.seed_seq.entropy == 2 * SEED_SPACING + 3  # pyright: ignore
+    assert monitor.env.env._generators[3].bit_generator.seed_seq.entropy == 2 * SEED_SPACING + 3  # pyright: ignore
+
+
+# Several seeds side by side
+
+
+def test_several_seeds_give_the_runs_that_they_give_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """Also beside one that fails."""
+    many = tmp_path / "many"
+    many.mkdir()
+    (many / "seed5").write_text("a file")
+    monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
+    with pytest.raises(SystemExit) as end:
+        main(MODULES["ppo"].Config, MODULES["ppo"].make_model, None)
+    told = capsys.readouterr().err.splitlines()
+    assert end.value.code == 2 and len(told) == 2
+    assert "seed5: cannot write to" in told[0] and "1 other runs" in told[1]
+    run(as_script(tmp_path / "alone", seed=4))
+    assert bundle_weights(many / "seed4/last") == bundle_weights(tmp_path / "alone/last")
+    with pytest.raises(ValueError, match="seed4 holds a run already"):
+        runs_of(as_script(many, seed=4, seeds=2))
+
+
+def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
+    """And the one that was waiting begins when the others go on."""
+    process = start("--out", "many", "--seeds", "3", *SHORT, "--validation-every", "256", cwd=tmp_path)
+    for name in ("seed0", "seed1"):
+        wait_for(tmp_path / "many" / name / "best/policy.json")
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "--resume" in output and not (tmp_path / "many/seed2").exists()
+    config = as_script(tmp_path / "many", seeds=3, resume=True, validation_every=256, total_steps=4_000_000)
+    assert [each.resume for each in runs_of(config).values()] == [True, True, False]
+    assert not list((tmp_path / "many").rglob(".*"))
+
+
+def test_progress_is_told(tmp_path: Path):
+    told: list[News] = []
+    train(tiny("ppo", tmp_path, total_steps=256, validation_every=128), MODULES["ppo"].make_model, told.append)
+    validated = [news for news in told if news.cost is not None]
+    assert [news.steps for news in validated] == [0, 128, 256]
+    assert all("of the base" in news.scores for news in validated)
+
+
+# Options
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown base": ({"base": "papre"}, "no base controller 'papre'; did you mean 'paper'"),
+    "nothing like a base": ({"base": "xyzzyx"}, "no base controller 'xyzzyx'; there are paper"),
+    "no GPU": ({"device": "cuda"}, "--device cuda: PyTorch finds no CUDA GPU.*--device cpu"),
+    "no device": ({"device": "gpu"}, "--device must be cpu, cuda or cuda:NUMBER, got 'gpu'"),
+    "another device": ({"device": "meta"}, "--device must be cpu, cuda or cuda:NUMBER, got 'meta'"),
+    "too many arms": ({"arms": 5000}, "--arms must be at most 4096, got 5000"),
+    "seed too large": ({"seed": MAX_SEED + 1}, f"--seed must lie within 0 and {MAX_SEED}"),
+    "seeds too large": ({"seed": MAX_SEED, "seeds": 2}, f"--seed must lie within 0 and {MAX_SEED}"),
+    "learning rate": ({"learning_rate": float("nan")}, "--learning-rate must be finite and above 0, got nan"),
+    "gamma": ({"gamma": 1.5}, "--gamma must be at most 1, got 1.5"),
+    "layers": ({"hidden": (0,)}, "hidden layers must have a whole width from 1"),
+    "both": ({"resume": True, "overwrite": True}, "--resume.*--overwrite.*one of them"),
+    "no jobs": ({"jobs": 0}, "--jobs must be at least 1, got 0"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_options(case: str, tmp_path: Path):
+    options, message = BAD[case]
+    if case == "no GPU" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(ValueError, match=message):
+        run(tiny("ppo", tmp_path / "run", **options))
+    assert not (tmp_path / "run").exists()
+
+
+OWN_BAD: list[tuple[str, dict[str, Any], str]] = [
+    ("sac", {"buffer_size": 10}, "--buffer-size must be at least 64"),
+    ("sac", {"exploration": 0.0}, "--exploration must be finite and above 0"),
+    ("td3", {"tau": 2.0}, "--tau must be at most 1"),
+    ("td3", {"policy_delay": 0}, "--policy-delay must be at least 1"),
+    ("tqc", {"dropped_quantiles": 5}, "--dropped-quantiles must lie within 0 and"),
+    ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width must be at least 1"),
+    ("ppo", {"epochs": 0}, "--epochs must be at least 1"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "message"), OWN_BAD, ids=str)
+def test_bad_options_of_an_algorithm(name: str, options: dict[str, Any], message: str, tmp_path: Path):
+    with pytest.raises(ValueError, match=message):
+        run(tiny(name, tmp_path, **options))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scripts_explain_their_options(name: str, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as end:
+        tyro.cli(MODULES[name].Config, args=["--help"])
+    assert end.value.code == 0
+    shown = capsys.readouterr().out
+    for option in ("--base", "--knowledge", "--seeds", "--resume", "--overwrite", "--device"):
+        assert option in shown
+
+
+def test_a_folder_not_begun_is_no_run(tmp_path: Path):
+    """A run killed before its first checkpoint leaves its settings alone; it begins again."""
+    config = tiny("ppo", tmp_path, total_steps=64)
+    RunFolder(tmp_path).begin(config)
+    RunFolder(tmp_path).begin(config)
+    with pytest.raises(FileNotFoundError, match="nothing to resume"):
+        RunFolder(tmp_path).begin(replace(config, resume=True))

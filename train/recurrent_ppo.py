@@ -1,0 +1,97 @@
+"""Train a residual policy with recurrent PPO: `python train/recurrent_ppo.py`.
+
+An LSTM remembers what the encoder has shown, in place of the identification that other agents are told: does a network
+learn by itself to tell arms apart? What a run writes is as in `train/ppo.py`.
+
+J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017; S. Hochreiter, J. Schmidhuber: Long Short-Term
+Memory, 1997.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from sb3_contrib import RecurrentPPO
+
+from agents.actor import ACTIVATIONS
+from agents.knowledge import Knowledge
+from agents.residual_env import ResidualVecEnv
+from agents.runs import main
+from agents.settings import RunConfig
+
+
+@dataclass(frozen=True)
+class Config(RunConfig):
+    """Train a residual recurrent PPO policy."""
+
+    algorithm: ClassVar[str] = "recurrent_ppo"
+
+    out: Path = Path("runs/recurrent_ppo")
+    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    knowledge: Knowledge = "none"
+    """What the agent is told besides the observation: nothing, for its LSTM is to find out, or what is identified."""
+    hidden: tuple[int, ...] = (64,)
+    """Hidden layers after the LSTM."""
+    lstm_width: int = 64
+    """Width of the LSTMs of policy and value."""
+    rollout_steps: int = 50
+    """Agent steps per arm between two updates: half an episode, through which gradients go back."""
+    batch_size: int = 5120
+    """Samples per gradient step."""
+    epochs: int = 4
+    """Passes over each rollout."""
+    gae_lambda: float = 0.95
+    """Bias against variance of the advantage estimate."""
+    clip_range: float = 0.2
+    """PPO's clipping range."""
+    entropy: float = 0.001
+    """Weight of the entropy bonus, which keeps exploration from dying early."""
+    initial_log_std: float = -1.0
+    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
+
+    @property
+    def lstm(self) -> int:
+        """Width of the actor's LSTM."""
+        return self.lstm_width
+
+    def check(self) -> None:
+        """Check the options, see `RunConfig.check`."""
+        self.at_least(1, "rollout_steps", "batch_size", "epochs", "lstm_width")
+        super().check()
+        self.at_least(0, "entropy", "gae_lambda")
+        self.positive("clip_range")
+        if self.arms * self.rollout_steps < 2:
+            raise ValueError("--arms times --rollout-steps must be at least 2")
+
+
+def make_model(config: Config, env: ResidualVecEnv) -> RecurrentPPO:
+    """An untrained model, whose learning rate will fall linearly to zero."""
+    return RecurrentPPO(
+        "MlpLstmPolicy",
+        env,
+        learning_rate=lambda remaining: config.learning_rate * remaining,
+        n_steps=config.rollout_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        clip_range=config.clip_range,
+        ent_coef=config.entropy,
+        policy_kwargs={
+            "net_arch": list(config.hidden),
+            "activation_fn": ACTIVATIONS[config.activation],
+            "log_std_init": config.initial_log_std,
+            "lstm_hidden_size": config.lstm_width,
+        },
+        seed=config.seed,
+        device=config.device,
+    )
+
+
+if __name__ == "__main__":
+    main(Config, make_model, __doc__)

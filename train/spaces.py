@@ -1,0 +1,47 @@
+"""What `train/tune.py` varies of each algorithm's options, and within what."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
+
+Algorithm = Literal["ppo", "recurrent_ppo", "sac", "td3", "tqc"]
+
+_EVERYWHERE: dict[str, BaseDistribution] = {
+    "learning_rate": FloatDistribution(1e-4, 3e-3, log=True),
+    "gamma": FloatDistribution(0.85, 0.99),
+    "residual_limit": FloatDistribution(0.1, 1.0, log=True),
+    "hold": CategoricalDistribution([4, 8, 12, 16]),
+    "reward_scale": FloatDistribution(0.01, 0.3, log=True),
+}
+_ON_POLICY: dict[str, BaseDistribution] = {
+    **_EVERYWHERE,
+    "rollout_steps": CategoricalDistribution([16, 32, 50, 64]),
+    "epochs": CategoricalDistribution([3, 4, 5, 10]),
+    "entropy": FloatDistribution(1e-5, 1e-2, log=True),
+    "initial_log_std": FloatDistribution(-2.0, 0.0),
+    "gae_lambda": FloatDistribution(0.85, 0.99),
+}
+_OFF_POLICY: dict[str, BaseDistribution] = {
+    **_EVERYWHERE,
+    "gradient_steps": CategoricalDistribution([2, 4, 8]),
+    "tau": FloatDistribution(0.002, 0.05, log=True),
+}
+_SOFT: dict[str, BaseDistribution] = {
+    **_OFF_POLICY,
+    "exploration": FloatDistribution(0.1, 0.6),
+    "target_entropy": FloatDistribution(-4.0, -1.0),
+}
+SPACES: dict[Algorithm, dict[str, BaseDistribution]] = {
+    "ppo": _ON_POLICY,
+    "recurrent_ppo": _ON_POLICY,
+    "sac": _SOFT,
+    "tqc": _SOFT,
+    "td3": {
+        **_OFF_POLICY,
+        "noise": FloatDistribution(0.05, 0.6),
+        "restraint": FloatDistribution(0.01, 1.0, log=True),
+    },
+}
+"""What is varied, by algorithm; everything else is as the script has it."""
