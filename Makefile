@@ -20,7 +20,7 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-compare: $(READY)  ## Compare all controllers on 100 scenarios of every split: tables, pictures in results/compare
+compare: $(READY)  ## Compare all controllers on 100 scenarios of every split: report.html, pictures in results/compare
 	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 100)
 
 scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them

@@ -1,7 +1,8 @@
 """Compare controllers on the same scenarios: `python eval/compare.py`.
 
 Runs all classical controllers, the shipped policies and a yardstick that knows its arm on every split, prints a table,
-and writes results.json, episodes.csv, summary.md and pictures. What is done is kept in the folder, and not done again.
+and writes report.html, results.json, episodes.csv, summary.md and pictures. What is done is kept in the folder, and not
+done again.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from eval.methods import (
 )
 from eval.pairs import Failure, Metrics, Pair, default_jobs, run_pairs
 from eval.plots import save_plots
+from eval.report import Recordings, record_scenes, robustness_maps, write_report
 from eval.results import Comparison, make_comparison, make_outcome, provenance
 from eval.scenarios import require_same_physics
 from eval.schema import require_same_version, write_results
@@ -64,11 +66,13 @@ class Config:
     add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several."""
     out: Path = Path("results/compare")
-    """Folder for results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
+    """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
     episodes: int | None = None
     """Scenarios per split; 200 by default."""
     quick: bool = False
     """A first look: 24 scenarios per split."""
+    maps: bool = False
+    """Also sweep stiffness by payload and friction by delay, learned against classical, for the report."""
     jobs: int = default_jobs()
     """Number of processes; by default one per core."""
 
@@ -116,6 +120,9 @@ def compare(config: Config, console: Console) -> Comparison:
     origin = provenance(command_line(), time.perf_counter() - began, methods, splits) | {"pairs_kept_before": kept}
     comparison = make_comparison(outcomes, failures, origin)
     _write(comparison, splits, config.out, console)
+    maps = robustness_maps(comparison) if config.maps else []
+    write_report(comparison, Recordings(record_scenes(comparison, splits), maps), config.out)
+    console.print(f"for reading: {config.out / 'report.html'}")
     return comparison
 
 

@@ -62,6 +62,7 @@ def test_everything_is_written(compared: tuple[Path, str]):
         "results.json",
         "episodes.csv",
         "summary.md",
+        "report.html",
         "pairs",
         *pictures,
     }

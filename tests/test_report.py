@@ -1,0 +1,356 @@
+"""`report.html`: what it says, that it says it of the numbers, and that it works in a browser."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import Page, browser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from baselines.modes import held_mode
+from beltarm_env import ArmParams
+from beltarm_env.params import FIELDS
+from beltarm_env.rollout import Recording, rollout
+from eval.methods import Kind, Method, classical_methods
+from eval.pairs import LEFT, Failure
+from eval.report.animation import EVERY, animation, encode
+from eval.report.maps import robustness_maps
+from eval.report.motions import spectrum
+from eval.report.page import LARGEST, render, without_paths
+from eval.report.scenes import Map, Recordings, Scene, challengers, record_scenes
+from eval.report.tables import effort_table, metric_tables
+from eval.report.verdict import verdict
+from eval.results import METRICS, Comparison, Outcome, make_comparison, make_outcome
+from eval.splits import load
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
+ORIGIN = {
+    "command": "python eval/compare.py --out /tmp/me/out",
+    "beltarm": "1",
+    "commit": "abc",
+    "splits_version": 1,
+    "split_seeds": {"nominal": 1},
+    "split_sha256": {"nominal": "0" * 64},
+    "python": "3",
+    "packages": {"numpy": "2"},
+    "machine": "riscv64",
+    "seconds": 1.0,
+    "pairs_kept_before": 0,
+}
+
+
+def outcome(
+    name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
+) -> Outcome:
+    """A made-up outcome, of the same scenarios for every method."""
+    scenarios = np.linspace(0.9, 1.1, 24)
+    noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, 24))
+    values = np.broadcast_to(np.asarray(costs) * scenarios, (seeds, 24)) + noise
+    metrics = {metric: values.copy() for metric in METRICS} | {LEFT: np.zeros((seeds, 24))}
+    metrics["failure_share"] = metrics["saturated_share"] = np.zeros((seeds, 24))
+    return make_outcome(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
+
+
+def made(*outcomes: Outcome, failures: list[Failure] | None = None) -> Comparison:
+    return make_comparison(list(outcomes), failures or [], ORIGIN)
+
+
+# The verdict
+
+
+def test_a_learned_method_that_wins_and_loses():
+    found = verdict(
+        made(
+            outcome("pid", "classical", 100.0),
+            outcome("net", "learned", 60.0),
+            outcome("pid", "classical", 100.0, "payload"),
+            outcome("net", "learned", 250.0, "payload"),
+        )
+    )
+    assert len(found) == 3
+    assert "beats the best classical controller on 1 of 2 splits (nominal)" in found[0]
+    assert "loses to it on 1 of 2 splits (payload)" in found[0]
+    assert found[1].startswith("It wins most on nominal: net has a cost of 60, pid of 100;")
+    assert "−40 [−41, −39]" in found[1]
+    assert "better one in 100% of the runs" in found[1]
+    assert found[2].startswith("The learned method loses most on payload: net has a cost of 250, pid of 100;")
+    assert "+150 [+145, +155]" in found[2]
+
+
+def test_a_tie_is_called_one():
+    close = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=5.0))
+    first, second, third = verdict(close)
+    assert "no difference is shown on the only split, nominal" in first
+    assert "beats the best classical controller on none" in first
+    assert second.startswith("It does best, but without a difference shown, on nominal")
+    assert "no difference shown" in third
+    equal = verdict(made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0)))
+    assert "no difference is shown on the only split" in equal[0]
+
+
+def test_the_best_of_several_learned_methods_stands_for_them():
+    costs = {"weak": 300.0, "good": 80.0}
+    rivals = [outcome(name, "learned", cost) for name, cost in costs.items()]
+    comparison = made(outcome("pid", "classical", 100.0), *rivals)
+    assert [rival.method.name for rival in challengers(comparison, "nominal")] == ["good", "weak"]
+    assert "good has a cost of 80" in verdict(comparison)[1]
+
+
+def test_without_a_learned_method():
+    first, second, third = verdict(made(outcome("pid", "classical", 100.0), outcome("lqg", "classical", 80.0)))
+    assert first == "Learned against classical is not decided here: no learned method took part."
+    assert "nominal: lqg (80 [" in second
+    assert third == "Every other one is shown to cost more."
+    tied = made(outcome("pid", "classical", 100.0), outcome("lqg", "classical", 100.0))
+    assert "Not shown to differ from the lowest: nominal (" in verdict(tied)[2]
+
+
+def test_without_a_classical_method_or_with_one_that_failed():
+    alone = made(outcome("net", "learned", 60.0), outcome("privileged", "privileged", 1.0))
+    assert "No classical controller took part" in verdict(alone)[0]
+    assert render(alone, Recordings([]))
+    failed = made(outcome("pid", "classical", 100.0), failures=[Failure("net", "nominal", "it <broke>")])
+    assert "a learned method could be run on no split" in verdict(failed)[0]
+    page = render(failed, Recordings([]))
+    assert "<b>net</b> on nominal: it &lt;broke&gt;" in page
+
+
+def test_an_added_controller_stands_in_where_nothing_was_learned():
+    found = verdict(made(outcome("pid", "classical", 100.0), outcome("Mine", "added", 60.0)))
+    assert "the best added controller beats the best classical controller on the only split" in found[0]
+
+
+# Tables
+
+
+def test_marks_of_the_best_and_of_ties():
+    cost = metric_tables(
+        made(
+            outcome("pid", "classical", 100.0),
+            outcome("net", "learned", 100.0, spread=4.0),
+            outcome("bad", "classical", 400.0),
+            outcome("privileged", "privileged", 1.0),
+        )
+    )[0]
+    marks = {row.method: row.cells[0].mark for row in cost.ranked}
+    assert sorted([marks["pid"], marks["net"]]) == ["best", "tie"]
+    assert marks["bad"] == ""
+    assert [row.method for row in cost.unranked] == ["privileged"]
+    assert cost.unranked[0].cells[0].mark == ""
+
+
+def test_a_method_that_failed_on_a_split_has_a_cell_there():
+    cost = metric_tables(
+        made(outcome("pid", "classical", 1.0), outcome("a", "classical", 2.0, "payload"), failures=[])
+    )[0]
+    assert [[cell.text for cell in row.cells] for row in cost.ranked] == [["1", "failed"], ["failed", "2"]]
+
+
+def test_what_is_slower_than_the_control_period_is_marked():
+    (row,) = effort_table(made(outcome("pid", "classical", 1.0))).ranked
+    assert [cell.mark for cell in row.cells[-2:]] == ["", "late"]
+    assert row.cells[-1].detail == "133% of the period"
+
+
+@given(st.lists(st.text("abcXYZ019_ '", min_size=1, max_size=8), min_size=1, max_size=5))
+def test_paths_do_not_reach_the_page(parts: list[str]):
+    path = "/".join(parts)
+    for folder in ("/", "~/", "~me/", "/home/me and you/"):
+        command = shlex.join(["python", "eval/compare.py", "--out", folder + path, f"--add={folder}{path}.py:Mine"])
+        expected = f"python eval/compare.py --out …/{parts[-1]} --add=…/{parts[-1]}.py:Mine"
+        assert without_paths(command) == expected
+    assert (
+        without_paths("python eval/compare.py --policy runs/ppo/best")
+        == "python eval/compare.py --policy runs/ppo/best"
+    )
+
+
+# Motions
+
+
+def ringing(hertz: float, amplitude: float, lateral: float) -> Recording:
+    """A tip that moves as a sine after the move, on top of an offset and a drift."""
+    time = 0.0015 * np.arange(1, 1201)
+    motion = 0.003 + 0.001 * time + amplitude * np.sin(2 * np.pi * hertz * time)
+    error = np.stack([motion, lateral * np.cos(2 * np.pi * hertz * time)], axis=1)[:, None]
+    params = np.array([[getattr(ArmParams(), name) for name in FIELDS]])
+    move = np.array([[0.0, 1.0, 0.6, 0.15]])
+    zeros = np.zeros((1200, 1, 2))
+    return Recording(
+        np.zeros((1200, 1, 4)), zeros[:, :, 0], error, zeros, np.zeros(1), np.ones(1, np.bool_), params, move
+    )
+
+
+@given(st.floats(4.0, 20.0), st.floats(0.001, 0.05), st.floats(0.0, 0.05))
+def test_the_spectrum_of_a_sine_is_a_peak_of_its_height(hertz: float, amplitude: float, lateral: float):
+    frequencies, amplitudes = spectrum(ringing(hertz, amplitude, lateral))
+    assert amplitudes.max() == pytest.approx(1000 * np.hypot(amplitude, lateral), rel=0.05)
+    assert frequencies[amplitudes.argmax()] == pytest.approx(hertz, abs=0.15)
+
+
+def test_an_arm_left_alone_rings_at_the_frequency_that_is_marked():
+    """The motor of the nominal arm held by friction, the belt released from a torsion."""
+
+    class Nothing:
+        def predict(self, observation: Any, *_: Any, **__: Any) -> tuple[Any, None]:
+            return np.zeros((len(observation), 1), np.float32), None
+
+    goal = np.radians(20.0)
+    options: dict[str, Any] = {"move": {"start": 0.0, "goal": goal, "duration": 0.6, "ramp_time": 0.15}}
+    options["state"] = [88 * goal, 0.0, 0.02, 0.0]
+    found = rollout(Nothing(), 1, options=options)
+    frequencies, amplitudes = spectrum(found)
+    expected = 1 / held_mode(ArmParams(), np.array([goal])).period[0]
+    assert frequencies[amplitudes.argmax()] == pytest.approx(expected, rel=0.03)
+
+
+def test_the_animation_has_the_motion_itself():
+    methods = {method.name: method for method in classical_methods()}
+    motion = load()["nominal"].run(methods["paper"].controller(0, []), 3)
+    content = animation([Scene("median", "nominal", 3, {"paper": motion})], {"paper": "#0072B2"})
+    (scene,) = content["scenes"]
+    raw = base64.b64decode(scene["methods"][0]["frames"])
+    frames = np.frombuffer(raw, "<f4").reshape(-1, 5)
+    assert frames.shape == (1200 // EVERY, 5)
+    joint, torsion, radial, lateral, torque = frames[-1]
+    last = motion.state[-1, 0]
+    assert [joint, torsion] == pytest.approx([last[0] / 88, last[2]], rel=1e-6)
+    assert torque == pytest.approx(motion.torque[-1, 0], rel=1e-6)
+    reference = np.frombuffer(base64.b64decode(scene["reference"]), "<f4")
+    reach = 2 * scene["link"] * np.cos(joint - torsion) + scene["hand"]
+    rest = 2 * scene["link"] * np.cos(reference[-1]) + scene["hand"]
+    error = 1000 * (reach * np.cos(torsion) - rest), 1000 * reach * np.sin(torsion)
+    assert [radial, lateral] == pytest.approx(error, abs=1e-3)
+
+
+@given(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=1))
+def test_encoded_numbers_come_back(values: list[float]):
+    assert np.frombuffer(base64.b64decode(encode(np.array(values))), "<f4").tolist() == values
+
+
+def test_maps_are_one_where_both_methods_are_the_same():
+    pid = outcome("paper", "classical", 1.0)
+    twin = Method("twin", "added", ("baselines.paper:PaperController",), "")
+    comparison = made(pid, Outcome(twin, "nominal", pid.metrics, pid.estimates, (1.0, 1.0)))
+    for found in robustness_maps(comparison):
+        assert np.array(found.ratio) == pytest.approx(np.ones((len(found.y), len(found.x))))
+    assert robustness_maps(made(pid)) == []
+
+
+# The page in a browser
+
+METHODS = ("paper", "zvd", "ppo", "MyController", "privileged")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    arguments = ("--splits", "nominal", "sensing", "--methods", *METHODS, "--add", EXAMPLE, "--episodes", "6")
+    command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--out", "out", "--maps"]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "report.html" in result.stdout
+    return folder / "out" / "report.html"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("browser")) as found:
+        yield found
+
+
+def test_the_page_is_one_small_file_without_machine_paths(report: Path):
+    text = report.read_text(encoding="utf-8")
+    assert len(text.encode()) < LARGEST
+    assert not re.search(r"(?:src|href)=\"(?!#|data:)", text.replace("xlink:href", "href"))
+    assert str(ROOT) not in text
+    assert "@import" not in text
+    identifiers = re.findall(r'\bid="([^"]+)"', text)
+    assert len(identifiers) == len(set(identifiers))
+    assert text.count('role="img" aria-label="') == text.count("<figure>")
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", [390, 1400])
+def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width: int, dark: bool):
+    page.complaints.clear()
+    page.requests.clear()
+    page.open(report, width, dark=dark)
+    page.run("document.querySelectorAll('details').forEach((details) => { details.open = true; })")
+    assert page.run("document.documentElement.scrollWidth") <= width
+    outside = "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, svg')"
+    outside += " && e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
+    assert page.run(outside) == []
+    assert page.complaints == []
+    assert all(address.startswith(("file:", "data:")) for address in page.requests)
+
+
+def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
+    page.open(report)
+    column = "[...document.querySelectorAll('table')[0].tBodies[0].rows].map((row) => row.cells[2].dataset.value)"
+    sort = "document.querySelectorAll('table')[0].querySelectorAll('thead button')[2]"
+    orders = []
+    for _ in range(2):
+        page.run(f"{sort}.click()")
+        orders.append([float(value) for value in page.run(column)])
+    assert orders[0] == sorted(orders[0])
+    assert orders[1] == sorted(orders[0], reverse=True)
+    assert len(orders[0]) == 4
+    states = "[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)"
+    assert page.run(states) == ["none", "none", "descending"]
+    last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
+    assert "privileged" in page.run(last)
+
+
+def test_the_animation_plays_pauses_and_can_be_scrubbed(report: Path, page: Page):
+    page.open(report)
+    shot = "document.querySelector('#stage canvas').toDataURL()"
+    place = "Number(document.getElementById('scrub').value)"
+    assert page.run(place) == 0
+    before = page.run(shot)
+    page.run("document.getElementById('play').click()")
+    page.run(f"new Promise((go) => {{ const wait = () => {place} > 5 ? go() : setTimeout(wait, 20); wait(); }})")
+    page.run("document.getElementById('play').click()")
+    assert page.run("document.getElementById('play').textContent") == "Play"
+    assert page.run(shot) != before
+    page.run(
+        "(() => { const s = document.getElementById('scrub'); s.value = 250; s.dispatchEvent(new Event('input')) })()"
+    )
+    assert page.run("document.getElementById('clock').value") == "1.506 s"
+    page.run(
+        "(() => { const s = document.getElementById('scene'); s.value = 1; s.dispatchEvent(new Event('change')) })()"
+    )
+    assert page.run(place) == 0
+    names = page.run("[...document.querySelectorAll('#stage figcaption')].map((caption) => caption.textContent)")
+    assert "ppo" in names
+    assert "privileged" not in names
+    assert page.complaints == []
+
+
+def test_scenes_are_of_chosen_scenarios():
+    splits = {"nominal": load()["nominal"]}
+    costs = np.ones(24)
+    costs[7] = 5.0
+    comparison = made(outcome("paper", "classical", 1.0), outcome("zvd", "classical", 0.5 * costs))
+    scenes = record_scenes(comparison, splits)
+    assert [(scene.title, scene.scenario) for scene in scenes][1] == ("worst of zvd on all splits", 7)
+    assert all(set(scene.motions) == {"paper", "zvd"} for scene in scenes)
+
+
+def test_maps_are_shown():
+    found = Map("stiffness", "payload", [0.5, 1.0], [0.0], [[0.5, 2.0]], "net", "pid", 8, 1)
+    comparison = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0))
+    page = render(comparison, Recordings([], [found]))
+    assert "Robustness maps" in page
+    assert "8 arms per cell" in page

@@ -1,0 +1,85 @@
+"""`eval/watch.py`, run as a user runs it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+ROOT = Path(__file__).resolve().parent.parent
+COMMAND = [sys.executable, str(ROOT / "eval/watch.py")]
+
+
+def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    clean = {key: value for key, value in os.environ.items() if "DISPLAY" not in key and key != "SDL_VIDEODRIVER"}
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        cwd=cwd,
+        env=clean | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def test_a_gif_of_two_arms(tmp_path: Path):
+    policy = next((ROOT / "agents/policies/ppo").glob("*/policy.json")).parent
+    chosen = ("--controller", "paper", "--policy", str(policy), "--speed", "2", "--scenario", "3")
+    result = run(*chosen, "--out", "new/motion.gif", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "paper: tip error at most" in result.stdout
+    assert "ppo: tip error at most" in result.stdout
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["motion.gif"]
+    with Image.open(tmp_path / "new" / "motion.gif") as picture:
+        assert picture.width == 2 * 480
+        frames = [np.array(frame.convert("RGB"), np.int32) for frame in ImageSequence.Iterator(picture)]
+    assert len(frames) == 18  # 1.8 s at twice the speed, 20 per second
+    moved = np.abs(frames[-1] - frames[0]).sum(axis=(0, 2))
+    assert moved[:480].any()
+    assert moved[480:].any()
+
+
+def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
+    environment = {**os.environ, "SDL_VIDEODRIVER": "dummy", "PYTHONUNBUFFERED": "1"}
+    command = [*COMMAND, "--controller", "paper", "--controller", "zvd", "--speed", "10"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert [process.stdout.readline().split(":")[0] for _ in range(2)] == ["paper", "zvd"]
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(timeout=2)  # goes on playing
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--controller", "papr"), "unknown controller 'papr'; did you mean paper?"),
+        (("--controller", "none.py:Mine"), "there is no file"),
+        (("--policy", "nowhere"), "no policy bundle at nowhere"),
+        (("--split", "frictoin"), "unknown split 'frictoin'; did you mean friction?"),
+        (("--scenario", "200"), "--scenario must lie within 0 and 199, got 200"),
+        (("--speed", "0"), "--speed must lie within 0.01 and 10, got 0"),
+        (("--out", "motion.avi"), "--out must end in .gif, got motion.avi"),
+        (("--out", "/dev/null/motion.gif"), "cannot write to /dev/null"),
+        (("--controller", "paper") * 5, "at most 4 arms fit side by side, got 5"),
+        ((), "--out motion.gif"),
+    ],
+)
+def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    result = run(*arguments, cwd=tmp_path)
+    assert result.returncode == 2, result.stderr
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+    assert len([line for line in result.stderr.splitlines() if line.startswith("eval/watch.py: ")]) == 1
