@@ -57,9 +57,10 @@ tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.js
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 	$(BIN)/python train/ppo.py $(ARGS)
 
-readme: $(READY)  ## Regenerate the README's table and pictures, docs/comparison and docs/iterative
+readme: $(READY)  ## Regenerate the README, docs/comparison, docs/iterative and docs/training
 	$(BIN)/python eval/compare.py --out docs/comparison
 	$(BIN)/python eval/iterative.py --out docs/iterative
+	$(BIN)/python eval/curves.py --out docs/training
 	$(BIN)/python eval/readme.py
 
 clean:  ## Remove .venv, results and caches
