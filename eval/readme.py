@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import tyro
 
 from baselines.files import write_text
+from eval.command import one_line_errors
 from eval.estimates import Estimate
 from eval.summary import COLUMNS, cell, heading
 
@@ -109,18 +110,14 @@ def updated(readme: str, table: str) -> str:
 def main() -> None:
     """Command line."""
     config = tyro.cli(Config, description=__doc__)
-    try:
+    with one_line_errors("eval/readme.py"):
         readme = README.read_text(encoding="utf-8")
         fresh = updated(readme, block(json.loads(RESULTS.read_text(encoding="utf-8"))))
-    except (OSError, ValueError) as error:
-        print(f"eval/readme.py: {error}", file=sys.stderr)
-        sys.exit(2)
-    if config.check:
-        if fresh != readme:
+        if not config.check:
+            write_text(README, fresh)
+        elif fresh != readme:
             print("README.md is out of date: run `make readme`", file=sys.stderr)
             sys.exit(1)
-        return
-    write_text(README, fresh)
 
 
 if __name__ == "__main__":

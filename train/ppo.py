@@ -18,15 +18,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from stable_baselines3 import PPO
 
-from agents.actor import ACTIVATIONS
+from agents.on_policy import OnPolicyConfig
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
-from agents.settings import RunConfig
 from beltarm_env.cost import MAX_COST
 
 
 @dataclass(frozen=True)
-class Config(RunConfig):
+class Config(OnPolicyConfig):
     """Train a residual PPO policy."""
 
     algorithm: ClassVar[str] = "ppo"
@@ -41,20 +40,6 @@ class Config(RunConfig):
     """Hidden layers of policy and critic."""
     hold: int = 4
     """Samples for which a residual is held: 6 ms."""
-    rollout_steps: int = 32
-    """Agent steps per arm between two updates."""
-    batch_size: int = 4096
-    """Samples per gradient step."""
-    epochs: int = 5
-    """Passes over each rollout."""
-    gae_lambda: float = 0.95
-    """Bias against variance of the advantage estimate."""
-    clip_range: float = 0.2
-    """PPO's clipping range."""
-    entropy: float = 1e-4
-    """Weight of the entropy bonus: hardly any, exploration is to fade."""
-    initial_log_std: float = -1.0
-    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
 
     @property
     def worst_reward(self) -> float:
@@ -64,37 +49,10 @@ class Config(RunConfig):
         """
         return 3 * MAX_COST * self.reward_scale
 
-    def check(self) -> None:
-        """Check the options, see `RunConfig.check`."""
-        super().check()
-        self.at_least(1, "rollout_steps", "batch_size", "epochs")
-        self.at_least(0, "entropy", "gae_lambda")
-        self.positive("clip_range")
-        if self.arms * self.rollout_steps < 2:
-            raise ValueError("--arms times --rollout-steps must be at least 2")
-
 
 def make_model(config: Config, env: ResidualVecEnv) -> PPO:
     """An untrained model, whose learning rate will fall linearly to zero."""
-    return PPO(
-        "MlpPolicy",
-        env,
-        learning_rate=lambda remaining: config.learning_rate * remaining,
-        n_steps=config.rollout_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.entropy,
-        policy_kwargs={
-            "net_arch": list(config.hidden),
-            "activation_fn": ACTIVATIONS[config.activation],
-            "log_std_init": config.initial_log_std,
-        },
-        seed=config.seed,
-        device=config.device,
-    )
+    return PPO("MlpPolicy", env, **config.arguments())
 
 
 if __name__ == "__main__":

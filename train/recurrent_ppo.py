@@ -18,15 +18,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from sb3_contrib import RecurrentPPO
 
-from agents.actor import ACTIVATIONS
 from agents.knowledge import Knowledge
+from agents.on_policy import OnPolicyConfig
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
-from agents.settings import RunConfig
 
 
 @dataclass(frozen=True)
-class Config(RunConfig):
+class Config(OnPolicyConfig):
     """Train a residual recurrent PPO policy."""
 
     algorithm: ClassVar[str] = "recurrent_ppo"
@@ -45,14 +44,8 @@ class Config(RunConfig):
     """Samples per gradient step."""
     epochs: int = 4
     """Passes over each rollout."""
-    gae_lambda: float = 0.95
-    """Bias against variance of the advantage estimate."""
-    clip_range: float = 0.2
-    """PPO's clipping range."""
     entropy: float = 0.001
     """Weight of the entropy bonus, which keeps exploration from dying early."""
-    initial_log_std: float = -1.0
-    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
 
     @property
     def lstm(self) -> int:
@@ -61,36 +54,13 @@ class Config(RunConfig):
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        self.at_least(1, "rollout_steps", "batch_size", "epochs", "lstm_width")
+        self.at_least(1, "lstm_width")
         super().check()
-        self.at_least(0, "entropy", "gae_lambda")
-        self.positive("clip_range")
-        if self.arms * self.rollout_steps < 2:
-            raise ValueError("--arms times --rollout-steps must be at least 2")
 
 
 def make_model(config: Config, env: ResidualVecEnv) -> RecurrentPPO:
     """An untrained model, whose learning rate will fall linearly to zero."""
-    return RecurrentPPO(
-        "MlpLstmPolicy",
-        env,
-        learning_rate=lambda remaining: config.learning_rate * remaining,
-        n_steps=config.rollout_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.entropy,
-        policy_kwargs={
-            "net_arch": list(config.hidden),
-            "activation_fn": ACTIVATIONS[config.activation],
-            "log_std_init": config.initial_log_std,
-            "lstm_hidden_size": config.lstm_width,
-        },
-        seed=config.seed,
-        device=config.device,
-    )
+    return RecurrentPPO("MlpLstmPolicy", env, **config.arguments(lstm_hidden_size=config.lstm_width))
 
 
 if __name__ == "__main__":

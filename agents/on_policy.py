@@ -1,0 +1,63 @@
+"""What the training scripts of on-policy algorithms share: PPO, with and without memory of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from agents.actor import ACTIVATIONS
+from agents.settings import RunConfig
+
+
+@dataclass(frozen=True)
+class OnPolicyConfig(RunConfig):
+    """Options of PPO and its kind."""
+
+    rollout_steps: int = 32
+    """Agent steps per arm between two updates."""
+    batch_size: int = 4096
+    """Samples per gradient step."""
+    epochs: int = 5
+    """Passes over each rollout."""
+    gae_lambda: float = 0.95
+    """Bias against variance of the advantage estimate."""
+    clip_range: float = 0.2
+    """PPO's clipping range."""
+    entropy: float = 1e-4
+    """Weight of the entropy bonus: hardly any, exploration is to fade."""
+    initial_log_std: float = -1.0
+    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
+
+    def check(self) -> None:
+        """Check the options, see `RunConfig.check`."""
+        super().check()
+        self.at_least(1, "rollout_steps", "batch_size", "epochs")
+        self.at_least(0, "entropy", "gae_lambda")
+        self.positive("clip_range")
+        if self.arms * self.rollout_steps < 2:
+            raise ValueError("--arms times --rollout-steps must be at least 2")
+
+    def arguments(self, **policy: Any) -> dict[str, Any]:
+        """Arguments that the algorithms have in common; the learning rate falls linearly to zero.
+
+        Args:
+            **policy: What the algorithm's policy takes besides layers and exploration noise.
+        """
+        return {
+            "learning_rate": lambda remaining: self.learning_rate * remaining,
+            "n_steps": self.rollout_steps,
+            "batch_size": self.batch_size,
+            "n_epochs": self.epochs,
+            "gamma": self.gamma,
+            "gae_lambda": self.gae_lambda,
+            "clip_range": self.clip_range,
+            "ent_coef": self.entropy,
+            "policy_kwargs": {
+                "net_arch": list(self.hidden),
+                "activation_fn": ACTIVATIONS[self.activation],
+                "log_std_init": self.initial_log_std,
+                **policy,
+            },
+            "seed": self.seed,
+            "device": self.device,
+        }
