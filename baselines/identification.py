@@ -1,152 +1,144 @@
-"""Recursive identification of an arm from its encoder, while it moves: an extended Kalman filter.
+"""Recursive identification of an arm and of its encoder, while it moves.
 
-The filter's state are x of eq. (6c) and the logarithms of six constants over their nominal values:
+The arm's constants are found by the extended Kalman filter of `baselines.arm_filter`. Two things about the encoder are
+found beside it, because a filter that is wrong about them takes them for another arm:
 
-    inertia's swing S (with it the payload), belt stiffness K_s, motor inertia M_a1, viscous friction V_a1, Coulomb
-    friction tau_c, inertia M2(0)
+**Its resolution.** All changes of the measured angle are multiples of one count q: their greatest common divisor,
+taken while they are small, for a fast motor's tell nothing new. Before the first, the encoder may be a coarse one.
 
-Its prediction is the arm itself, Coulomb friction included, simulated one control period on with the constants believed
-in; its Jacobian comes from simulating it again with each of the ten moved a little. So a motor that sticks tells the
-filter nothing, by itself: its simulation does not depend on torsion and constants. Process noise are a torque at the
-motor, a torsional acceleration, and a slow random walk of the logarithms; the encoder's rounding counts as white noise
-of variance q^2 / 12. If the encoder moves by more than two counts while the simulation sticks, noise at the motor lets
-it go. See L. Ljung: Asymptotic behavior of the extended Kalman filter as a parameter estimator, IEEE TAC 24, 1979.
+**Its delay.** For each delay d of 0, 1 and 2 samples there is a filter of its own, which believes that what it reads
+was measured d samples ago, under the torques of that time (D. T. Magill: Optimal adaptive estimation of sampled
+stochastic processes, IEEE TAC 10, 1965). With innovations nu of variance S, the evidence for a delay is
+
+    ln p = -1/2 sum (nu^2 / S + ln S)  (- 4 for a late one),
+
+and a delay is given up where it trails the best by 15. As soon as an arm has set off, that takes a dozen samples;
+from then on there is one filter. Its state is that of d samples ago, and the state now is what the arm believed in
+makes of the torques since.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.linear import LinearArms, at_angle, linear_arm
+from baselines.arm_filter import IDENTIFIED, ArmFilter, Doubt, Tracks
 from baselines.observer import QUANTUM
 from baselines.reading import Reading
-from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env import ArmParams
 from beltarm_env._jit import compiled
-from beltarm_env.params import FIELDS
-from beltarm_env.simulation import ArmSimulation, params_table
+from beltarm_env.simulation import ArmSimulation
+
+__all__ = ["IDENTIFIED", "ArmIdentifier", "Belief", "Doubt"]
 
 Floats = NDArray[np.float64]
+Whole = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
-IDENTIFIED = (
-    "arm_inertia_swing",
-    "belt_stiffness",
-    "motor_inertia",
-    "motor_viscous_friction",
-    "coulomb_friction",
-    "arm_inertia",
-)
-_COLUMNS = np.array([FIELDS.index(name) for name in IDENTIFIED])
-_LOWEST = np.array([-0.5, -0.4, -0.3, -0.6, -0.6, -0.4])
-_HIGHEST = np.array([1.4, 0.4, 0.3, 0.6, 0.6, 0.4])
-"""Bounds of the logarithms: any arm that the benchmark has, and none that the simulation could not integrate."""
-_LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])  # of x: keeps a belief that has lost its arm finite
-_MOVES = np.array([1e-2, 1e-1, 1e-4, 1e-2, *[1e-2] * len(IDENTIFIED)])  # of the ten, for the Jacobian
-_SIZE = len(_MOVES)
-_SLIDES = 2 * QUANTUM
-_LOOSE = 1e-2  # torque noise that lets a simulated motor go [N m]
-
-
-@dataclass(frozen=True, slots=True)
-class Doubt:
-    """Standard deviations: of the constants before anything is known, and of what the model leaves out."""
-
-    swing: float = 0.35  # of ln S: most of it is the payload
-    stiffness: float = 0.12  # of ln K_s
-    motor_inertia: float = 0.06  # of ln M_a1
-    friction: float = 0.17  # of ln V_a1 and ln tau_c
-    inertia: float = 0.12  # of ln M2(0)
-    drift: float = 0.02  # growth of all of them [1/sqrt(s)]
-    torque: float = 1e-3  # at the motor, white [N m]
-    acceleration: float = 1.0  # torsional, white [rad/s^2]
-
-    def covariance(self) -> Floats:
-        """Of the filter's state at the beginning, at rest where the encoder is; shape (10, 10)."""
-        constants = [self.swing, self.stiffness, self.motor_inertia, self.friction, self.friction, self.inertia]
-        return np.diag(np.square([QUANTUM / 12**0.5, 0.0, 1e-4, 1e-4, *constants]))
+LATEST = 2
+"""The longest delay that is thought of, which is the longest that the environment has [samples]."""
+COARSEST = 8 * QUANTUM
+"""What an encoder's resolution is taken for before it has moved [rad]."""
+_LATE = -4.0  # ln of how likely a late encoder is thought at first, over one in time
+_HOPELESS = 15.0  # behind in evidence
+_TELLING = 16  # counts; among larger changes, the rounding of a float32 observation adds up
+_DELAYS = np.arange(LATEST + 1)
 
 
 @dataclass(frozen=True)
 class Belief:
-    """What the filter knows of n arms."""
+    """What is believed of n arms now."""
 
     state: Floats  # x, shape (n, 4)
-    logs: Floats  # ln of each of IDENTIFIED over its nominal value, shape (n, 6)
-    covariance: Floats  # shape (n, 10, 10)
-    simulation: ArmSimulation = field(repr=False)  # room for 11 n arms; keeps nothing from call to call
+    best: Filters  # for each arm the one that is believed
+    filters: Filters = field(repr=False)
+    count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
+    angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
+    torques: Floats = field(repr=False)  # the last ones, latest first [N m], shape (n, 3)
+    simulation: ArmSimulation = field(repr=False)  # room for all filters; keeps nothing from call to call
+
+    @property
+    def logs(self) -> Floats:
+        """Logarithm of each of IDENTIFIED over its nominal value, shape (n, 6)."""
+        return self.best.tracks.logs
+
+    @property
+    def covariance(self) -> Floats:
+        """Of the filter's x and of the logarithms, shape (n, 10, 10)."""
+        return self.best.tracks.covariance
+
+    @property
+    def delay(self) -> Whole:
+        """Of the encoder [samples], shape (n,)."""
+        return self.best.delay
+
+    def recalling(self, which: Flags, logs: Floats, covariance: Floats) -> Belief:
+        """The same at an episode's beginning, but with constants known from elsewhere.
+
+        Args:
+            which: For which arms, shape (n,).
+            logs: As `Belief.logs`, shape (n, 6).
+            covariance: Of these, shape (n, 6, 6).
+        """
+        filters = self.filters.recalling(which, logs, covariance)
+        return replace(self, filters=filters, best=filters.best())
 
 
-@compiled
-def _corrected(
-    predicted: Floats,
-    logs: Floats,
-    covariance: Floats,
-    measured: Floats,
-    by_torque: Floats,
-    by_acceleration: Floats,
-    noise: tuple[float, float, float],
-) -> tuple[Floats, Floats, Floats]:
-    """Kalman filter step from simulations of shape (n, 11, 4): the first as believed, then each of the ten moved."""
-    count = len(predicted)
-    state, new_logs, new_covariance = np.empty((count, 4)), logs.copy(), np.empty_like(covariance)
-    for arm in range(count):
-        jacobian = np.eye(_SIZE)
-        for j in range(_SIZE):
-            for i in range(4):
-                jacobian[i, j] = (predicted[arm, j + 1, i] - predicted[arm, 0, i]) / _MOVES[j]
-        innovation = measured[arm] - predicted[arm, 0, 0]
-        sticks = predicted[arm, 0, 1] == 0.0
-        holds = sticks and abs(innovation) <= _SLIDES
-        torque = (0.0 if holds else _LOOSE) if sticks else noise[0]
-        prior = np.zeros((_SIZE, _SIZE))
-        half = np.zeros((_SIZE, _SIZE))
-        for i in range(_SIZE):
-            for j in range(_SIZE):
-                for m in range(_SIZE):
-                    half[i, j] += jacobian[i, m] * covariance[arm, m, j]
-        for i in range(_SIZE):
-            for j in range(_SIZE):
-                for m in range(_SIZE):
-                    prior[i, j] += half[i, m] * jacobian[j, m]
-        for i in range(4):
-            for j in range(4):
-                prior[i, j] += torque * torque * by_torque[arm, i] * by_torque[arm, j]
-                prior[i, j] += noise[1] * noise[1] * by_acceleration[arm, i] * by_acceleration[arm, j]
-        for i in range(4, _SIZE):
-            prior[i, i] += noise[2] * noise[2] * CONTROL_PERIOD
-        prior[0, 0] += QUANTUM * QUANTUM / 120  # keeps the angle open to the encoder
-        total = prior[0, 0] + QUANTUM * QUANTUM / 12
-        for i in range(_SIZE):
-            gain = prior[i, 0] / total
-            if i < 4:
-                state[arm, i] = predicted[arm, 0, i] + gain * innovation
-            else:
-                new_logs[arm, i - 4] += gain * innovation
-            for j in range(_SIZE):
-                new_covariance[arm, i, j] = prior[i, j] - gain * prior[0, j]
-        if holds:
-            state[arm, 1] = 0.0
-    return state, new_logs, new_covariance
+@dataclass(frozen=True)
+class Filters:
+    """Filters of n arms, for each arm one for every delay that it may have; by arm and delay, in order."""
+
+    arm: Whole  # shape (m,)
+    delay: Whole  # shape (m,)
+    tracks: Tracks
+
+    def of(self, rows: Whole | Flags) -> Filters:
+        """Some of them."""
+        return Filters(self.arm[rows], self.delay[rows], self.tracks.of(rows))
+
+    def with_those_of(self, others: Filters) -> Filters:
+        """These and others, in order."""
+        arm, delay = (np.concatenate(parts) for parts in ((self.arm, others.arm), (self.delay, others.delay)))
+        tracks = Tracks(*(np.concatenate(parts) for parts in zip(self.tracks, others.tracks, strict=True)))
+        return Filters(arm, delay, tracks).of(np.lexsort((delay, arm)))
+
+    def recalling(self, which: Flags, logs: Floats, covariance: Floats) -> Filters:
+        """The same, but with constants known from elsewhere, see `Belief.recalling`."""
+        known, rows = self.tracks.covariance.copy(), which[self.arm]
+        known[rows, 4:, 4:] = covariance[self.arm[rows]]
+        logs = np.where(rows[:, None], logs[self.arm], self.tracks.logs)
+        return Filters(self.arm, self.delay, self.tracks._replace(logs=logs, covariance=known))
+
+    def best(self) -> Filters:
+        """That of each arm with the most evidence, of equals the one with the shorter delay."""
+        if self.arm[-1] + 1 == len(self.arm):
+            return self
+        order = np.lexsort((self.delay, -self.tracks.evidence, self.arm))
+        return self.of(order[np.diff(self.arm, prepend=-1) > 0])
+
+    def promising(self) -> Filters:
+        """Those that may still be right."""
+        if self.arm[-1] + 1 == len(self.arm):
+            return self
+        best = np.maximum.reduceat(self.tracks.evidence, np.flatnonzero(np.diff(self.arm, prepend=-1)))
+        return self.of(self.tracks.evidence >= best[self.arm] - _HOPELESS)
 
 
 class ArmIdentifier:
-    """The filter for arms that are nominally `params`."""
+    """The identification of arms that are nominally `params`."""
 
     def __init__(self, params: ArmParams, doubt: Doubt | None = None) -> None:
         self.params = params
         self.doubt = doubt or Doubt()
-        self._nominal = params_table([params])
-        self._linear = LinearArms(*(part[0] for part in linear_arm(params)))
+        self._filter = ArmFilter(params, self.doubt)
 
     def table(self, belief: Belief) -> Floats:
         """Constants of the arms as believed, columns as `ArmParams`, shape (n, 12)."""
-        table = np.repeat(self._nominal, len(belief.logs), axis=0)
-        table[:, _COLUMNS] *= np.exp(belief.logs)
-        return table
+        return self._filter.table(belief.logs)
 
-    def update(self, belief: Belief | None, reading: Reading, begins: NDArray[np.bool_]) -> Belief:
+    def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:
         """Bring the belief up to this sample.
 
         Args:
@@ -154,44 +146,67 @@ class ArmIdentifier:
             reading: Measurements, and the torque held since the last sample.
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
         """
-        count = len(begins)
-        at_rest = np.zeros((count, 4))
-        at_rest[:, 0] = reading.motor_angle
-        unknown = np.zeros((count, len(IDENTIFIED)))
-        doubt = np.repeat(self.doubt.covariance()[None], count, axis=0)
+        angle = reading.motor_angle
         if belief is None:
-            return Belief(at_rest, unknown, doubt, ArmSimulation(self.params, (_SIZE + 1) * count))
-        state, logs, covariance = self._stepped(belief, reading)
-        return Belief(
-            np.where(begins[:, None], at_rest, state),
-            np.where(begins[:, None], unknown, logs),
-            np.where(begins[:, None, None], doubt, covariance),
-            belief.simulation,
-        )
+            return self._unknown(angle)
+        count = np.where(begins, 0.0, common_count(belief.count, np.abs(angle - belief.angle)))
+        torques = np.column_stack([reading.last_torque, belief.torques[:, :-1]])
+        torques = np.where(begins[:, None], 0.0, torques)
+        filters = self._stepped(belief, angle, np.where(count > 0, np.maximum(count, QUANTUM), COARSEST), torques)
+        if begins.any():
+            others = filters.of(~begins[filters.arm])
+            filters = others.with_those_of(self._begun(np.flatnonzero(begins), angle[begins]))
+        best = filters.best()
+        state = self._now(best, torques, belief.simulation)
+        return Belief(state, best, filters, count, angle, torques, belief.simulation)
 
-    def _stepped(self, belief: Belief, reading: Reading) -> tuple[Floats, Floats, Floats]:
-        predicted = self._simulated(belief, reading.last_torque)
-        angle = predicted[:, 0, 0] / self.params.gear_ratio
-        state, logs, covariance = _corrected(
-            predicted,
-            belief.logs,
-            belief.covariance,
-            reading.motor_angle,
-            at_angle(self._linear.by_torque, angle),
-            at_angle(self._linear.by_acceleration, angle),
-            (self.doubt.torque, self.doubt.acceleration, self.doubt.drift),
-        )
-        return np.clip(state, -_LARGEST, _LARGEST), np.clip(logs, _LOWEST, _HIGHEST), covariance
+    def _unknown(self, angle: Floats) -> Belief:
+        """Of arms at rest at these motor angles, of which nothing is known."""
+        filters = self._begun(np.arange(len(angle)), angle)
+        best, never = filters.best(), np.zeros((len(angle), LATEST + 1))
+        room = self._filter.room(len(filters.arm))
+        return Belief(best.tracks.state, best, filters, np.zeros(len(angle)), angle, never, room)
 
-    def _simulated(self, belief: Belief, torque: Floats) -> Floats:
-        """States one period on: as believed, and with each of the ten moved; shape (n, 11, 4)."""
-        count = len(torque)
-        states = np.repeat(belief.state[:, None], _SIZE + 1, axis=1)
-        table = np.repeat(self.table(belief)[:, None], _SIZE + 1, axis=1)
-        for j in range(4):
-            states[:, j + 1, j] += _MOVES[j]
-        for j, column in enumerate(_COLUMNS):
-            table[:, j + 5, column] *= np.exp(_MOVES[j + 4])
-        belief.simulation.set_table(table.reshape(-1, table.shape[2]))
-        torques = np.repeat(torque, _SIZE + 1)
-        return belief.simulation.advance(states.reshape(-1, 4), torques).reshape(count, _SIZE + 1, 4)
+    def _begun(self, arms: Whole, angles: Floats) -> Filters:
+        """New filters of these arms, at rest at these motor angles, one for each delay."""
+        arm, delay = np.repeat(arms, len(_DELAYS)), np.tile(_DELAYS, len(arms))
+        tracks = self._filter.begun(np.repeat(angles, len(_DELAYS)), COARSEST)
+        return Filters(arm, delay, tracks._replace(evidence=np.where(delay > 0, _LATE, 0.0)))
+
+    def _stepped(self, belief: Belief, angle: Floats, count: Floats, torques: Floats) -> Filters:
+        """The filters one sample on, without those that are given up."""
+        arm, delay = belief.filters.arm, belief.filters.delay
+        tracks = self._filter.stepped(
+            belief.filters.tracks, torques[arm, delay], angle[arm], count[arm], belief.simulation
+        )
+        return Filters(arm, delay, tracks).promising()
+
+    def _now(self, best: Filters, torques: Floats, simulation: ArmSimulation) -> Floats:
+        """States now, of filters whose states are as old as their delays, under the torques since; shape (n, 4)."""
+        state = best.tracks.state
+        for age in range(int(best.delay.max()), 0, -1):
+            late = np.flatnonzero(best.delay >= age)
+            state = state.copy()
+            tracks = best.tracks.of(late)._replace(state=state[late])
+            state[late] = self._filter.ahead(tracks, torques[late, age - 1], simulation).state
+        return state
+
+
+@compiled
+def common_count(count: Floats, change: Floats) -> Floats:
+    """Greatest common divisor of an encoder's changes, by Euclid, for numbers that are rounded.
+
+    Args:
+        count: Of the changes up to now [rad], shape (n,); 0 before the first.
+        change: The latest, without sign [rad], shape (n,).
+    """
+    result = count.copy()
+    for i in range(len(count)):
+        if not 0.5 * QUANTUM < change[i] < _TELLING * max(count[i], QUANTUM):
+            continue
+        larger, smaller = max(count[i], change[i]), min(count[i], change[i])
+        while smaller > 0.5 * QUANTUM:
+            remainder = larger % smaller
+            larger, smaller = smaller, min(remainder, smaller - remainder)
+        result[i] = larger
+    return result

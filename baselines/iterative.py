@@ -32,6 +32,7 @@ from baselines.gains import tuned
 from baselines.identification import Belief
 from baselines.lesson import Law, Lesson, Notes
 from baselines.norm_optimal import Linearisation, norm_weights, optimal_change
+from baselines.observer import QUANTUM
 from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.reference import TRAPEZOID, sample_references
@@ -134,7 +135,7 @@ class IterativeController(AdaptiveController):
         return (self.lesson or self._nothing(moves)).kept(left, new) if left.any() else new
 
     def _nothing(self, moves: Floats) -> Lesson:
-        doubt = self._identifier.doubt.covariance()[4:, 4:]
+        doubt = self._identifier.doubt.covariance(QUANTUM)[4:, 4:]
         return Lesson(moves, np.zeros((len(moves), len(doubt))), np.repeat(doubt[None], len(moves), axis=0), None)
 
     def _states(self, lesson: Lesson, readings: list[Reading]) -> Floats:

@@ -36,9 +36,7 @@ class Lesson:
 
     def recalled(self, belief: Belief, which: NDArray[np.bool_]) -> Belief:
         """The belief, with the constants of some arms as learnt; shape of `which`: (n,)."""
-        covariance = belief.covariance.copy()
-        covariance[which, 4:, 4:] = self.covariance[which]
-        return Belief(belief.state, np.where(which[:, None], self.logs, belief.logs), covariance, belief.simulation)
+        return belief.recalling(which, self.logs, self.covariance)
 
     def torque(self, planned: Floats, belief: Belief, reading: Reading) -> Floats:
         """Torque [N m], shape (n,): that of the law where it holds, or else the one planned."""

@@ -38,7 +38,7 @@ def _advance(
 ) -> Floats:
     count = len(states)
     result = np.empty((count, 4))
-    for k in range(len(blocks)):
+    for k in range((count + LANES - 1) // LANES):
         low, high = k * LANES, min(k * LANES + LANES, count)
         for i in range(low, high):
             x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
@@ -77,7 +77,14 @@ class ArmSimulation:
         _load_arms(self._blocks, table, self._model)
 
     def set_table(self, table: Floats) -> None:
-        """Go on with other constants that are near those before: columns as `ArmParams`, shape (n, 12)."""
+        """Go on with other constants that are near those before: columns as `ArmParams`, shape (n, 12).
+
+        Raises:
+            ValueError: If these are more arms than there is room for, which is as many as at the beginning.
+        """
+        if len(table) > len(self._blocks) * LANES:
+            raise ValueError(f"there is room for {len(self._blocks) * LANES} arms, got {len(table)}")
+        self._limits = table[:, FIELDS.index("torque_limit")].copy()
         _load_arms(self._blocks, table, self._model)
 
     def advance(self, states: Floats, torques: Floats) -> Floats:

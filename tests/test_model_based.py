@@ -12,7 +12,6 @@ from scipy.linalg import expm
 
 from baselines.adaptive import AdaptiveController, AdaptiveGains
 from baselines.gains import Gains, tunable, tuned
-from baselines.identification import IDENTIFIED, ArmIdentifier
 from baselines.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.plan import Weights, plan_moves
@@ -66,6 +65,8 @@ class TestSimulation:
     def test_mistakes_are_named(self):
         with pytest.raises(ValueError, match=r"states and torques must have shapes \(2, 4\) and \(2,\), got \(1, 4\)"):
             ArmSimulation(ArmParams(), 2).advance(np.zeros((1, 4)), np.zeros(2))
+        with pytest.raises(ValueError, match="there is room for 136 arms, got 137"):
+            ArmSimulation(ArmParams(), 2).set_table(params_table([ArmParams()] * 137))
         with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', got 'mujoco'"):
             ArmSimulation(ArmParams(), model="mujoco")
 
@@ -209,37 +210,6 @@ class TestObserver:
         true, believed = np.array(rings).T
         assert np.ptp(true) > 0.01, "rings"
         assert np.abs(true - believed).max() < 0.03 * np.ptp(true)
-
-
-class TestIdentification:
-    @pytest.mark.parametrize("payload", [0.0, 0.2])
-    @pytest.mark.parametrize("stiffness", [28.0, 38.0])
-    def test_finds_payload_and_stiffness_while_moving(self, payload: float, stiffness: float):
-        options = {
-            "params": {"payload_mass": payload, "belt_stiffness": stiffness},
-            "move": {"start": 0.2, "goal": 1.4, "duration": 1.0, "ramp_time": 0.2},
-        }
-        env = batch(1)
-        observations, _ = env.reset(seed=0, options=options)
-        controller, memory = AdaptiveController(), None
-        for _ in range(EPISODE_STEPS):
-            action, memory = controller.predict(observations, memory)
-            observations, *_ = env.step(action)
-        assert memory is not None
-        logs = dict(zip(IDENTIFIED, memory.belief.logs[0].tolist(), strict=True))
-        assert 33 * math.exp(logs["belt_stiffness"]) == pytest.approx(stiffness, rel=0.08)
-        assert 0.06 * math.exp(logs["arm_inertia_swing"]) == pytest.approx(0.06 + 0.25 * payload, rel=0.12)
-
-    def test_learns_nothing_from_an_arm_at_rest(self):
-        env = batch(1)
-        observations, _ = env.reset(seed=1)
-        identifier, belief = ArmIdentifier(ArmParams()), None
-        for _ in range(200):
-            belief = identifier.update(belief, read(observations, ArmParams()), np.array([belief is None]))
-            observations, *_ = env.step(np.zeros((1, 1), np.float32))
-        assert belief is not None
-        np.testing.assert_allclose(belief.logs, 0.0, atol=1e-6)
-        np.testing.assert_allclose(identifier.table(belief), params_table([ArmParams()]), rtol=1e-6)
 
 
 class TestControllers:
