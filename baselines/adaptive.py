@@ -3,9 +3,10 @@
     tau_m = tau_ff[k] - K[k] (x - x_ref[k]) + tau_c dir
 
 as `baselines.preview`, but state, tau_c, and the arm that feed-forward and gains are computed for, come from the
-identification of `baselines.identification`, which also finds out how late and how coarse the encoder is. The plan of the rest of the move is computed again every 30 ms for arms
-whose constants have changed by more than 2 % since (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive
-Control, 1995). At an episode's start the arm is nominal: nothing is carried over from one to the next.
+identification of `baselines.identification`, which also finds out how late and how coarse the encoder is. The plan of
+the rest of the move is computed again every 30 ms for arms whose constants have changed by more than 2 % since
+(certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995). At an episode's start the arm is nominal:
+nothing is carried over from one to the next.
 """
 
 from __future__ import annotations

@@ -82,6 +82,35 @@ class Tracks(NamedTuple):
 
 
 @compiled
+def _prior(predicted: Floats, covariance: Floats, by_torque: Floats, by_acceleration: Floats, prior: Floats) -> None:
+    """Covariance before the measurement, into `prior`: F P F' + Q, where F is the unit matrix but for its rows of x.
+
+    Args:
+        predicted: Simulations of one arm, shape (11, 4): the first as believed, then each of the ten moved.
+        covariance: P, shape (10, 10).
+        by_torque: What the torque's noise does to x, its standard deviation included, shape (4,).
+        by_acceleration: The same of the torsional acceleration's.
+        prior: Shape (10, 10).
+    """
+    jacobian, half = np.empty((4, _SIZE)), np.zeros((4, _SIZE))
+    for j in range(_SIZE):
+        for i in range(4):
+            jacobian[i, j] = (predicted[j + 1, i] - predicted[0, i]) / _MOVES[j]
+    for i in range(4):
+        for m in range(_SIZE):
+            for j in range(_SIZE):
+                half[i, j] += jacobian[i, m] * covariance[m, j]
+    prior[:] = covariance
+    for i in range(4):
+        for j in range(4):
+            prior[i, j] = by_torque[i] * by_torque[j] + by_acceleration[i] * by_acceleration[j]
+            for m in range(_SIZE):
+                prior[i, j] += half[i, m] * jacobian[j, m]
+        for j in range(4, _SIZE):
+            prior[i, j] = prior[j, i] = half[i, j]
+
+
+@compiled
 def _corrected(
     predicted: Floats,
     tracks: Tracks,
@@ -94,33 +123,16 @@ def _corrected(
     """Kalman filter step from simulations of shape (m, 11, 4): the first as believed, then each of the ten moved."""
     _, logs, covariance, evidence = tracks
     state, new_logs, new_covariance = np.empty((len(predicted), 4)), logs.copy(), np.empty_like(covariance)
-    new_evidence = evidence.copy()
+    new_evidence, prior = evidence.copy(), np.empty((_SIZE, _SIZE))
     for arm in range(len(predicted)):
-        rounding = count[arm] * count[arm]
-        jacobian = np.eye(_SIZE)
-        for j in range(_SIZE):
-            for i in range(4):
-                jacobian[i, j] = (predicted[arm, j + 1, i] - predicted[arm, 0, i]) / _MOVES[j]
         innovation = measured[arm] - predicted[arm, 0, 0]
         sticks = predicted[arm, 0, 1] == 0.0
         holds = sticks and abs(innovation) <= _SLIDES * count[arm]
         torque = (0.0 if holds else _LOOSE) if sticks else noise[0]
-        prior = np.zeros((_SIZE, _SIZE))
-        half = np.zeros((_SIZE, _SIZE))
-        for i in range(_SIZE):
-            for j in range(_SIZE):
-                for m in range(_SIZE):
-                    half[i, j] += jacobian[i, m] * covariance[arm, m, j]
-        for i in range(_SIZE):
-            for j in range(_SIZE):
-                for m in range(_SIZE):
-                    prior[i, j] += half[i, m] * jacobian[j, m]
-        for i in range(4):
-            for j in range(4):
-                prior[i, j] += torque * torque * by_torque[arm, i] * by_torque[arm, j]
-                prior[i, j] += noise[1] * noise[1] * by_acceleration[arm, i] * by_acceleration[arm, j]
+        _prior(predicted[arm], covariance[arm], torque * by_torque[arm], noise[1] * by_acceleration[arm], prior)
         for i in range(4, _SIZE):
             prior[i, i] += noise[2] * noise[2] * CONTROL_PERIOD
+        rounding = count[arm] * count[arm]
         prior[0, 0] += rounding / 120  # keeps the angle open to the encoder
         total = prior[0, 0] + rounding / 12
         new_evidence[arm] -= 0.5 * (innovation * innovation / total + np.log(total))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import subprocess
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,8 +15,10 @@ import pytest
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
+from baselines.adaptive import AdaptiveMemory
 from baselines.gains import tuned
 from baselines.linear import ANGLES
+from baselines.observer import QUANTUM
 from baselines.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.simulation import ArmSimulation
@@ -70,8 +72,8 @@ def at_work(
     """Motor angle of the environment's arm under the real controller, from a pulse of torque on; shape (steps,).
 
     The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motor
-    from standing still, which observers take for sticking. From the pulse on the encoder is late by `delay` samples
-    and the torque multiplied by `gain`.
+    from standing still, which observers take for sticking, and is too faint for an identification to see how fine the
+    encoder is: it is told. From the pulse on the encoder is late by `delay` samples, the torque multiplied by `gain`.
     """
     begin = SETTLED.get(name, 300)
     joint = float(np.float32(ANGLES[k]))
@@ -84,6 +86,8 @@ def at_work(
         late = delay if i >= begin else 0
         seen = np.array([angles[i + 1 - late], *state[1:]])
         action, memory = controller.predict(resting_observation(joint, seen, angles[i - late], last), memory)
+        if isinstance(memory, AdaptiveMemory):
+            memory = replace(memory, belief=replace(memory.belief, count=np.array([QUANTUM])))
         last = float(action[0, 0]) * 0.3
         torque = (gain if i >= begin else 1.0) * last + noise[i] + (pulse if i == begin else 0.0)
         state = plant.advance(state[None], np.array([torque]))[0]
@@ -211,7 +215,7 @@ class TestKnownLoops:
 
 def test_every_gain_has_a_symbol_and_a_unit():
     for name in CONTROLLERS:
-        for gain in dataclasses.fields(CONTROLLERS[name]().gains):
+        for gain in fields(CONTROLLERS[name]().gains):
             assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/loops/gains.py"
 
 

@@ -228,8 +228,9 @@ _LOOPS = (
     "angle, so the loop may be cut at the torque or at the encoder alike. *Gain up* and *gain down* are the factors at "
     "which the loop becomes unstable, *delay* is the encoder's delay (or the torque's, if the controller does not know "
     "of it) that it bears in samples of 1.5 ms, *modulus* is 1 / max|S|. The worst over 46 angles from 0° to 90°, and "
-    "where. `preview` and `adaptive` have the gain of the plan long before its end, `adaptive` with the nominal arm "
-    "identified and held, `mpc` the first torque of its horizon within the torque limit. Friction damps what these "
+    "where. `preview` and `adaptive` have the gain of the plan long before its end, `adaptive` with the nominal arm and "
+    "an encoder in time identified and held (an encoder that is late from the start on it finds out about, and takes "
+    "into account; its margin is for one that becomes late), `mpc` the first torque of its horizon within the torque limit. Friction damps what these "
     "loops leave undamped, and compensating it at rest multiplies the gain for small pushes: a small margin here is a "
     "warning, not yet a failure."
 )
