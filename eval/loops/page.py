@@ -229,8 +229,8 @@ _LOOPS = (
     "which the loop becomes unstable, *delay* is the encoder's delay (or the torque's, if the controller does not know "
     "of it) that it bears in samples of 1.5 ms, *modulus* is 1 / max|S|. The worst over 46 angles from 0° to 90°, and "
     "where. `preview` and `adaptive` have the gain of the plan long before its end, `adaptive` with the nominal arm and "
-    "an encoder in time identified and held (an encoder that is late from the start on it finds out about, and takes "
-    "into account; its margin is for one that becomes late), `mpc` the first torque of its horizon within the torque limit. Friction damps what these "
-    "loops leave undamped, and compensating it at rest multiplies the gain for small pushes: a small margin here is a "
+    "an encoder in time identified and held: one that is late from the start on is found out about, and its margin is "
+    "for one that becomes late. `mpc` has the first torque of its horizon within the torque limit. Friction damps what "
+    "these loops leave undamped, and compensating it at rest multiplies the gain for small pushes: a small margin here is a "
     "warning, not yet a failure."
 )
