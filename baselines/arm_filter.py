@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.linear import LinearArms, at_angle, linear_arm
+from baselines.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env._jit import compiled
 from beltarm_env.params import FIELDS
@@ -116,8 +116,7 @@ def _corrected(
     tracks: Tracks,
     measured: Floats,
     count: Floats,
-    by_torque: Floats,
-    by_acceleration: Floats,
+    by_noise: Floats,
     noise: tuple[float, float, float],
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Kalman filter step from simulations of shape (m, 11, 4): the first as believed, then each of the ten moved."""
@@ -129,7 +128,7 @@ def _corrected(
         sticks = predicted[arm, 0, 1] == 0.0
         holds = sticks and abs(innovation) <= _SLIDES * count[arm]
         torque = (0.0 if holds else _LOOSE) if sticks else noise[0]
-        _prior(predicted[arm], covariance[arm], torque * by_torque[arm], noise[1] * by_acceleration[arm], prior)
+        _prior(predicted[arm], covariance[arm], torque * by_noise[arm, 0], noise[1] * by_noise[arm, 1], prior)
         for i in range(4, _SIZE):
             prior[i, i] += noise[2] * noise[2] * CONTROL_PERIOD
         rounding = count[arm] * count[arm]
@@ -149,6 +148,25 @@ def _corrected(
     return state, new_logs, new_covariance, new_evidence
 
 
+@compiled
+def _moved(state: Floats, table: Floats) -> tuple[Floats, Floats]:
+    """States (11 m, 4) and constants (11 m, 12) of all simulations: as believed, then with each of the ten moved."""
+    states, tables = np.empty(((_SIZE + 1) * len(state), 4)), np.empty(((_SIZE + 1) * len(table), table.shape[1]))
+    factors = np.exp(_MOVES)
+    for arm in range(len(state)):
+        first = arm * (_SIZE + 1)
+        for row in range(first, first + _SIZE + 1):
+            for i in range(4):
+                states[row, i] = state[arm, i]
+            for i in range(table.shape[1]):
+                tables[row, i] = table[arm, i]
+        for j in range(4):
+            states[first + 1 + j, j] += _MOVES[j]
+        for j in range(4, _SIZE):
+            tables[first + 1 + j, _COLUMNS[j - 4]] *= factors[j]
+    return states, tables
+
+
 class ArmFilter:
     """Filters for arms that are nominally `params`."""
 
@@ -156,7 +174,8 @@ class ArmFilter:
         self.params = params
         self.doubt = doubt
         self._nominal = params_table([params])
-        self._linear = LinearArms(*(part[0] for part in linear_arm(params)))
+        arm = linear_arm(params)
+        self._by_noise = np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1)  # shape (46, 2, 4)
 
     def begun(self, angles: Floats, count: float) -> Tracks:
         """Filters of nominal arms at rest at these motor angles, shape (m,), read in counts of so many rad."""
@@ -189,11 +208,9 @@ class ArmFilter:
         """
         predicted = self._predicted(tracks, torque, simulation)
         angle = predicted[:, 0, 0] / self.params.gear_ratio
-        by_torque, by_acceleration = (
-            at_angle(table, angle) for table in (self._linear.by_torque, self._linear.by_acceleration)
-        )
+        by_noise = at_angle(self._by_noise, angle)
         noise = self.doubt.torque, self.doubt.acceleration, self.doubt.drift
-        new = Tracks(*_corrected(predicted, tracks, measured, count, by_torque, by_acceleration, noise))
+        new = Tracks(*_corrected(predicted, tracks, measured, count, by_noise, noise))
         state, logs = np.clip(new.state, -_LARGEST, _LARGEST), np.clip(new.logs, _LOWEST, _HIGHEST)
         return new._replace(state=state, logs=logs)
 
@@ -204,12 +221,7 @@ class ArmFilter:
 
     def _predicted(self, tracks: Tracks, torque: Floats, simulation: ArmSimulation) -> Floats:
         """States one period on: as believed, and with each of the ten moved; shape (m, 11, 4)."""
-        states = np.repeat(tracks.state[:, None], _SIZE + 1, axis=1)
-        table = np.repeat(self.table(tracks.logs)[:, None], _SIZE + 1, axis=1)
-        for j in range(4):
-            states[:, j + 1, j] += _MOVES[j]
-        for j, column in enumerate(_COLUMNS):
-            table[:, j + 5, column] *= np.exp(_MOVES[j + 4])
-        simulation.set_table(table.reshape(-1, table.shape[2]))
+        states, table = _moved(tracks.state, self.table(tracks.logs))
+        simulation.set_table(table)
         torques = np.repeat(torque, _SIZE + 1)
-        return simulation.advance(states.reshape(-1, 4), torques).reshape(len(torque), _SIZE + 1, 4)
+        return simulation.advance(states, torques).reshape(len(torque), _SIZE + 1, 4)

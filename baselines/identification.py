@@ -116,14 +116,19 @@ class Filters:
         if self.arm[-1] + 1 == len(self.arm):
             return self
         order = np.lexsort((self.delay, -self.tracks.evidence, self.arm))
-        return self.of(order[np.diff(self.arm, prepend=-1) > 0])
+        return self.of(order[self._first()])
 
     def promising(self) -> Filters:
         """Those that may still be right."""
         if self.arm[-1] + 1 == len(self.arm):
             return self
-        best = np.maximum.reduceat(self.tracks.evidence, np.flatnonzero(np.diff(self.arm, prepend=-1)))
-        return self.of(self.tracks.evidence >= best[self.arm] - _HOPELESS)
+        best = np.maximum.reduceat(self.tracks.evidence, self._first())
+        promising = self.tracks.evidence >= best[self.arm] - _HOPELESS
+        return self if promising.all() else self.of(promising)
+
+    def _first(self) -> Whole:
+        """Where the filters of each arm begin."""
+        return np.searchsorted(self.arm, np.arange(self.arm[-1] + 1))
 
 
 class ArmIdentifier:
