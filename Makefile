@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compare scenarios paper loops physics test lint format bench tune train readme clean
+.PHONY: help setup compare scenarios paper loops physics test lint format bench tune train learning readme clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,6 +56,9 @@ tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.js
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 	$(BIN)/python train/ppo.py $(ARGS)
+
+learning: $(READY)  ## Ablations of the training in docs/learning: half an hour or more; goes on where it was interrupted
+	$(BIN)/python eval/ablations.py --out docs/learning $(ARGS)
 
 readme: $(READY)  ## Regenerate the README, docs/comparison, docs/iterative and docs/training
 	$(BIN)/python eval/compare.py --out docs/comparison

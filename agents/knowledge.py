@@ -120,6 +120,24 @@ class InformedBase:
             belief = self._identifier.update(before, reading, beginning(before, start, len(observation)))
         return InformedMemory(base, action, belief)
 
+    def ended(
+        self, last: Singles, observation: Singles, memory: InformedMemory, ended: Flags
+    ) -> tuple[InformedMemory, InformedMemory]:
+        """Where some arms' episodes end: what is known at their last sample, and at the first of their next episode.
+
+        Args:
+            last: Observations, of arms that ended those of their last sample.
+            observation: The same, but of arms that ended those of their next episode's first sample.
+            memory: Of the sample before.
+            ended: Which arms, shape (n,).
+        """
+        final = self.advance(last, memory, None)
+        if self._identifier is None or final.belief is None or final.belief is getattr(final.base, "belief", None):
+            return final, self.advance(observation, memory, ended)
+        action, base = self.base.predict(observation, memory.base, ended)
+        belief = self._identifier.begun(final.belief, read(observation, self._params).motor_angle, ended)
+        return final, InformedMemory(base, action, belief)
+
     def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
         """What the agent observes, shape (n, size + told), of the sample that `memory` has advanced to."""
         told = memory.action.astype(np.float64)

@@ -158,10 +158,14 @@ class ResidualVecEnv(VecEnv):
             rewards += reward if not done.any() else np.where(done, 0.0, reward)
             ended = terminated | truncated
             if ended.any():
-                self._report(infos, observation, ended & ~done, truncated, info)
+                last = observation.copy()
+                last[ended] = np.stack(info["final_obs"][ended])
+                final, self._memory = self.informed.ended(last, observation, self._memory, ended)
+                self._report(infos, self.informed.seen(last, final), ended & ~done, truncated, info)
                 done |= ended
                 residual = np.where(done[:, None], np.float32(0), residual)
-            self._memory = self.informed.advance(observation, self._memory, ended)
+            else:
+                self._memory = self.informed.advance(observation, self._memory, None)
         seen = self.informed.seen(observation, self._memory)
         scaled = np.maximum(self.reward_scale * rewards, -self.worst_reward)
         return seen, scaled.astype(np.float32), done, infos
@@ -169,16 +173,13 @@ class ResidualVecEnv(VecEnv):
     def _report(
         self,
         infos: list[dict[str, Any]],
-        observation: Singles,
+        terminal: Singles,
         ended: NDArray[np.bool_],
         truncated: NDArray[np.bool_],
         info: dict[str, Any],
     ) -> None:
         """Info of the arms that ended: what they last observed, and what the episode came to."""
         arms = np.flatnonzero(ended)
-        last = observation.copy()
-        last[arms] = np.stack(info["final_obs"][arms])
-        terminal = self.informed.seen(last, self.informed.advance(last, self._memory, None))
         totals = info["final_info"]["total_cost"]
         for arm in arms:
             infos[arm] = {

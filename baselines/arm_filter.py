@@ -214,10 +214,10 @@ class ArmFilter:
         state, logs = np.clip(new.state, -_LARGEST, _LARGEST), np.clip(new.logs, _LOWEST, _HIGHEST)
         return new._replace(state=state, logs=logs)
 
-    def ahead(self, tracks: Tracks, torque: Floats, simulation: ArmSimulation) -> Tracks:
-        """The filters as they expect to be one sample on, under torques [N m] of shape (m,)."""
-        simulation.set_table(self.table(tracks.logs))
-        return tracks._replace(state=simulation.advance(tracks.state, torque))
+    def ahead(self, state: Floats, logs: Floats, torque: Floats, simulation: ArmSimulation) -> Floats:
+        """States one sample on of arms as believed, under torques [N m] of shape (m,)."""
+        simulation.set_table(self.table(logs))
+        return simulation.advance(state, torque)
 
     def _predicted(self, tracks: Tracks, torque: Floats, simulation: ArmSimulation) -> Floats:
         """States one period on: as believed, and with each of the ten moved; shape (m, 11, 4)."""

@@ -52,7 +52,9 @@ class Belief:
     """What is believed of n arms now."""
 
     state: Floats  # x, shape (n, 4)
-    best: Filters  # for each arm the one that is believed
+    logs: Floats  # ln of each of IDENTIFIED over its nominal value, shape (n, 6)
+    delay: Whole  # of the encoder [samples], shape (n,)
+    believed: Whole = field(repr=False)  # which of the filters, for each arm; shape (n,)
     filters: Filters = field(repr=False)
     count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
     angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
@@ -60,19 +62,9 @@ class Belief:
     simulation: ArmSimulation = field(repr=False)  # room for all filters; keeps nothing from call to call
 
     @property
-    def logs(self) -> Floats:
-        """Logarithm of each of IDENTIFIED over its nominal value, shape (n, 6)."""
-        return self.best.tracks.logs
-
-    @property
     def covariance(self) -> Floats:
         """Of the filter's x and of the logarithms, shape (n, 10, 10)."""
-        return self.best.tracks.covariance
-
-    @property
-    def delay(self) -> Whole:
-        """Of the encoder [samples], shape (n,)."""
-        return self.best.delay
+        return self.filters.tracks.covariance[self.believed]
 
     def recalling(self, which: Flags, logs: Floats, covariance: Floats) -> Belief:
         """The same at an episode's beginning, but with constants known from elsewhere.
@@ -83,7 +75,7 @@ class Belief:
             covariance: Of these, shape (n, 6, 6).
         """
         filters = self.filters.recalling(which, logs, covariance)
-        return replace(self, filters=filters, best=filters.best())
+        return replace(self, filters=filters, logs=filters.tracks.logs[self.believed])
 
 
 @dataclass(frozen=True)
@@ -111,20 +103,25 @@ class Filters:
         logs = np.where(rows[:, None], logs[self.arm], self.tracks.logs)
         return Filters(self.arm, self.delay, self.tracks._replace(logs=logs, covariance=known))
 
-    def best(self) -> Filters:
-        """That of each arm with the most evidence, of equals the one with the shorter delay."""
-        if self.arm[-1] + 1 == len(self.arm):
-            return self
+    def best(self) -> Whole:
+        """Which are those with the most evidence, of equals the one with the shorter delay; shape (n,)."""
+        if self._decided:
+            return self.arm
         order = np.lexsort((self.delay, -self.tracks.evidence, self.arm))
-        return self.of(order[self._first()])
+        return order[self._first()]
 
     def promising(self) -> Filters:
         """Those that may still be right."""
-        if self.arm[-1] + 1 == len(self.arm):
+        if self._decided:
             return self
         best = np.maximum.reduceat(self.tracks.evidence, self._first())
         promising = self.tracks.evidence >= best[self.arm] - _HOPELESS
         return self if promising.all() else self.of(promising)
+
+    @property
+    def _decided(self) -> bool:
+        """Whether each arm has one filter left."""
+        return bool(self.arm[-1] + 1 == len(self.arm))
 
     def _first(self) -> Whole:
         """Where the filters of each arm begin."""
@@ -154,23 +151,41 @@ class ArmIdentifier:
         angle = reading.motor_angle
         if belief is None:
             return self._unknown(angle)
-        count = np.where(begins, 0.0, common_count(belief.count, np.abs(angle - belief.angle)))
+        count = common_count(belief.count, np.abs(angle - belief.angle))
         torques = np.column_stack([reading.last_torque, belief.torques[:, :-1]])
-        torques = np.where(begins[:, None], 0.0, torques)
         filters = self._stepped(belief, angle, np.where(count > 0, np.maximum(count, QUANTUM), COARSEST), torques)
-        if begins.any():
-            others = filters.of(~begins[filters.arm])
-            filters = others.with_those_of(self._begun(np.flatnonzero(begins), angle[begins]))
         best = filters.best()
-        state = self._now(best, torques, belief.simulation)
-        return Belief(state, best, filters, count, angle, torques, belief.simulation)
+        delay, logs = filters.delay[best], filters.tracks.logs[best]
+        state = self._now(filters.tracks.state[best], logs, delay, torques, belief.simulation)
+        stepped = Belief(state, logs, delay, best, filters, count, angle, torques, belief.simulation)
+        return self.begun(stepped, angle, begins)
+
+    def begun(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
+        """The same, but nothing of arms that begin an episode at rest at these motor angles [rad], shape (n,)."""
+        if not begins.any():
+            return belief
+        others = belief.filters.of(~begins[belief.filters.arm])
+        filters = others.with_those_of(self._begun(np.flatnonzero(begins), angle[begins]))
+        best, start = filters.best(), begins[:, None]
+        return replace(
+            belief,
+            state=np.where(start, filters.tracks.state[best], belief.state),
+            logs=np.where(start, 0.0, belief.logs),
+            delay=np.where(begins, 0, belief.delay),
+            believed=best,
+            filters=filters,
+            count=np.where(begins, 0.0, belief.count),
+            angle=np.where(begins, angle, belief.angle),
+            torques=np.where(start, 0.0, belief.torques),
+        )
 
     def _unknown(self, angle: Floats) -> Belief:
         """Of arms at rest at these motor angles, of which nothing is known."""
         filters = self._begun(np.arange(len(angle)), angle)
-        best, never = filters.best(), np.zeros((len(angle), LATEST + 1))
+        best, count, torques = filters.best(), np.zeros(len(angle)), np.zeros((len(angle), LATEST + 1))
+        state, logs = filters.tracks.state[best], filters.tracks.logs[best]
         room = self._filter.room(len(filters.arm))
-        return Belief(best.tracks.state, best, filters, np.zeros(len(angle)), angle, never, room)
+        return Belief(state, logs, filters.delay[best], best, filters, count, angle, torques, room)
 
     def _begun(self, arms: Whole, angles: Floats) -> Filters:
         """New filters of these arms, at rest at these motor angles, one for each delay."""
@@ -186,14 +201,11 @@ class ArmIdentifier:
         )
         return Filters(arm, delay, tracks).promising()
 
-    def _now(self, best: Filters, torques: Floats, simulation: ArmSimulation) -> Floats:
-        """States now, of filters whose states are as old as their delays, under the torques since; shape (n, 4)."""
-        state = best.tracks.state
-        for age in range(int(best.delay.max()), 0, -1):
-            late = np.flatnonzero(best.delay >= age)
-            state = state.copy()
-            tracks = best.tracks.of(late)._replace(state=state[late])
-            state[late] = self._filter.ahead(tracks, torques[late, age - 1], simulation).state
+    def _now(self, state: Floats, logs: Floats, delay: Whole, torques: Floats, simulation: ArmSimulation) -> Floats:
+        """States now, from states as old as the delay, by the torques since; shape (n, 4)."""
+        for age in range(int(delay.max()), 0, -1):
+            late = np.flatnonzero(delay >= age)
+            state[late] = self._filter.ahead(state[late], logs[late], torques[late, age - 1], simulation)
         return state
 
 

@@ -29,6 +29,7 @@ from rich.table import Table
 import beltarm_env
 
 ROOT = Path(__file__).resolve().parent.parent
+_ITERATIONS = 20  # of PPO whose time is taken apart
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class Config:
     """Steps per repetition of a batch; single arms take a hundred times as many."""
     training: bool = False
     """Also run `train/ppo.py` with its defaults, and see when its policy halves the paper's figures; takes minutes."""
+    training_loop: bool = False
+    """Also measure what PPO spends its time on, and its speed beside PPO on single arms; takes a minute."""
 
 
 def best_times(runs: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
@@ -173,6 +176,22 @@ def training() -> tuple[float, float, str]:
     return min(halved, default=float("inf")), rows[-1]["seconds"], shown
 
 
+def training_loop(console: Console, table: Table) -> None:
+    """Speed of `train/ppo.py`'s loop beside the same PPO on single arms; prints where its time goes."""
+    from eval import training_loop as loop
+
+    config = loop.Config()
+    console.print(loop.shares_table(config, _ITERATIONS))
+    loops = [loop.iteration_on_batch(config), loop.iteration_on_single_arms(config)]
+    batch, single = (config.arms * config.rollout_steps * config.hold / took for took in best_times(loops, 3))
+    table.add_row(
+        f"PPO, rollout and update, {config.arms} arms",
+        f"{batch / 1e3:.0f} k steps/s",
+        f"PPO on {loop.SINGLE_ARMS} single arms in a DummyVecEnv: {single / 1e3:.1f} k steps/s",
+        f"{batch / single:.1f}x",
+    )
+
+
 def main() -> None:
     """Command line."""
     config = tyro.cli(Config, description=__doc__)
@@ -224,6 +243,8 @@ def main() -> None:
             "training until cost, tip RMS and residual are halved", f"{half:.0f} s", "the paper's controller", "0.50x"
         )
         table.add_row("training, whole run", f"{whole:.0f} s", "the paper's controller", reached)
+    if config.training_loop:
+        training_loop(console, table)
     console.print(table)
 
 

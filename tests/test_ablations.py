@@ -1,0 +1,254 @@
+"""Ablations of the training, and what its loop spends its time on."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import tyro
+from matplotlib.axes import Axes
+
+from agents.settings import MAX_SEED, SEED_SPACING, first_arm_seed
+from agents.training import make_env
+from baselines import PaperController
+from eval import ablation_runs, training_loop
+from eval.ablation_report import COLUMNS, Outcome, Study, as_json, draw, markdown
+from eval.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Run, score
+from eval.ablations import Config, run_all
+from train import ppo
+
+ROOT = Path(__file__).resolve().parent.parent
+QUICK = ("--quick", "--only", "default", "--seeds", "1", "--arms", "4")
+
+
+def ablations(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "eval/ablations.py"), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ablations")
+    result = ablations(*QUICK, "--out", "out", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+# What is varied
+
+
+def test_names_factors_and_folders_are_unique_and_known():
+    names = [variant.name for variant in VARIANTS]
+    assert len({*names, *QUESTIONS}) == len(names) + len(QUESTIONS)
+    assert set(QUESTIONS) == set(DEFAULTS) == {variant.factor for variant in VARIANTS[1:]}
+    assert VARIANTS[0] is DEFAULT and not DEFAULT.options
+
+
+@pytest.mark.parametrize("variant", [v for v in VARIANTS if v.common_budget], ids=lambda variant: variant.name)
+def test_a_variant_is_the_default_with_one_thing_changed(variant: ablation_runs.Variant):
+    """Its options are the script's own, allowed, and none of them is what the default has anyway."""
+    script = importlib.import_module(f"train.{variant.script}")
+    config, default = tyro.cli(script.Config, args=list(variant.options)), ppo.Config()
+    config.check()
+    if variant.script == "ppo":
+        changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
+        assert len(changed) == len([word for word in variant.options if word.startswith("--")])
+        assert len(changed) <= (2 if variant.factor in ("hold", "told") else 1)
+
+
+@pytest.mark.parametrize("variant", [v for v in VARIANTS if v.factor == "hold"], ids=lambda variant: variant.name)
+def test_variants_of_the_hold_look_as_far_ahead(variant: ablation_runs.Variant):
+    config, default = tyro.cli(ppo.Config, args=list(variant.options)), ppo.Config()
+    assert np.isclose(config.hold / np.log(config.gamma), default.hold / np.log(default.gamma), rtol=0.05)
+
+
+def test_arms_that_score_are_used_for_nothing_else():
+    assert (MAX_SEED + 1) * SEED_SPACING < ablation_runs.SEED and ablation_runs.SEED + 10_000 <= 5_000_000
+    scores = score(PaperController(), 4)
+    assert scores == score(PaperController(), 4) and scores["left_percent"] == 0
+    assert set(COLUMNS) <= set(scores)
+
+
+def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
+    variant = next(v for v in VARIANTS if v.name == "gamma-0.95")
+    command = Run(variant, 1, 1000, tmp_path).command
+    assert command == "python train/ppo.py --total-steps 1000 --validation-every 100 --gamma 0.95 --seed 1"
+
+
+# Running
+
+
+def test_what_a_study_leaves(done: Path):
+    content = json.loads((done / "out/ablations.json").read_text())
+    assert [variant["name"] for variant in content["variants"]] == ["default"]
+    (run,) = content["variants"][0]["runs"]
+    assert run["command"].startswith("python train/ppo.py --total-steps 128 ") and run["base"] == "paper"
+    assert run["curve"][0][0] == 0 and run["curve"][-1][0] == 128
+    assert (done / "out/curves.png").read_bytes().startswith(b"\x89PNG")
+    assert content["provenance"]["scored_on"] == {"arms": 4, "first_seed": 4_300_000, "randomization": "train"}
+    assert set(content["references"]) == {"paper", "adaptive"}
+    assert not list((done / "out").glob(".*"))
+
+
+def test_finished_runs_are_not_repeated(done: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(subprocess, "run", None)
+    config = Config(runs=done / "runs/ablations", only=("default",), quick=True, seeds=1, arms=4)
+    lines = list[str]()
+    outcomes = run_all(config, lines.append)
+    assert lines == ["1 run, 1 finished before"]
+    stored = json.loads((done / "out/ablations.json").read_text())["variants"]
+    assert [outcome.runs for outcome in outcomes] == [variant["runs"] for variant in stored]
+
+
+def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
+    """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
+    runs = tmp_path / "runs"
+    shutil.copytree(done / "runs/ablations", runs)
+    run = Run(DEFAULT, 0, 128, runs, quick=True)
+    before = run.finished(4)
+    assert before is not None
+    (run.folder / "ablation.json").unlink()
+    after = run.finish(4)
+    assert after["scores"] == before["scores"]
+    assert [point[0] for point in after["curve"]] == [point[0] for point in before["curve"]]
+
+
+def test_a_folder_with_another_run_is_refused(done: Path):
+    run = Run(DEFAULT, 0, 256, done / "runs/ablations", quick=True)
+    with pytest.raises(ValueError, match=r"holds `python train/ppo.py --total-steps 128 .*choose another --runs"):
+        run.finished(4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--steps", "0"), "--steps must lie within 1 and 1000000000, got 0"),
+        (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
+        (("--only", "gama-0.95"), "nothing to vary is called 'gama-0.95'; did you mean 'gamma-0.95'?"),
+        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
+    ],
+)
+def test_bad_options(
+    arguments: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    from eval import ablations as script
+
+    monkeypatch.setattr(sys, "argv", ["eval/ablations.py", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        script.main()
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("eval/ablations.py: ") and message in line
+
+
+def test_a_training_that_fails_is_named(tmp_path: Path):
+    variant = ablation_runs.Variant("bad", "limit", "bad", ("--residual-limit", "3"))
+    with pytest.raises(ValueError, match=r"bad, seed 0: train/ppo.py: .*got 3.0"):
+        Run(variant, 0, 128, tmp_path, quick=True).finish(4)
+
+
+# What is reported
+
+
+def made_up(seeds: int = 2) -> Study:
+    def run(cost: float, seed: int) -> dict[str, Any]:
+        curve = [[0, 0.0, 2000.0], [500, 0.5, 2 * cost], [1000, 1.0, cost]]
+        scores = {name: cost + 10 * seed for name in COLUMNS}
+        own = {"seed": seed, "command": f"python train/ppo.py --total-steps 1000 --seed {seed}", "minutes": 1.0}
+        return {**own, "base": "paper", "scores": scores, "curve": curve, "validation_of_base": 2000.0}
+
+    costs = dict(zip(VARIANTS, np.linspace(300, 900, len(VARIANTS)), strict=True))
+    outcomes = [Outcome(variant, [run(cost, seed) for seed in range(seeds)]) for variant, cost in costs.items()]
+    return Study(outcomes, {"paper": dict.fromkeys(COLUMNS, 2000.0)}, 1000, 8, 210.0)
+
+
+def test_the_page():
+    study = made_up()
+    page = markdown(study, 5.0)
+    for question in QUESTIONS.values():
+        assert f"## {question}" in page
+    assert page.count("(default) | – | 305 [300, 310] |") == len(QUESTIONS)
+    ratio = study.outcomes[1].score("cost_mean").mean() / 305
+    assert "| nothing | `--knowledge none` | 332 [327, 337] |" in page
+    assert f"| {ratio:.2f} | 1.0 |" in page
+    assert "`train/recurrent_ppo.py`" in page and "`python train/ppo.py --total-steps 1000`" in page
+    assert json.loads(as_json(study))["variants"][1]["runs"][1]["seed"] == 1
+
+
+def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A panel per factor on common axes: the default and the variants, over the levels of base and best classical."""
+    monkeypatch.setattr(plt, "close", lambda _: None)
+    study = made_up()
+    draw(study, tmp_path / "curves.png")
+    figure = plt.gcf()
+    panels = [axis for axis in figure.axes if isinstance(axis, Axes) and axis.get_visible()]
+    assert [panel.get_title("left") for panel in panels] == list(QUESTIONS.values())
+    assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
+    for panel, outcomes in zip(panels, study.factors().values(), strict=True):
+        legend = panel.get_legend()
+        assert legend is not None and len(legend.get_texts()) == len(outcomes)
+        levels = [float(np.asarray(line.get_ydata())[0]) for line in panel.lines if len(line.get_xdata()) == 2]  # pyright: ignore[reportArgumentType]
+        assert levels == [2000.0, 210.0]
+    monkeypatch.undo()
+    plt.close(figure)
+
+
+# The loop of the training
+
+
+TINY: dict[str, Any] = {"arms": 4, "rollout_steps": 4, "batch_size": 8, "epochs": 1, "hidden": (8,), "hold": 40}
+
+
+def test_phases_are_timed_apart():
+    class Work:
+        def outer(self) -> None:
+            time.sleep(0.02)
+            self.inner()
+
+        def inner(self) -> None:
+            time.sleep(0.05)
+
+    watch, work = training_loop.Stopwatch(), Work()
+    watch.watch(work, "outer", training_loop.ADAPTER)
+    watch.watch(work, "inner", training_loop.ARMS)
+    began = time.perf_counter()
+    watch.restart()
+    work.outer()
+    watch.turn(training_loop.REST)
+    whole = time.perf_counter() - began
+    assert watch.seconds[training_loop.ARMS] >= 0.05 and watch.seconds[training_loop.ADAPTER] >= 0.02
+    assert sum(watch.seconds.values()) == pytest.approx(whole, abs=0.005)
+
+
+def test_shares_of_a_run_add_up_and_none_is_missed():
+    found = training_loop.shares(ppo.Config(**TINY), 2)
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert all(share > 0 for share in found.values())
+
+
+def test_watching_changes_nothing():
+    """The timed model learns what the untimed one does."""
+    config = ppo.Config(**TINY)
+    timed, _ = training_loop.watched(config)
+    timed.learn(32)
+    env = make_env(config)
+    env.seed(first_arm_seed(config.seed))
+    plain = ppo.make_model(config, env)
+    plain.learn(32)
+    for name, value in timed.policy.state_dict().items():
+        assert np.array_equal(value.numpy(), plain.policy.state_dict()[name].numpy())
+
+
+def test_an_iteration_on_a_batch_and_on_single_arms():
+    for make in (training_loop.iteration_on_batch, training_loop.iteration_on_single_arms):
+        make(ppo.Config(**TINY))()
