@@ -1,8 +1,8 @@
 """The folder of a run, and checkpoints from which a run goes on bit for bit as if it had not been interrupted.
 
     config.json       every option, and what makes the run this one
-    checkpoint.pkl    everything that the next step depends on: networks, optimisers, random generators, arms, moves and
-                      sensors, memories of base and identification, replay buffer, and the run's progress
+    checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
+                      and data), random generators, and the run's progress
     validation.csv    the learning curve
     best/, last/      policy bundles: lowest validation cost, and end of the run
     progress*.csv, events*   training log, as CSV and for TensorBoard
@@ -19,71 +19,18 @@ import json
 import pickle
 import random
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 
-from agents.residual_env import ResidualVecEnv
 from agents.settings import RunConfig
 from baselines.files import require_writable, write_atomically, write_text
 
-VERSION = 1
-_ATTRIBUTES = (
-    *("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining", "action_noise"),
-    *("_last_obs", "_last_episode_starts", "_last_original_obs", "_last_lstm_states"),
-    *("ep_info_buffer", "ep_success_buffer"),
-)
-_BUFFERS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def snapshot(model: BaseAlgorithm, env: ResidualVecEnv) -> dict[str, Any]:
-    """Everything that the next step of a run depends on, between an update and the next rollout."""
-    _, variables = model._get_torch_save_params()
-    cuda = torch.cuda.get_rng_state_all() if model.device.type == "cuda" else []
-    return {
-        "parameters": model.get_parameters(),
-        "variables": {name: getattr(model, name).detach() for name in variables},
-        "attributes": {name: getattr(model, name) for name in _ATTRIBUTES if hasattr(model, name)},
-        "replay": _replay(model),
-        "env": env.snapshot(),
-        "generators": (random.getstate(), np.random.get_state(), torch.get_rng_state(), cuda),  # noqa: NPY002
-    }
-
-
-def restore(model: BaseAlgorithm, env: ResidualVecEnv, state: dict[str, Any]) -> None:
-    """Bring a new model of the same settings to where a snapshot was taken."""
-    model.set_parameters(state["parameters"], exact_match=True, device=model.device)
-    for name, value in state["variables"].items():
-        getattr(model, name).data = value.to(model.device)
-    for name, value in state["attributes"].items():
-        setattr(model, name, value)
-    if state["replay"] is not None:
-        buffer = model.replay_buffer  # pyright: ignore[reportAttributeAccessIssue]
-        buffer.pos, buffer.full = state["replay"]["pos"], state["replay"]["full"]
-        for name in _BUFFERS:
-            kept = state["replay"][name]
-            getattr(buffer, name)[: len(kept)] = kept
-    env.restore(state["env"])
-    python, numpy, pytorch, cuda = state["generators"]
-    random.setstate(python)
-    np.random.set_state(numpy)  # noqa: NPY002
-    torch.set_rng_state(pytorch)
-    if cuda:
-        torch.cuda.set_rng_state_all(cuda)
-
-
-def _replay(model: BaseAlgorithm) -> dict[str, Any] | None:
-    """The filled part of a replay buffer."""
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
-        return None
-    filled = buffer.buffer_size if buffer.full else buffer.pos
-    kept = {name: getattr(buffer, name)[:filled] for name in _BUFFERS}
-    return {"pos": buffer.pos, "full": buffer.full, **kept}
+VERSION = 2
 
 
 class RunFolder:
@@ -109,8 +56,9 @@ class RunFolder:
         if config.overwrite:
             self._delete_run()
         require_writable(self.folder)
-        for half_written in self.folder.glob(".checkpoint-*"):  # by a process that was killed
-            half_written.unlink(missing_ok=True)
+        for path in (self.checkpoint, self.curve, self.config):
+            for half_written in self.folder.glob(f".{path.stem}-*"):  # by a process that was killed
+                half_written.unlink(missing_ok=True)
         content = {"config": asdict(config), "identity": config.identity()}
         write_text(self.config, json.dumps(content, indent=2, default=str) + "\n")
 
@@ -155,13 +103,17 @@ class RunFolder:
             for path in self.folder.glob(pattern):
                 path.unlink()
 
-    def save(self, model: BaseAlgorithm, env: ResidualVecEnv, progress: dict[str, Any]) -> None:
+    def save(self, learner: dict[str, Any], progress: dict[str, Any]) -> None:
         """Write a checkpoint and the learning curve, each atomically.
+
+        Args:
+            learner: Its snapshot.
+            progress: Of the run.
 
         Raises:
             OSError: If they cannot be written; the last checkpoint stays.
         """
-        content = {"version": VERSION, "progress": progress, "state": snapshot(model, env)}
+        content = {"version": VERSION, "progress": progress, "learner": learner, "generators": _generators()}
         try:
             write_atomically(self.checkpoint, lambda path: _dump(content, path))
             write_text(self.curve, _table(progress["curve"]))
@@ -170,8 +122,11 @@ class RunFolder:
             message = f"cannot save to {self.folder}: {error.strerror or error}; {kept or 'free some space'}"
             raise OSError(message) from None
 
-    def load(self, model: BaseAlgorithm, env: ResidualVecEnv) -> dict[str, Any]:
-        """Bring a new model to the last checkpoint.
+    def load(self, restore: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """Go back to the last checkpoint.
+
+        Args:
+            restore: Brings a new learner to its snapshot.
 
         Returns:
             The run's progress.
@@ -184,7 +139,8 @@ class RunFolder:
                 content = pickle.load(file)
             if content["version"] != VERSION:
                 raise ValueError(f"version {content['version']}, this release reads {VERSION}")
-            restore(model, env, content["state"])
+            restore(content["learner"])
+            _set_generators(content["generators"])
             return content["progress"]
         except _DAMAGES as error:
             message = str(error).splitlines()[0] if str(error) else repr(error)
@@ -195,6 +151,21 @@ _DAMAGES = (
     *(pickle.UnpicklingError, EOFError, ImportError, AttributeError),
     *(RuntimeError, ValueError, KeyError, TypeError, IndexError),
 )
+
+
+def _generators() -> tuple[Any, ...]:
+    """States of the random generators of Python, NumPy, PyTorch, and of PyTorch on GPUs if it uses any."""
+    cuda = torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else []
+    return random.getstate(), np.random.get_state(), torch.get_rng_state(), cuda  # noqa: NPY002
+
+
+def _set_generators(states: tuple[Any, ...]) -> None:
+    python, numpy, pytorch, cuda = states
+    random.setstate(python)
+    np.random.set_state(numpy)  # noqa: NPY002
+    torch.set_rng_state(pytorch)
+    if cuda:
+        torch.cuda.set_rng_state_all(cuda)
 
 
 def _dump(content: dict[str, Any], path: Path) -> None:

@@ -5,18 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 
-from agents.actor import Actor, actor_of
+from agents.actor import Actor
 from agents.bases import make_base
 from agents.bundle import BundleSpec, save_bundle
 from agents.checkpoint import RunFolder
 from agents.residual import ResidualController
-from agents.residual_env import ResidualVecEnv
 from agents.settings import RunConfig
 from beltarm_env.rollout import Controller, rollout
 
@@ -52,16 +50,51 @@ class Interrupted(Exception):  # noqa: N818
     """A run stopped because it was asked to, and is saved."""
 
 
-class TrainingMonitor(BaseCallback):
-    """Validates every so often, keeps the best policy and a checkpoint, tells about progress, and stops when asked.
+class Learner(Protocol):
+    """What a run trains: an actor, and all that its training depends on."""
 
-    It acts between update and rollout, where everything that a run consists of is at rest.
+    @property
+    def steps(self) -> int:
+        """Agent steps learnt from so far, each of `hold` simulated samples."""
+        ...
+
+    def actor(self) -> Actor:
+        """The policy as it acts now, a copy."""
+        ...
+
+    def learn(self, monitor: TrainingMonitor) -> None:
+        """Learn to the end of the run, and let the monitor know.
+
+        Raises:
+            Interrupted: If the monitor was asked to stop.
+            ValueError: If the training diverges, naming the remedy.
+        """
+        ...
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that the next step depends on, but for the random generators of Python, NumPy and PyTorch."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Bring a new learner of the same settings to where a snapshot was taken."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what it holds."""
+        ...
+
+
+class TrainingMonitor:
+    """Validates when told to, keeps the best policy and a checkpoint, tells about progress, and stops when asked.
+
+    A learner calls it between two updates, where everything that a run consists of is at rest.
 
     Args:
         config: Options of the run.
         folder: Where to save.
-        env: The arms.
+        learner: What is trained.
         spec: What the policy is; its provenance is completed with what was reached.
+        logger: The training log.
         report: Called with news, twice a second at most, and after every validation.
         stop: Whether to stop.
         progress: What an interrupted run had reached.
@@ -71,22 +104,22 @@ class TrainingMonitor(BaseCallback):
         self,
         config: RunConfig,
         folder: RunFolder,
-        env: ResidualVecEnv,
+        learner: Learner,
         spec: BundleSpec,
+        logger: Logger,
         report: Callable[[News], object],
         stop: StopRequest,
         progress: dict[str, Any] | None = None,
     ) -> None:
-        super().__init__()
         self.config = config
         self.folder = folder
-        self.env = env
+        self.learner = learner
         self.spec = spec
+        self.logger = logger
         self.report = report
         self.stop = stop
         base = validate(make_base(config.base), config.validation_arms, config.sensors)
-        new = {"seconds": 0.0, "best_cost": np.inf, "next": config.validation_every, "scores": "", "curve": []}
-        self.progress: dict[str, Any] = progress or new
+        self.progress: dict[str, Any] = progress or {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
         self.base_scores = base
         self._before = self.progress["seconds"]
         self._began = self._told = time.perf_counter()
@@ -101,38 +134,35 @@ class TrainingMonitor(BaseCallback):
         """Agent steps, seconds and validation cost of all validations."""
         return [(row["steps"], row["seconds"], row["cost"]) for row in self.progress["curve"]]
 
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_training_start(self) -> None:
+    def begin(self) -> None:
+        """Validate what is untrained: where the curve begins, and what a run can be resumed from at the least."""
         if not self.folder.checkpoint.exists():
-            self.evaluate()  # where the curve begins; and a run can be resumed from its first moment on
-
-    def _on_rollout_start(self) -> None:
-        if self.stop.made:
-            self.save()
-            raise Interrupted(f"interrupted at {self.num_timesteps} steps, saved in {self.config.out}")
-        if self.num_timesteps >= self.progress["next"]:
-            self.progress["next"] = self.num_timesteps + self.config.validation_every
             self.evaluate()
 
-    def _on_rollout_end(self) -> None:
+    def stop_if_asked(self, save: bool = True) -> None:
+        """Raise Interrupted if the run is to stop, having saved a checkpoint unless the last one is to be gone on from.
+
+        Raises:
+            Interrupted: If it was asked to.
+            OSError: If the checkpoint cannot be written.
+        """
+        if self.stop.made:
+            if save:
+                self.save()
+            raise Interrupted(f"interrupted at {self.learner.steps} steps, saved in {self.config.out}")
+
+    def tell(self, steps: int) -> None:
+        """Report so many steps, unless something was reported just now."""
         if time.perf_counter() - self._told >= _NEWS_EVERY:
             self._told = time.perf_counter()
-            self.report(News(self.num_timesteps, self.progress["scores"]))
-
-    def _on_training_end(self) -> None:
-        self.evaluate()
-
-    def actor(self) -> Actor:
-        """The policy as it acts, a copy."""
-        return actor_of(self.model.policy, self.spec.shape())
+            self.report(News(steps, self.progress["scores"]))
 
     def evaluate(self) -> None:
         """Validate, log, keep the policy if it is the best so far, and save a checkpoint; once for every state."""
-        if self.progress["curve"] and self.progress["curve"][-1]["steps"] == self.num_timesteps:
+        steps = self.learner.steps
+        if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
             return
-        actor = self.actor()
+        actor = self.learner.actor()
         controller = ResidualController(make_base(self.config.base), actor, self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
         ratios = {name: scores[name] / self.base_scores[name] for name in SCORES}
@@ -141,28 +171,28 @@ class TrainingMonitor(BaseCallback):
             self.logger.record(f"validation/{name}_over_base", ratios[name])
         words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in zip(SCORES, _WORDS, strict=True))
         self.progress["scores"] = f"{words} of the base"
-        self.progress["curve"].append({"steps": self.num_timesteps, "seconds": round(self.seconds, 1), **scores})
+        self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:
             self.progress["best_cost"] = scores["cost"]
             save_bundle(self.folder.best, self._completed_spec(scores), actor)
         self.save()
-        self.report(News(self.num_timesteps, self.progress["scores"], scores["cost"]))
+        self.report(News(steps, self.progress["scores"], scores["cost"]))
 
     def save(self) -> None:
         """Save a checkpoint."""
         self.progress["seconds"] = self.seconds
-        self.folder.save(self.model, self.env, self.progress)
+        self.folder.save(self.learner.snapshot(), self.progress)
 
     def provenance(self) -> dict[str, Any]:
         """What is known of the run by now, for the provenance of its policies."""
-        run = {"steps": self.num_timesteps, "seconds": round(self.seconds, 1)}
+        run = {"steps": self.learner.steps, "seconds": round(self.seconds, 1)}
         return {"run": run, "curve": [list(point) for point in self.curve]}
 
     def _completed_spec(self, scores: dict[str, float]) -> BundleSpec:
-        reached = {"steps": self.num_timesteps, "seconds": round(self.seconds, 1), "validation": scores}
+        reached = {"steps": self.learner.steps, "seconds": round(self.seconds, 1), "validation": scores}
         known = {**self.spec.provenance, **self.provenance(), "reached": reached}
         return replace(self.spec, provenance={**known, "validation_of_base": self.base_scores})
 
 
-Maker = Callable[[Any, ResidualVecEnv], BaseAlgorithm]
-"""Makes an untrained model from a script's options and the arms."""
+Maker = Callable[[Any], Learner]
+"""Makes an untrained learner from a script's options."""

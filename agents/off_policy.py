@@ -20,7 +20,7 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from agents.actor import ACTIVATIONS
-from agents.settings import RunConfig
+from agents.reinforcement import ReinforcementConfig
 from beltarm_env.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
@@ -28,7 +28,7 @@ _MAX_GRADIENT = 1.0
 
 
 @dataclass(frozen=True)
-class OffPolicyConfig(RunConfig):
+class OffPolicyConfig(ReinforcementConfig):
     """Options of off-policy algorithms."""
 
     log_interval: ClassVar[int] = 1000

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.actor import ACTIVATIONS
-from agents.settings import RunConfig
+from agents.reinforcement import ReinforcementConfig
 
 
 @dataclass(frozen=True)
-class OnPolicyConfig(RunConfig):
+class OnPolicyConfig(ReinforcementConfig):
     """Options of PPO and its kind."""
 
     rollout_steps: int = 32

@@ -38,12 +38,12 @@ class Ended(NamedTuple):
     message: str
 
 
-def main(kind: type[Any], make_model: Maker, description: str | None) -> None:
+def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
     """Command line of a training script.
 
     Args:
         kind: The script's options, a `RunConfig`.
-        make_model: Makes the script's model.
+        make_learner: Makes the script's learner.
         description: What `--help` says.
     """
     config: RunConfig = tyro.cli(kind, description=description)
@@ -51,7 +51,7 @@ def main(kind: type[Any], make_model: Maker, description: str | None) -> None:
     try:
         config.check()
         run = _run_one if config.seeds == 1 else _run_seeds
-        run(config, make_model, Console())
+        run(config, make_learner, Console())
     except Interrupted as interruption:
         print(f"{interruption}; to go on:\n  {_resume_command(script)}")
         sys.exit(130)
@@ -93,16 +93,16 @@ def stoppable(stop: StopRequest, signals: tuple[signal.Signals, ...], console: C
             signal.signal(number, handler)
 
 
-def _run_one(config: RunConfig, make_model: Maker, console: Console) -> None:
+def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
     """One run, in this process."""
     stop = StopRequest()
     with stoppable(stop, ASKING, console), _display(console) as display:
-        row = display.add_task(config.algorithm, total=config.total_steps, scores="")
+        row = display.add_task(config.algorithm, total=config.length, scores="")
 
         def show(news: News) -> None:
             display.update(row, completed=news.steps, scores=news.scores)
 
-        monitor = train(config, make_model, show, stop)
+        monitor = train(config, make_learner, show, stop)
     steps, seconds, _ = monitor.curve[-1]
     print(f"{steps} steps in {seconds:.0f} s; best policy: {config.out / 'best'}")
     print(f"compare it: python eval/compare.py --policy {config.out / 'best'}")
@@ -126,12 +126,12 @@ def runs_of(config: RunConfig) -> dict[str, RunConfig]:
     return runs
 
 
-def _run_seeds(config: RunConfig, make_model: Maker, console: Console) -> None:
+def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None:
     """Several runs, in processes of their own; one that fails leaves the others alone."""
     runs, stop, ends = runs_of(config), StopRequest(), dict[str, Ended]()
-    news_of_all = run_all(runs, make_model, config.jobs, stop)
+    news_of_all = run_all(runs, make_learner, config.jobs, stop)
     with stoppable(stop, ASKING, console), _display(console) as display, closing(news_of_all):
-        rows = {name: display.add_task(name, total=config.total_steps, start=False, scores="") for name in runs}
+        rows = {name: display.add_task(name, total=config.length, start=False, scores="") for name in runs}
         for name, news in news_of_all:
             display.start_task(rows[name])
             if isinstance(news, Ended):
@@ -150,7 +150,7 @@ def _run_seeds(config: RunConfig, make_model: Maker, console: Console) -> None:
 
 
 def run_all(
-    runs: dict[str, RunConfig], make_model: Maker, jobs: int, stop: StopRequest
+    runs: dict[str, RunConfig], make_learner: Maker, jobs: int, stop: StopRequest
 ) -> Generator[tuple[str, News | Ended]]:
     """Run trainings in processes of their own, some at a time; yields what they tell, an `Ended` at last."""
     waiting, running, processes = list(reversed(runs)), dict[Connection, str](), list[BaseProcess]()
@@ -159,7 +159,7 @@ def run_all(
         while running or (waiting and not stop.made):
             while waiting and len(running) < jobs and not stop.made:
                 name = waiting.pop()
-                process, connection = _start(runs[name], make_model)
+                process, connection = _start(runs[name], make_learner)
                 processes.append(process)
                 running[connection] = name
             if stop.made and not asked:
@@ -184,10 +184,10 @@ def run_all(
             process.kill()
 
 
-def _start(config: RunConfig, make_model: Maker) -> tuple[BaseProcess, Connection]:
+def _start(config: RunConfig, make_learner: Maker) -> tuple[BaseProcess, Connection]:
     """Start a run in a process of its own, which tells its news to the connection."""
     ours, theirs = get_context("spawn").Pipe(duplex=False)
-    process = start_process(_work, (config, make_model, theirs), config.threads)
+    process = start_process(_work, (config, make_learner, theirs), config.threads)
     theirs.close()  # so that the end of the process ends what we read
     return process, ours
 
@@ -208,7 +208,7 @@ def start_process(body: Callable[..., None], arguments: tuple[Any, ...], threads
     return process
 
 
-def _work(config: RunConfig, make_model: Maker, connection: Connection) -> None:
+def _work(config: RunConfig, make_learner: Maker, connection: Connection) -> None:
     """Body of a process: one run."""
     stop = StopRequest()
 
@@ -220,7 +220,7 @@ def _work(config: RunConfig, make_model: Maker, connection: Connection) -> None:
 
     with stoppable(stop, (signal.SIGTERM,)):
         try:
-            monitor = train(config, make_model, tell, stop)
+            monitor = train(config, make_learner, tell, stop)
             tell(News(monitor.curve[-1][0], monitor.progress["scores"]))
             tell(Ended("finished", f"done, {monitor.progress['scores']}"))
         except Interrupted as interruption:

@@ -22,7 +22,10 @@ from agents.residual import ResidualSettings
 SEED_SPACING = 4096
 """Seeds between the first arms of two training seeds, and so the most arms that a run can have."""
 MAX_SEED = 4_000_000 // SEED_SPACING - 1
-MAY_CHANGE = ("out", "seeds", "jobs", "total_steps", "validation_every", "threads", "device", "resume", "overwrite")
+MAY_CHANGE = (
+    *("out", "seeds", "jobs", "threads", "device", "resume", "overwrite"),
+    *("total_steps", "validation_every", "rounds"),
+)
 """Options that may differ when a run is resumed; with other values of the others it would be another run."""
 
 
@@ -31,7 +34,6 @@ class RunConfig:
     """Options of all training scripts; each script adds its algorithm's own."""
 
     algorithm: ClassVar[str]
-    log_interval: ClassVar[int] = 10  # iterations, or episodes off-policy, between rows of the training log
 
     out: Path
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
@@ -47,14 +49,10 @@ class RunConfig:
     """What the agent is told besides the observation: what is identified of the arm, or nothing."""
     sensors: Literal["encoder", "tip", "full"] = "encoder"
     """Sensors of the arm; "full" is the true torsion, an upper bound and no equal to compare with."""
-    total_steps: int = 4_000_000
-    """Agent steps, each of `hold` samples. A learning rate that falls does so over all of them."""
     arms: int = 512
     """Arms simulated side by side."""
     learning_rate: float = 5e-4
     """Learning rate of the optimiser."""
-    gamma: float = 0.97
-    """Discount per agent step."""
     hidden: tuple[int, ...] = (64, 64)
     """Hidden layers of all networks."""
     activation: Literal["relu", "tanh", "elu"] = "relu"
@@ -63,10 +61,6 @@ class RunConfig:
     """Largest residual, as a share of the torque limit."""
     hold: int = 12
     """Samples for which a residual is held: 18 ms, a slow enough exploration to move the arm."""
-    reward_scale: float = 0.08
-    """Factor on the mean reward over a hold, so that values are of order 1."""
-    validation_every: int = 500_000
-    """Agent steps between validations, each of which saves a checkpoint."""
     validation_arms: int = 128
     """Arms per validation."""
     threads: int = 1
@@ -79,6 +73,11 @@ class RunConfig:
     """Delete the run that is in `out` and begin anew."""
 
     @property
+    def length(self) -> int:
+        """Agent steps of the whole run."""
+        raise NotImplementedError
+
+    @property
     def residual(self) -> ResidualSettings:
         """How the residual acts."""
         return ResidualSettings(self.residual_limit, self.hold, self.knowledge)
@@ -88,21 +87,14 @@ class RunConfig:
         """Width of the actor's LSTM, 0 for none."""
         return 0
 
-    @property
-    def worst_reward(self) -> float:
-        """What rewards are cut to, see `agents.residual_env.ResidualVecEnv`."""
-        return math.inf
-
     def check(self) -> None:
         """Check what the algorithm itself does not.
 
         Raises:
             ValueError: Naming the option, its value and what is allowed.
         """
-        self.at_least(1, "total_steps", "arms", "validation_every", "validation_arms", "threads", "seeds", "jobs")
-        self.positive("learning_rate", "gamma", "reward_scale")
-        if self.gamma > 1:
-            raise ValueError(f"--gamma must be at most 1, got {self.gamma}")
+        self.at_least(1, "arms", "validation_arms", "threads", "seeds", "jobs")
+        self.positive("learning_rate")
         if not 0 <= self.seed <= self.seed + self.seeds - 1 <= MAX_SEED:
             raise ValueError(f"--seed must lie within 0 and {MAX_SEED}, with --seeds more too, got {self.seed}")
         if self.arms > SEED_SPACING:

@@ -20,9 +20,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents.bases import make_base
+from agents.reinforcement import make_env
 from agents.residual_env import ResidualEnv
 from agents.settings import first_arm_seed
-from agents.training import make_env
 from train.ppo import Config, make_model
 
 ARMS, INFORMED, ADAPTER = "arms", "base controller and identification", "rest of the environment's step"

@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from stable_baselines3 import PPO
 
 from agents.on_policy import OnPolicyConfig
+from agents.reinforcement import ModelLearner
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
 from beltarm_env.cost import MAX_COST
@@ -55,5 +56,10 @@ def make_model(config: Config, env: ResidualVecEnv) -> PPO:
     return PPO("MlpPolicy", env, **config.arguments())
 
 
+def make_learner(config: Config) -> ModelLearner:
+    """An untrained learner."""
+    return ModelLearner(config, make_model)
+
+
 if __name__ == "__main__":
-    main(Config, make_model, __doc__)
+    main(Config, make_learner, __doc__)

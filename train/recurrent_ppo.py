@@ -20,6 +20,7 @@ from sb3_contrib import RecurrentPPO
 
 from agents.knowledge import Knowledge
 from agents.on_policy import OnPolicyConfig
+from agents.reinforcement import ModelLearner
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
 
@@ -63,5 +64,10 @@ def make_model(config: Config, env: ResidualVecEnv) -> RecurrentPPO:
     return RecurrentPPO("MlpLstmPolicy", env, **config.arguments(lstm_hidden_size=config.lstm_width))
 
 
+def make_learner(config: Config) -> ModelLearner:
+    """An untrained learner."""
+    return ModelLearner(config, make_model)
+
+
 if __name__ == "__main__":
-    main(Config, make_model, __doc__)
+    main(Config, make_learner, __doc__)

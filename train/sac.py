@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from stable_baselines3 import SAC
 
 from agents.off_policy import ExploringFromTheBase, OffPolicyConfig, begin_near_zero
+from agents.reinforcement import ModelLearner
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
 
@@ -61,5 +62,10 @@ def make_model(config: Config, env: ResidualVecEnv) -> SAC:
     return model
 
 
+def make_learner(config: Config) -> ModelLearner:
+    """An untrained learner."""
+    return ModelLearner(config, make_model)
+
+
 if __name__ == "__main__":
-    main(Config, make_model, __doc__)
+    main(Config, make_learner, __doc__)

@@ -19,6 +19,7 @@ from stable_baselines3 import TD3
 from torch import nn
 
 from agents.off_policy import ExploringFromTheBase, OffPolicyConfig, begin_near_zero
+from agents.reinforcement import ModelLearner
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
 
@@ -83,5 +84,10 @@ def make_model(config: Config, env: ResidualVecEnv) -> TD3:
     return model
 
 
+def make_learner(config: Config) -> ModelLearner:
+    """An untrained learner."""
+    return ModelLearner(config, make_model)
+
+
 if __name__ == "__main__":
-    main(Config, make_model, __doc__)
+    main(Config, make_learner, __doc__)

@@ -27,8 +27,8 @@ import tyro
 from optuna.trial import Trial, TrialState
 
 from agents.monitor import Interrupted, News, StopRequest
+from agents.reinforcement import ReinforcementConfig
 from agents.runs import ASKING, start_process, stoppable
-from agents.settings import RunConfig
 from agents.training import train
 from baselines.files import require_writable
 from train.spaces import SPACES, Algorithm
@@ -82,7 +82,7 @@ class Config:
         if self.file.exists() and not self.resume:
             raise ValueError(f"{self.file} holds a study already: go on with it by --resume, or choose another --out")
 
-    def run(self, settings: dict[str, Any], number: int) -> RunConfig:
+    def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """The training run of a trial."""
         return _script(self.algorithm).Config(
             out=self.out / f"{self.algorithm}-trial{number}",
@@ -186,7 +186,7 @@ def _value(config: Config, trial: Trial, stop: StopRequest) -> float:
         if trial.should_prune():
             raise optuna.TrialPruned
 
-    train(config.run(trial.params, trial.number), _script(config.algorithm).make_model, judge, stop)
+    train(config.run(trial.params, trial.number), _script(config.algorithm).make_learner, judge, stop)
     return min(costs)
 
 
