@@ -18,8 +18,8 @@ import pytest
 import tyro
 from matplotlib.axes import Axes
 
+from agents.reinforcement import make_env
 from agents.settings import MAX_SEED, SEED_SPACING, first_arm_seed
-from agents.training import make_env
 from baselines import PaperController
 from eval import ablation_runs, training_loop
 from eval.ablation_report import COLUMNS, Outcome, Study, as_json, draw, markdown
