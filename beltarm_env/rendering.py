@@ -29,7 +29,7 @@ MAGNIFIED_MM = 30.0  # from the magnifier's middle to its edge
 # The palette of Okabe and Ito, which colour-blind people can tell apart, on a light ground.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE = (0, 114, 178), (86, 180, 233), (0, 158, 115), (213, 94, 0), (230, 159, 0)
 _PAPER, _WHITE, _PALE, _GREY, _INK = (246, 246, 244), (255, 255, 255), (212, 212, 210), (150, 150, 150), (35, 35, 35)
-_GHOST, _BELT = (214, 238, 229), (230, 230, 228)
+_GHOST, _BELT, _MOTOR = (214, 238, 229), (230, 230, 228), (180, 180, 178)
 
 _FINER = 3  # pygame has no anti-aliased thick lines: draw larger, then scale down
 _SHOULDER = (122.0, 342.0)
@@ -37,6 +37,7 @@ _LONGEST, _HIGHEST = 482.0, 201.0  # pixels for the stretched arm, and for link 
 _INSET, _SIDE = (430.0, 36.0), 194.0  # where no posture within the workspace comes
 _BARS = (7.0, 5.0, 3.5)  # half widths of link 1, link 2, hand
 _PULLEY, _TAPER = 16.0, 6.5  # radius at joint 1, and how much less at joint 2
+_MOUNT = 34.0  # side of the motor, which hangs below the shoulder
 _LEFT, _READOUT_TOP, _LEGEND_TOP = 16.0, 14.0, 448.0
 
 
@@ -169,6 +170,8 @@ def _draw_arms(canvas: _Canvas, params: ArmParams, arm: Sequence[Point], referen
     canvas.bar(_PALE, (x - half, y - half), (_INSET[0], _INSET[1] + _SIDE))
     canvas.bar(_PALE, (x + half, y - half), (_INSET[0] + _SIDE, _INSET[1] + _SIDE))
     canvas.bar(_GREY, (_LEFT, _SHOULDER[1]), (WIDTH - _LEFT, _SHOULDER[1]))
+    canvas.square(_MOTOR, (arm[0][0] - _MOUNT / 2, arm[0][1]), _MOUNT)
+    canvas.text("motor", (arm[0][0] - _MOUNT / 2 - 1, arm[0][1] + _MOUNT + 4))
     canvas.bar(_INK, arm[0], arm[1], _PULLEY + 0.7, _TAPER)
     canvas.bar(_BELT, arm[0], arm[1], _PULLEY - 0.7, _TAPER)
     for colors, points, rim in ([_GREEN] * 3, ghost, 1.0), ([_GHOST] * 3, ghost, 0.0), ([_BLUE, _SKY, _INK], arm, 0.0):
@@ -215,7 +218,10 @@ def _draw_legend(canvas: _Canvas, payload: float) -> None:
     canvas.disc(_GREEN, (x, y), 9, 2.2)
     x = canvas.text("its tip", (x + 15, _LEGEND_TOP)) + 24
     canvas.disc(_VERMILION, (x, y), 5)
-    x = canvas.text("tip", (x + 11, _LEGEND_TOP)) + 27
+    x = canvas.text("tip", (x + 11, _LEGEND_TOP)) + 24
+    canvas.bar(_INK, (x, y), (x + 20, y), 6.7, 2.0)
+    canvas.bar(_BELT, (x, y), (x + 20, y), 5.3, 2.0)
+    x = canvas.text("belt", (x + 32, _LEGEND_TOP)) + 27
     if payload > 0:
         canvas.disc(_ORANGE, (x, y), 8)
         canvas.text(f"payload {payload:.2f} kg", (x + 14, _LEGEND_TOP))

@@ -7,10 +7,12 @@ done again.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -40,16 +42,16 @@ from eval.methods import (
     privileged_method,
     shipped_policies,
 )
-from eval.pairs import Failure, Metrics, Pair, default_jobs, run_pairs
+from eval.pairs import Failure, Metrics, Pair, attempt, default_jobs, run_pairs
 from eval.plots import save_plots
 from eval.report import Recordings, record_scenes, robustness_maps, write_report
-from eval.results import Comparison, make_comparison, make_outcome, provenance
+from eval.results import Comparison, Outcome, make_comparison, make_outcome, provenance
 from eval.scenarios import require_same_physics
 from eval.schema import require_same_version, write_results
-from eval.splits import EPISODES, QUICK_EPISODES, Split, load
+from eval.splits import EPISODES, QUICK_EPISODES, load
 from eval.summary import print_tables
 from eval.timing import action_times
-from eval.traces import record
+from eval.traces import Traces, record
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,9 @@ class Config:
     """Folder of a policy bundle, such as runs/ppo/best; repeat it for more training seeds or methods. Default: the
     shipped policies."""
     add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several."""
+    """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several. What is
+    kept of it is not used again once a file has changed that it imports or reads as it is made, in its own folder or
+    below; if it depends on other files, choose another --out."""
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
     episodes: int | None = None
@@ -72,7 +76,8 @@ class Config:
     quick: bool = False
     """A first look: 24 scenarios per split."""
     maps: bool = False
-    """Also sweep stiffness by payload and friction by delay, learned against classical, for the report."""
+    """Also sweep stiffness by payload and friction by delay for the report: the best learned method against every
+    classical controller that runs, which --methods chooses. Takes about a minute for all of them."""
     jobs: int = default_jobs()
     """Number of processes; by default one per core."""
 
@@ -105,23 +110,19 @@ def compare(config: Config, console: Console) -> Comparison:
     if (config.out / "results.json").exists():
         require_same_version(config.out / "results.json")
     require_same_physics(splits)
-    times = {method.name: action_times(method.controller(0, [ArmParams()]), method.sensors) for method in methods}
     pairs = [Pair(method, split, config.scenarios) for split in splits.values() for method in methods]
     kept = sum(pair.file(config.out).exists() for pair in pairs)
-    results = _run(pairs, config, console)
-    outcomes, failures = [], []
-    for pair, result in zip(pairs, results, strict=True):
-        if isinstance(result, Failure):
-            failures.append(result)
-        else:
-            outcomes.append(make_outcome(pair.method, pair.split.name, result, times[pair.method.name]))
+    outcomes, failures = _outcomes(pairs, config, console)
     if not any(outcome.ranked for outcome in outcomes):
         raise ValueError(f"no method could be run: {failures[0].method} on {failures[0].split}: {failures[0].message}")
     origin = provenance(command_line(), time.perf_counter() - began, methods, splits) | {"pairs_kept_before": kept}
     comparison = make_comparison(outcomes, failures, origin)
-    _write(comparison, splits, config.out, console)
-    maps = robustness_maps(comparison) if config.maps else []
-    write_report(comparison, Recordings(record_scenes(comparison, splits), maps), config.out)
+    traces, unrecorded = record(comparison, splits)
+    scenes, unseen = record_scenes(comparison, splits)
+    maps, unmapped = robustness_maps(comparison) if config.maps else ([], [])
+    comparison = comparison.with_failures([*unrecorded, *unseen, *unmapped])
+    _write(comparison, traces, config.out, console)
+    write_report(comparison, Recordings(scenes, maps), config.out)
     console.print(f"for reading: {config.out / 'report.html'}")
     return comparison
 
@@ -148,6 +149,28 @@ def _methods(config: Config) -> list[Method]:
     return methods
 
 
+def _outcomes(pairs: list[Pair], config: Config, console: Console) -> tuple[list[Outcome], list[Failure]]:
+    """What came out of all pairs; a controller that fails on a single arm, where it is timed, is not run at all."""
+    methods = {pair.method.name: pair.method for pair in pairs}
+    times = {name: attempt(name, "", partial(_time, method), "one arm") for name, method in methods.items()}
+    sound = [pair for pair in pairs if not isinstance(times[pair.method.name], Failure)]
+    results = dict(zip(map(id, sound), _run(sound, config, console), strict=True))
+    outcomes, failures = [], []
+    for pair in pairs:
+        took, result = times[pair.method.name], results.get(id(pair))
+        if isinstance(took, Failure):
+            failures.append(replace(took, split=pair.split.name))
+        elif isinstance(result, Failure):
+            failures.append(result)
+        elif result is not None:
+            outcomes.append(make_outcome(pair.method, pair.split.name, result, took))
+    return outcomes, failures
+
+
+def _time(method: Method) -> tuple[float, float]:
+    return action_times(method.controller(0, [ArmParams()]), method.sensors)
+
+
 def _run(pairs: list[Pair], config: Config, console: Console) -> list[Metrics | Failure]:
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"{len(pairs)} pairs of method and split", total=len(pairs))
@@ -165,13 +188,13 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C, with what is kept."""
 
 
-def _write(comparison: Comparison, splits: dict[str, Split], folder: Path, console: Console) -> None:
+def _write(comparison: Comparison, traces: Traces, folder: Path, console: Console) -> None:
     """Print tables and write all files."""
     print_tables(comparison, console)
     write_results(comparison, folder)
-    pictures = save_plots(comparison, record(comparison, splits), folder)
-    text = markdown(comparison) + "".join(f"\n![{path.stem}]({path.name})\n" for path in pictures)
-    write_text(folder / "summary.md", text)
+    digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
+    pictures = save_plots(comparison, traces, folder, digest)
+    write_text(folder / "summary.md", markdown(comparison, [path.name for path in pictures], digest))
     console.print(f"written to {folder}: results.json, episodes.csv, summary.md, {len(pictures)} pictures")
     for failure in comparison.failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)

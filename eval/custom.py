@@ -5,8 +5,12 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import os
 import sys
-from collections.abc import Callable
+import sysconfig
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -65,20 +69,72 @@ def _search(folder: Path) -> None:
 
 
 def identity(spec: str) -> str:
-    """SHA-256 of the sources: of all Python files in the folder of the one that defines the controller."""
+    """SHA-256 of the files that make the controller: whether kept results of it may be used again.
+
+    It covers the files of the controller's folder and its sub-folders (of a package: of the whole package) that are
+    imported, or read while the controller is made: gains and weights too. It does not cover what is read later, in
+    `predict`, nor what lies elsewhere.
+
+    Raises:
+        ValueError: If it cannot be imported or made.
+    """
     where, _, _ = absolute(spec).rpartition(":")
-    if where.endswith(".py"):
-        path = Path(where)
-    else:
-        factory(spec)
-        path = Path(sys.modules[where].__file__ or where)
-    return digest_of_sources(path.parent)
+    with _files_read() as read:
+        make(spec)
+    module = Path(where) if where.endswith(".py") else Path(sys.modules[where].__file__ or where)
+    folder = _top(module.resolve().parent)
+    imported = {file for loaded in list(sys.modules.values()) if (file := getattr(loaded, "__file__", None))}
+    paths = {module.resolve(), *(Path(path).resolve() for path in imported | read)}
+    return digest(sorted(path for path in paths if path.is_relative_to(folder) and _is_own(path)))
+
+
+def _top(folder: Path) -> Path:
+    """The folder of the whole package, if this one is of a package."""
+    while (folder / "__init__.py").exists():
+        folder = folder.parent
+    return folder
+
+
+def _is_own(path: Path) -> bool:
+    installed = (sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
+    return path.is_file() and "__pycache__" not in path.parts and not any(map(path.is_relative_to, installed))
+
+
+_collecting: list[set[str]] = []
+
+
+@contextmanager
+def _files_read() -> Iterator[set[str]]:
+    """Names of the files that are opened meanwhile, but for those that are written."""
+    _begin_to_listen()
+    _collecting.append(set())
+    try:
+        yield _collecting[-1]
+    finally:
+        _collecting.pop()
+
+
+@cache
+def _begin_to_listen() -> None:
+    sys.addaudithook(_listen)  # for good: Python has no way to take one off
+
+
+def _listen(event: str, arguments: tuple[Any, ...]) -> None:
+    if _collecting and event == "open":
+        name, _, flags = arguments
+        if isinstance(name, str | bytes | os.PathLike) and not flags & (os.O_WRONLY | os.O_RDWR):
+            _collecting[-1].add(os.fsdecode(name))
 
 
 def digest_of_sources(*folders: Path) -> str:
     """SHA-256 of the Python files in some folders, with their names."""
+    return digest(sorted(path for folder in folders for path in folder.glob("*.py")))
+
+
+def digest(paths: Iterable[Path]) -> str:
+    """SHA-256 of some files, with their names."""
     total = hashlib.sha256()
-    for path in sorted(path for folder in folders for path in folder.glob("*.py")):
+    for path in paths:
         total.update(f"{path.name}\0".encode() + path.read_bytes() + b"\0")
     return total.hexdigest()
 

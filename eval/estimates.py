@@ -110,6 +110,11 @@ class Paired:
         """Whether the difference is still shown once all comparisons of its family are accounted for."""
         return self.p_holm < 1 - CONFIDENCE
 
+    @property
+    def better(self) -> bool:
+        """Whether the method is shown to be lower, all comparisons of its family accounted for."""
+        return self.survives and self.difference.iqm < 0
+
 
 def paired(values: Floats, other: Floats) -> Paired:
     """Compare two methods scenario by scenario; the other's seeds are averaged per scenario."""

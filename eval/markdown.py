@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from eval.estimates import RESAMPLES
-from eval.results import PAIRED_METRICS, Comparison, Outcome
+from eval.results import PAIRED_METRICS, Comparison, Mark, Outcome
 from eval.splits import SPLITS
-from eval.summary import COLUMNS, best_value, cell, heading, verdict
+from eval.summary import COLUMNS, TIE, cell, heading, verdict
+from eval.traces import seed_note, shown_methods
+
+_MARKED: dict[Mark, str] = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
 
-def markdown(comparison: Comparison) -> str:
-    """The content of `summary.md`."""
+def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> str:
+    """The content of `summary.md`, with pictures beside it, and the SHA-256 of the results.json that it belongs to."""
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     parts = [
         "# Comparison on the belt-driven arm",
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
-        "Lower is better everywhere; the best value of a column is bold. All methods run the same scenarios on the "
+        f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
+        f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "
         "same observations (motor encoder only), but for those in italics, which see what no controller can and are "
         "not ranked.",
     ]
@@ -23,12 +30,19 @@ def markdown(comparison: Comparison) -> str:
     for split in comparison.splits():
         outcomes = comparison.on(split)
         parts += [f"## {split}", f"{SPLITS[split].description.capitalize()}; {episodes} scenarios."]
-        parts += [metrics_table(outcomes)]
+        parts += [metrics_table(outcomes, comparison.marks[split])]
     parts += ["## Paired differences", _how_to_read()]
     for split in comparison.splits():
         parts += [f"### {split}", paired_table(comparison, split)]
     parts += ["## What it takes", compute_table(comparison), "The controller's period is 1500 µs."]
-    return "\n\n".join([*parts, "## Where this comes from", _origin(comparison)]) + "\n"
+    parts += ["## Where this comes from", _origin(comparison, results), "## Pictures"]
+    parts += [seed_note(comparison, shown_methods(comparison)), *(f"![{Path(name).stem}]({name})" for name in pictures)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _listed(metrics: Sequence[str]) -> str:
+    *first, last = (COLUMNS[name][0] for name in metrics)
+    return f"{', '.join(first)} and {last}"
 
 
 def _failed(comparison: Comparison) -> list[str]:
@@ -58,30 +72,30 @@ def overview_table(comparison: Comparison, name: str) -> str:
     splits = comparison.splits()
     lines = ["| method | " + " | ".join(splits) + " |", "|---|" + "---:|" * len(splits)]
     by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
-    best = {split: best_value(comparison.on(split), name) for split in splits}
     for method in comparison.methods():
         cells = []
         for split in splits:
             outcome = by_split[split].get(method.method.name)
-            cells.append(_cell(outcome, name, best[split]) if outcome else "failed")
+            mark = comparison.marks[split][name].get(method.method.name)
+            cells.append(_cell(outcome, name, mark) if outcome else "failed")
         lines.append(f"| {_italic(method.method.name, method)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def metrics_table(outcomes: list[Outcome]) -> str:
-    """All metrics of one split."""
+def metrics_table(outcomes: list[Outcome], marks: dict[str, dict[str, Mark]]) -> str:
+    """All metrics of one split, with marks by metric and method."""
     lines = ["| method | " + " | ".join(map(heading, COLUMNS)) + " |", "|---|" + "---:|" * len(COLUMNS)]
     for outcome in outcomes:
-        cells = [_cell(outcome, name, best_value(outcomes, name)) for name in COLUMNS]
+        cells = [_cell(outcome, name, marks.get(name, {}).get(outcome.method.name)) for name in COLUMNS]
         lines.append(f"| {_italic(outcome.method.name, outcome)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def _cell(outcome: Outcome, name: str, best: float) -> str:
+def _cell(outcome: Outcome, name: str, mark: Mark | None) -> str:
     shown = cell(name, outcome.estimates[name])
     point, interval = shown.split(" ", 1)
-    if outcome.ranked and outcome.estimates[name].iqm == best:
-        shown = f"**{point}** {interval}"
+    if mark:
+        shown = f"{_MARKED[mark].format(point)} {interval}"
     return _italic(shown, outcome)
 
 
@@ -122,11 +136,11 @@ def compute_table(comparison: Comparison) -> str:
     return "\n".join(lines)
 
 
-def _origin(comparison: Comparison) -> str:
+def _origin(comparison: Comparison, results: str) -> str:
     origin = comparison.provenance
     digests = ", ".join(f"{name} {digest[:12]}" for name, digest in origin["split_sha256"].items())
     return (
         f"`{origin['command']}`, beltarm {origin['beltarm']} ({origin['commit']}), Python {origin['python']} on "
         f"{origin['machine']}, {origin['seconds']} s. Scenarios version {origin['splits_version']}, by SHA-256: "
-        f"{digests}."
+        f"{digests}. The results.json of this run has the SHA-256 {results}."
     )

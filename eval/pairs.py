@@ -20,6 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ Metrics = dict[str, NDArray[np.float64]]
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
 _LONGEST_MESSAGE = 300
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,15 @@ class Failure:
     method: str
     split: str
     message: str
+
+
+def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
+    """Run something of a method; whatever its controller does wrong, the others go on."""
+    try:
+        return run()
+    except Exception as error:
+        message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
+        return Failure(method, split, message[:_LONGEST_MESSAGE])
 
 
 @cache
@@ -116,11 +127,9 @@ def run_and_keep(pair: Pair, folder: Path) -> Metrics | Failure:
     Raises:
         OSError: If it cannot be written.
     """
-    try:
-        metrics = measure(pair)
-    except Exception as error:  # whatever a controller does wrong: the others go on
-        message = " ".join(f"{type(error).__name__}: {error}".split())
-        return Failure(pair.method.name, pair.split.name, message[:_LONGEST_MESSAGE])
+    metrics = attempt(pair.method.name, pair.split.name, lambda: measure(pair))
+    if isinstance(metrics, Failure):
+        return metrics
     write_atomically(pair.file(folder), lambda path: np.savez(path, allow_pickle=False, **metrics))
     for path in pair.outdated(folder):
         path.unlink(missing_ok=True)

@@ -27,24 +27,27 @@ from eval.traces import Traces
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
 _KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN, "privileged": "0.55"}
+RESULTS_KEY = "results.json"
+"""Of a picture's metadata: the SHA-256 of the file that the picture belongs to."""
 _ACROSS = 4  # splits side by side
 Quantity = Callable[[Recording], NDArray[np.float64]]
 
 
-def save_plots(comparison: Comparison, traces: Traces, folder: Path) -> list[Path]:
-    """Draw all pictures into `folder`."""
+def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: str) -> list[Path]:
+    """Draw all pictures into `folder`, each with the SHA-256 of the results.json that it belongs to."""
     shown = dict.fromkeys(name for methods in traces.values() for name in methods)
     colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
-    figures = {
-        "tip_error.png": _time_plot(traces, colours, _tip_error, "tip error (mm)"),
-        "residual.png": _residual_plot(traces, colours),
-        "torque.png": _time_plot(traces, colours, _torque, "motor torque (N m)"),
-        "intervals.png": _intervals(comparison),
-    }
+    figures = {}
+    if traces:
+        figures["tip_error.png"] = _time_plot(traces, colours, _tip_error, "tip error (mm)")
+        figures["residual.png"] = _residual_plot(traces, colours)
+        figures["torque.png"] = _time_plot(traces, colours, _torque, "motor torque (N m)")
+    figures["intervals.png"] = _intervals(comparison)
     paths = []
     for name, figure in figures.items():
         path = folder / name
-        write_atomically(path, lambda temporary, figure=figure: figure.savefig(temporary, dpi=120))
+        options = {"dpi": 120, "metadata": {RESULTS_KEY: results}}
+        write_atomically(path, lambda temporary, figure=figure, options=options: figure.savefig(temporary, **options))
         plt.close(figure)
         paths.append(path)
     return paths

@@ -1,10 +1,12 @@
 """Write the comparison's numbers into the README: `python eval/readme.py`, or `make readme` to measure first.
 
-Everything between the two markers comes from `docs/comparison/results.json`; `--check` fails where the README differs.
+Everything between the two markers comes from `docs/comparison/results.json`; `--check` fails where the README differs,
+and where the summary or a picture beside that file was not written with it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterable
@@ -15,10 +17,12 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
+from PIL import Image
 
 from baselines.files import write_text
 from eval.command import one_line_errors
 from eval.estimates import Estimate
+from eval.plots import RESULTS_KEY
 from eval.summary import COLUMNS, cell, heading
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,7 +39,7 @@ class Config:
     """Write the comparison's numbers into the README."""
 
     check: bool = False
-    """Change nothing; exit with 1 if the README is out of date."""
+    """Change nothing; exit with 1 if README, summary or pictures are not of the committed results."""
 
 
 def block(results: dict[str, Any]) -> str:
@@ -107,6 +111,18 @@ def updated(readme: str, table: str) -> str:
     return f"{before}{BEGIN}\n\n{table}\n\n{END}{after}"
 
 
+def of_other_results(results: Path) -> list[Path]:
+    """What lies beside a results.json but was not written with it: summary and pictures have its SHA-256."""
+    digest = hashlib.sha256(results.read_bytes()).hexdigest()
+    summary = results.with_name("summary.md")
+    stale = [] if summary.is_file() and digest in summary.read_text(encoding="utf-8") else [summary]
+    for path in sorted(results.parent.glob("*.png")):
+        with Image.open(path) as picture:
+            if picture.info.get(RESULTS_KEY) != digest:
+                stale.append(path)
+    return stale
+
+
 def main() -> None:
     """Command line."""
     config = tyro.cli(Config, description=__doc__)
@@ -115,8 +131,12 @@ def main() -> None:
         fresh = updated(readme, block(json.loads(RESULTS.read_text(encoding="utf-8"))))
         if not config.check:
             write_text(README, fresh)
-        elif fresh != readme:
-            print("README.md is out of date: run `make readme`", file=sys.stderr)
+            return
+        stale = [README] if fresh != readme else []
+        stale += of_other_results(RESULTS)
+        if stale:
+            names = ", ".join(str(path.relative_to(ROOT)) for path in stale)
+            print(f"eval/readme.py: not of {RESULTS.relative_to(ROOT)}: {names}; run `make readme`", file=sys.stderr)
             sys.exit(1)
 
 

@@ -6,7 +6,7 @@ import platform
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ _THRESHOLDS = 25  # of a performance profile
 
 Against = dict[str, dict[str, dict[str, Paired]]]
 """Comparisons scenario by scenario, by split, method and metric."""
+Mark = Literal["best", "tie"]
+"""Of a metric on a split: the lowest of all ranked methods, or not shown to differ from it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +80,16 @@ class Comparison:
     outcomes: list[Outcome]
     against_best: Against  # every ranked method against the classical one of the lowest cost
     against_base: Against  # every learned method against the controller that it corrects
+    marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
     failures: list[Failure]
     provenance: dict[str, Any]
+
+    def with_failures(self, failures: list[Failure]) -> Comparison:
+        """The same with more failures, one per method and split."""
+        first: dict[tuple[str, str], Failure] = {}
+        for failure in [*self.failures, *failures]:
+            first.setdefault((failure.method, failure.split), failure)
+        return replace(self, failures=list(first.values()))
 
     def on(self, split: str) -> list[Outcome]:
         """Outcomes on one split, in the order of the methods; those that are not ranked last."""
@@ -89,6 +99,12 @@ class Comparison:
     def splits(self) -> list[str]:
         """Names of the splits, in order."""
         return list(dict.fromkeys(outcome.split for outcome in self.outcomes))
+
+    @property
+    def main_split(self) -> str:
+        """The split of arms from the training ranges, or else the first."""
+        splits = self.splits()
+        return "randomized" if "randomized" in splits else splits[0]
 
     def methods(self) -> list[Outcome]:
         """One outcome of every method, in order; those that are not ranked last."""
@@ -106,7 +122,8 @@ def make_comparison(outcomes: list[Outcome], failures: list[Failure], provenance
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
     best = {split: _against(found, _opponent_of_all(found)) for split, found in by_split.items()}
     base = {split: _against(found, _base_of(found)) for split, found in by_split.items()}
-    return Comparison(outcomes, best, base, failures, provenance)
+    marks = {split: {name: _marks(o, name, best[split]) for name in PAIRED_METRICS} for split, o in by_split.items()}
+    return Comparison(outcomes, best, base, marks, failures, provenance)
 
 
 def best_classical(outcomes: list[Outcome]) -> Outcome | None:
@@ -141,6 +158,22 @@ def _against(outcomes: list[Outcome], opponent: Callable[[Outcome], Outcome | No
         for of_method, p in zip(found.values(), adjusted, strict=True):
             of_method[name] = replace(of_method[name], p_holm=p)
     return found
+
+
+def _marks(outcomes: list[Outcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
+    """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction."""
+    ranked = [outcome for outcome in outcomes if outcome.ranked]
+    best = min(ranked, key=lambda outcome: outcome.estimates[name].iqm, default=None)
+    if best is None:
+        return {}
+    pairs = {method: of_method[name] for method, of_method in against_best.items()}
+    if best is not best_classical(outcomes):
+        pairs = {o.method.name: paired(o.metrics[name], best.metrics[name]) for o in ranked if o is not best}
+        adjusted = holm([pair.p for pair in pairs.values()])
+        pairs = {method: replace(pair, p_holm=p) for (method, pair), p in zip(pairs.items(), adjusted, strict=True)}
+    marks: dict[str, Mark] = {method: "tie" for method, pair in pairs.items() if not pair.survives}
+    marks[best.method.name] = "best"
+    return marks
 
 
 def profiles(outcomes: list[Outcome], metric: str) -> Profiles:

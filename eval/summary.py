@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from eval.estimates import Estimate, Paired
-from eval.results import PAIRED_METRICS, SHARES, Comparison, Outcome
+from eval.results import PAIRED_METRICS, SHARES, Comparison, Mark, Outcome
 
 COLUMNS = {
     "tip_rms_mm": ("tip RMS", "mm"),
@@ -23,6 +21,7 @@ COLUMNS = {
     "saturated_share": ("saturated", "%"),
     "cost": ("cost", "-"),
 }
+TIE = "not shown to differ from the best, by the paired test with Holm's correction"
 _TERMINAL = ("cost", "residual_pp_mm")
 _DIGITS = {"tip_acc_rms": 2, "settling_s": 2, "torque_rms": 3, "torque_rate_rms": 1, "cost": 0}
 _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13
@@ -48,11 +47,6 @@ def heading(name: str) -> str:
     return title if unit == "-" else f"{title} ({unit})"
 
 
-def best_value(outcomes: list[Outcome], name: str) -> float:
-    """The best of the methods that are ranked."""
-    return min((outcome.estimates[name].iqm for outcome in outcomes if outcome.ranked), default=-math.inf)
-
-
 def print_tables(comparison: Comparison, console: Console) -> None:
     """Two metrics over all splits, and how the methods that are not classical do against the best that is."""
     splits = comparison.splits()
@@ -62,6 +56,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
             console.print(_overview(comparison, splits[first : first + fitting], name))
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     console.print(f"{episodes} scenarios per split; interquartile means with bootstrap 95 % intervals.")
+    console.print(f"[bold]Bold[/bold]: best; [underline]underlined[/underline]: {TIE}.", soft_wrap=True)
     for line in verdicts(comparison):
         console.print(escape(line), soft_wrap=True)
     for failure in comparison.failures:
@@ -75,7 +70,6 @@ def _overview(comparison: Comparison, splits: list[str], name: str) -> Table:
     for split in splits:
         table.add_column(split, justify="right", no_wrap=True)
     by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
-    best = {split: best_value(comparison.on(split), name) for split in splits}
     shown_ranked = True
     for method in comparison.methods():
         if shown_ranked and not method.ranked:
@@ -84,16 +78,17 @@ def _overview(comparison: Comparison, splits: list[str], name: str) -> Table:
         cells = []
         for split in splits:
             outcome = by_split[split].get(method.method.name)
-            cells.append(_cell(outcome, name, best[split]) if outcome else "failed")
+            mark = comparison.marks[split][name].get(method.method.name)
+            cells.append(_cell(outcome, name, mark) if outcome else "failed")
         table.add_row(method.method.name, *cells, style="" if method.ranked else "dim italic")
     return table
 
 
-def _cell(outcome: Outcome, name: str, best: float) -> str:
-    value = outcome.estimates[name]
-    point, low, high = numbers(name, value)
-    if outcome.ranked and value.iqm == best:
-        point = f"[bold]{point}[/bold]"
+def _cell(outcome: Outcome, name: str, mark: Mark | None) -> str:
+    point, low, high = numbers(name, outcome.estimates[name])
+    if mark:
+        style = {"best": "bold", "tie": "underline"}[mark]
+        point = f"[{style}]{point}[/{style}]"
     return f"{point}\n{low}–{high}"
 
 

@@ -1,7 +1,8 @@
 """Watch arms side by side: `python eval/watch.py --controller paper --controller adaptive --policy runs/ppo/best`.
 
 All of them run the same scenario of the comparison. Each has its picture, and below it the size of the tip's error and
-the torque over time. Shows a window until it is closed, or writes a GIF.
+the torque over time. Shows a window until it is closed, or writes a film: `--out motion.gif`, or `--out motion.mp4`,
+which needs the extra `video`.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ import numpy as np
 import torch
 import tyro
 from gymnasium.error import DependencyNotInstalled
-from PIL import Image
 from rich.console import Console
 
-from baselines.files import require_writable, write_atomically
+from baselines.files import require_writable
 from beltarm_env._window import Window, import_pygame
 from beltarm_env.params import FIELDS, ArmParams
 from beltarm_env.rendering import HEIGHT, WIDTH, Renderer
 from beltarm_env.rollout import Controller, Recording
 from eval.command import one_line_errors
+from eval.film import FPS, REST_S, require_writer, write_film
 from eval.methods import Method, added_method, chosen, classical_methods, learned_methods, shipped_policies
 from eval.report.animation import reference_angles
 from eval.splits import EPISODES, Split, load
@@ -40,9 +41,8 @@ _SIZE = _TITLE + _PICTURE + 2 * (_LABEL + _STRIP) + 10
 _AT_MOST = 4
 _PAPER, _INK, _PALE, _SHADE = (246, 246, 244), (35, 35, 35), (200, 200, 198), (228, 228, 226)
 _BLUE, _VERMILION = (0, 114, 178), (213, 94, 0)
-_FPS, _GIF_FPS = 30, 20
+_FPS = 30
 _UNSEEN = ("dummy", "offscreen")  # drivers of pygame that show nothing
-_REST_S = 1.0  # at the end, before it begins again
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Config:
     speed: float = 0.25
     """Seconds of the arm's time per second."""
     out: Path | None = None
-    """Write this GIF instead of showing a window."""
+    """Write this film, .gif or .mp4, instead of showing a window."""
 
     def check(self) -> None:
         """Check the values.
@@ -73,8 +73,8 @@ class Config:
             raise ValueError(f"--scenario must lie within 0 and {EPISODES - 1}, got {self.scenario}")
         if not 0.01 <= self.speed <= 10:
             raise ValueError(f"--speed must lie within 0.01 and 10, got {self.speed:g}")
-        if self.out is not None and self.out.suffix != ".gif":
-            raise ValueError(f"--out must end in .gif, got {self.out}")
+        if self.out is not None:
+            require_writer(self.out)
         if len(self.controller) + len(self.policy) > _AT_MOST:
             raise ValueError(f"at most {_AT_MOST} arms fit side by side, got {len(self.controller) + len(self.policy)}")
 
@@ -114,7 +114,7 @@ def watch(config: Config, console: Console) -> None:
     if window is not None:
         _show(tracks, config.speed, window)
     elif config.out is not None:
-        _write(tracks, config.speed, config.out)
+        write_film(_frames(tracks, _samples(tracks, config.speed, FPS[config.out.suffix])), config.out)
         console.print(f"written to {config.out}")
 
 
@@ -213,7 +213,7 @@ def _window(count: int) -> Window:
 
 def _show(tracks: list[Track], speed: float, window: Window) -> None:
     samples = _samples(tracks, speed, _FPS)
-    samples += samples[-1:] * round(_REST_S * _FPS)
+    samples += samples[-1:] * round(REST_S * _FPS)
     shown = 0
     while True:
         for frame in _frames(tracks, samples):
@@ -223,15 +223,6 @@ def _show(tracks: list[Track], speed: float, window: Window) -> None:
             window.show(frame)
         for track in tracks:
             track.renderer.clear()
-
-
-def _write(tracks: list[Track], speed: float, path: Path) -> None:
-    frames = [Image.fromarray(frame) for frame in _frames(tracks, _samples(tracks, speed, _GIF_FPS))]
-    palette = frames[len(frames) // 2].quantize(64)
-    first, *others = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    durations = [1000 // _GIF_FPS] * len(others) + [round(1000 * _REST_S)]
-    options = {"save_all": True, "append_images": others, "duration": durations, "loop": 0}
-    write_atomically(path, lambda temporary: first.save(temporary, "GIF", **options))
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -187,10 +188,36 @@ def test_a_mistake_on_the_command_line_is_one_line(tmp_path: Path):
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_identity_changes_with_the_sources(tmp_path: Path):
-    path = tmp_path / "mine.py"
-    path.write_text("class Mine: pass\n")
-    before = custom.identity(f"{path}:Mine")
-    assert custom.identity(f"{path}:Mine") == before
-    (tmp_path / "helper.py").write_text("GAIN = 2\n")
-    assert custom.identity(f"{path}:Mine") != before
+CONTROLLER = """
+import numpy as np
+from pathlib import Path
+from parts.gains import GAIN
+WEIGHT = np.load(Path(__file__).with_name("weights.npy"))
+class Mine:
+    def predict(self, observation, *_, **__):
+        return np.full((len(observation), 1), GAIN * WEIGHT, np.float32), None
+"""
+
+
+@pytest.mark.parametrize("name", ["mine.py", "parts/gains.py", "weights.npy"])
+def test_identity_changes_with_what_the_controller_is_made_of(name: str, tmp_path: Path):
+    folder = tmp_path / "own"
+    (folder / "parts").mkdir(parents=True)
+    (folder / "mine.py").write_text(CONTROLLER)
+    (folder / "parts" / "gains.py").write_text("GAIN = 0.5\n")
+    (folder / "notes.txt").write_text("nothing to do with it")
+    np.save(folder / "weights.npy", 0.5)
+
+    def identity() -> str:
+        code = "from eval import custom; print(custom.identity('mine.py:Mine'))"
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.run(
+            [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    before = identity()
+    (folder / "notes.txt").write_text("changed")
+    (folder / "log.txt").write_text("new")
+    assert identity() == before
+    (folder / name).write_bytes((folder / name).read_bytes().replace(b"0.5", b"0.25") + b"\n\n")
+    assert identity() != before

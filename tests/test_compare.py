@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -286,6 +287,27 @@ def test_a_controller_that_fails_on_the_way_does_not_stop_the_others(tmp_path: P
     assert not list(tmp_path.glob("out/pairs/*Fails*"))  # tried again next time
 
 
+def test_a_controller_that_fails_on_a_single_arm_does_not_stop_the_others(tmp_path: Path):
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n"
+        "class Alone:\n"
+        "    def predict(self, observation, state=None, episode_start=None, deterministic=True):\n"
+        "        state = (0 if state is None else state) + 1\n"
+        "        if len(observation) == 1 and state > 700:\n"
+        "            raise IndexError('one arm\\nis too few')\n"
+        "        return np.zeros((len(observation), 1), np.float32), state\n"
+    )
+    chosen = ("--add", "mine.py:Alone", "--methods", "paper", "Alone", "--splits", "nominal", "--episodes", "6")
+    result = run(*chosen, "--out", "out", cwd=tmp_path)
+    assert result.returncode == 1, result.stderr
+    assert re.search(r"Alone failed on nominal: alone on scenario \d: IndexError: one arm is too few", result.stderr)
+    assert len(result.stderr.strip().splitlines()) == 1
+    results = read_results(tmp_path / "out" / "results.json")
+    assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]
+    assert [failure["method"] for failure in results["failures"]] == ["Alone"]
+    assert "<b>Alone</b> on nominal: alone on" in (tmp_path / "out" / "report.html").read_text()
+
+
 def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
     spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
     save_bundle(folder, spec, Actor(spec.shape()))
@@ -337,7 +359,7 @@ def test_given_policies_take_the_place_of_the_shipped(tmp_path: Path):
 )
 def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    (tmp_path / "paper.py").write_text("def paper(): pass\n")
+    (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
     for name, text in {"old": json.dumps({"version": VERSION + 1}), "damaged": "{"}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(text)

@@ -1,8 +1,10 @@
 import copy
 import math
+import subprocess
 import sys
 import warnings
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -266,6 +268,27 @@ def test_recording_an_episode():
             frames.append(env.render())
     env.close()
     assert all((before != after).any() for before, after in pairwise(frames))
+
+
+RECORDING = """
+import beltarm_env, gymnasium
+from gymnasium.wrappers import RecordVideo
+env = RecordVideo(gymnasium.make("BeltArm-v0", render_mode="rgb_array"), "films", video_length=20)
+env.reset(seed=0)
+for _ in range(25):
+    env.step(env.action_space.sample())
+env.close()
+"""
+
+
+def test_gymnasium_records_a_film(tmp_path: Path):
+    pytest.importorskip("moviepy")
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    result = subprocess.run([sys.executable, "-c", RECORDING], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    (film,) = (tmp_path / "films").glob("*.mp4")
+    about = next(ffmpeg.read_frames(str(film)))
+    assert (about["size"], about["fps"]) == ((640, 480), 50)
 
 
 def test_frame_does_not_depend_on_earlier_episodes():

@@ -21,6 +21,7 @@ from baselines.modes import held_mode
 from beltarm_env import ArmParams
 from beltarm_env.params import FIELDS
 from beltarm_env.rollout import Recording, rollout
+from eval.markdown import markdown
 from eval.methods import Kind, Method, classical_methods
 from eval.pairs import LEFT, Failure
 from eval.report.animation import EVERY, animation, encode
@@ -32,6 +33,7 @@ from eval.report.tables import effort_table, metric_tables
 from eval.report.verdict import verdict
 from eval.results import METRICS, Comparison, Outcome, make_comparison, make_outcome
 from eval.splits import load
+from eval.traces import seed_note, shown_seed
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
@@ -81,22 +83,35 @@ def test_a_learned_method_that_wins_and_loses():
     assert len(found) == 3
     assert "beats the best classical controller on 1 of 2 splits (nominal)" in found[0]
     assert "loses to it on 1 of 2 splits (payload)" in found[0]
-    assert found[1].startswith("It wins most on nominal: net has a cost of 60, pid of 100;")
+    lead = "It wins most on nominal, by 40% of the other’s cost: net has a cost of 60, pid of 100;"
+    assert found[1].startswith(lead)
     assert "−40 [−41, −39]" in found[1]
-    assert "better one in 100% of the runs" in found[1]
-    assert found[2].startswith("The learned method loses most on payload: net has a cost of 250, pid of 100;")
+    assert "better one in all runs" in found[1]
+    lead = "The learned method loses most on payload, by 150% of the other’s cost: net has a cost of 250, pid of 100;"
+    assert found[2].startswith(lead)
     assert "+150 [+145, +155]" in found[2]
 
 
 def test_a_tie_is_called_one():
     close = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=5.0))
     first, second, third = verdict(close)
-    assert "no difference is shown on the only split, nominal" in first
-    assert "beats the best classical controller on none" in first
+    assert first.endswith("is not shown to differ from the best classical controller on the only split, nominal.")
     assert second.startswith("It does best, but without a difference shown, on nominal")
     assert "no difference shown" in third
     equal = verdict(made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0)))
-    assert "no difference is shown on the only split" in equal[0]
+    assert "is not shown to differ from the best classical controller on the only split" in equal[0]
+
+
+def test_how_many_classical_controllers_are_beaten_where_the_best_is_not():
+    costs = {"poor": 300.0, "fair": 200.0, "best": 50.0}
+    classical = [outcome(name, "classical", cost) for name, cost in costs.items()]
+    first, second, _ = verdict(made(*classical, outcome("net", "learned", 100.0)))
+    assert first.endswith("on the only split, nominal; on nominal net beats 2 of the 3 classical controllers.")
+    assert second.startswith("It loses least on nominal, by 100% of the other’s cost:")
+    assert second.endswith("net is the better one in none of the runs.")
+    first, second, _ = verdict(made(*classical[:2], outcome("net", "learned", 900.0)))
+    assert first.endswith("; on nominal net beats none of the 2 classical controllers.")
+    assert "by 3.5 times the other’s cost" in second
 
 
 def test_the_best_of_several_learned_methods_stands_for_them():
@@ -148,6 +163,23 @@ def test_marks_of_the_best_and_of_ties():
     assert marks["bad"] == ""
     assert [row.method for row in cost.unranked] == ["privileged"]
     assert cost.unranked[0].cells[0].mark == ""
+
+
+def test_the_summary_and_the_page_mark_the_same():
+    comparison = made(
+        outcome("pid", "classical", 100.0),
+        outcome("net", "learned", 100.0, spread=4.0),
+        outcome("bad", "classical", 400.0),
+        outcome("privileged", "privileged", 1.0),
+    )
+    text, page = markdown(comparison, ["a.png"], "0" * 64), render(comparison, Recordings([]))
+    marks = comparison.marks["nominal"]["cost"]
+    assert sorted(marks.values()) == ["best", "tie"]
+    for line in [line for line in text.splitlines() if line.startswith(("| pid | ", "| net | ", "| bad | "))][:3]:
+        name = line.split(" | ")[0].removeprefix("| ")
+        assert ("**" in line, "<ins>" in line) == (marks.get(name) == "best", marks.get(name) == "tie")
+        row = page.split(f'<th scope="row" data-value="{name}">')[1].split("</tr>")[0]
+        assert ("<strong>" in row, "<u>" in row) == (marks.get(name) == "best", marks.get(name) == "tie")
 
 
 def test_a_method_that_failed_on_a_split_has_a_cell_there():
@@ -243,9 +275,26 @@ def test_maps_are_one_where_both_methods_are_the_same():
     pid = outcome("paper", "classical", 1.0)
     twin = Method("twin", "added", ("baselines.paper:PaperController",), "")
     comparison = made(pid, Outcome(twin, "nominal", pid.metrics, pid.estimates, (1.0, 1.0)))
-    for found in robustness_maps(comparison):
+    maps, failures = robustness_maps(comparison)
+    assert len(maps) == 2 and not failures
+    for found in maps:
         assert np.array(found.ratio) == pytest.approx(np.ones((len(found.y), len(found.x))))
-    assert robustness_maps(made(pid)) == []
+    assert robustness_maps(made(pid)) == ([], [])
+
+
+def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.MonkeyPatch):
+    cells: dict[str, float] = {"pid": 1.0, "lqg": 2.0, "net": 3.0}
+
+    def costs(of: Outcome) -> tuple[np.ndarray, np.ndarray]:
+        if of.method.name not in cells:
+            raise RuntimeError("no such arm")
+        return np.full((5, 5), cells[of.method.name]), np.full((3, 5), cells[of.method.name])
+
+    monkeypatch.setattr("eval.report.maps._costs", costs)
+    classical = [outcome(name, "classical", cost) for name, cost in {"pid": 100.0, "lqg": 50.0, "bad": 1.0}.items()]
+    maps, failures = robustness_maps(made(*classical, outcome("net", "learned", 60.0)))
+    assert [(found.classical, found.ratio[0][0]) for found in maps] == [("lqg", 1.5)] * 2 + [("pid", 3.0)] * 2
+    assert failures == [Failure("bad", "maps", "RuntimeError: no such arm")]
 
 
 # The page in a browser
@@ -343,9 +392,32 @@ def test_scenes_are_of_chosen_scenarios():
     costs = np.ones(24)
     costs[7] = 5.0
     comparison = made(outcome("paper", "classical", 1.0), outcome("zvd", "classical", 0.5 * costs))
-    scenes = record_scenes(comparison, splits)
+    scenes, failures = record_scenes(comparison, splits)
+    assert not failures
     assert [(scene.title, scene.scenario) for scene in scenes][1] == ("worst of zvd on all splits", 7)
     assert all(set(scene.motions) == {"paper", "zvd"} for scene in scenes)
+
+
+def test_the_seed_of_median_cost_stands_for_a_learned_method():
+    costs = np.array([[300.0], [100.0], [200.0], [900.0], [50.0]])
+    comparison = made(outcome("pid", "classical", 100.0), outcome("net", "learned", costs, seeds=5))
+    assert (shown_seed(comparison, "net"), shown_seed(comparison, "pid")) == (2, 0)
+    note = "A learned method is shown by the training seed of median cost on nominal: net by seed 2 of 0 to 4."
+    assert seed_note(comparison, ["pid", "net"]) == note
+    assert note in markdown(comparison, [], "")
+    assert seed_note(comparison, ["pid"]) == ""
+
+
+def test_methods_without_a_colour_are_numbered_and_named():
+    names = [f"pid{k}" for k in range(9)]
+    methods = [outcome(name, "classical", 100.0 + 10 * k) for k, name in enumerate(names)]
+    page = render(made(*methods, outcome("net", "learned", 60.0)), Recordings([]))
+    profiles = page.split('<h2 id="profiles">')[1].split("</section>")[0]
+    numbers = dict(re.findall(r"<li><b>(\d)</b> (\w+)</li>", profiles))
+    assert numbers == {str(k): f"pid{k}" for k in range(1, 9)}
+    drawn = re.findall(r"<text[^>]*>(\d)</text>", profiles)
+    assert sorted(drawn)[: len(numbers)] and set(numbers) <= set(drawn)
+    assert all(f"<title>{name}</title>" in profiles for name in [*names, "net"])
 
 
 def test_maps_are_shown():
@@ -354,3 +426,4 @@ def test_maps_are_shown():
     page = render(comparison, Recordings([], [found]))
     assert "Robustness maps" in page
     assert "8 arms per cell" in page
+    assert "net over pid" in page

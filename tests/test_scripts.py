@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +13,9 @@ import time
 from pathlib import Path
 
 import pytest
+from PIL import Image
+
+from eval import readme
 
 ROOT = Path(__file__).resolve().parent.parent
 TINY = (
@@ -123,6 +128,31 @@ def test_help_explains_the_options(script: str, tmp_path: Path) -> None:
 def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
     result = run("eval/readme.py", "--check", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("spoilt", ["README.md", "results.json", "summary.md", "tip_error.png"])
+def test_a_readme_of_other_results_is_noticed(
+    spoilt: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "comparison"
+    shutil.copytree(readme.RESULTS.parent, folder)
+    shutil.copy(readme.README, tmp_path)
+    monkeypatch.setattr(readme, "ROOT", tmp_path)
+    monkeypatch.setattr(readme, "README", tmp_path / "README.md")
+    monkeypatch.setattr(readme, "RESULTS", folder / "results.json")
+    monkeypatch.setattr(sys, "argv", ["readme.py", "--check"])
+    readme.main()
+    if spoilt == "tip_error.png":
+        Image.new("RGB", (4, 4)).save(folder / spoilt)
+    else:
+        path = tmp_path / spoilt if spoilt == "README.md" else folder / spoilt
+        digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
+        path.write_text(path.read_text().replace("| adaptive |", "| best |").replace(digest, "0" * 64) + " ")
+    with pytest.raises(SystemExit) as stopped:
+        readme.main()
+    assert stopped.value.code == 1
+    named = "summary.md" if spoilt == "results.json" else spoilt
+    assert named in capsys.readouterr().err
 
 
 def test_bench_prints_ratios(tmp_path: Path) -> None:

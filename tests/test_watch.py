@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
+from eval.film import require_writer
+
 ROOT = Path(__file__).resolve().parent.parent
 COMMAND = [sys.executable, str(ROOT / "eval/watch.py")]
 
@@ -46,6 +48,25 @@ def test_a_gif_of_two_arms(tmp_path: Path):
     assert moved[480:].any()
 
 
+def test_an_mp4(tmp_path: Path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    result = run("--controller", "paper", "--speed", "2", "--out", "motion.mp4", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    film = ffmpeg.read_frames(str(tmp_path / "motion.mp4"))
+    about = next(film)
+    assert about["size"] == (480, 588)
+    assert about["fps"] == 30
+    pictures = [np.frombuffer(picture, np.uint8).astype(np.int32) for picture in film]
+    assert len(pictures) == 27 + 30  # 1.8 s at twice the speed, and a second's rest
+    assert np.abs(pictures[26] - pictures[0]).max() > 50
+
+
+def test_what_an_mp4_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"m\.mp4 needs imageio-ffmpeg: pip install 'beltarm-env\[video\]', or let"):
+        require_writer(tmp_path / "m.mp4")
+
+
 def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
     environment = {**os.environ, "SDL_VIDEODRIVER": "dummy", "PYTHONUNBUFFERED": "1"}
     command = [*COMMAND, "--controller", "paper", "--controller", "zvd", "--speed", "10"]
@@ -71,7 +92,7 @@ def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
         (("--split", "frictoin"), "unknown split 'frictoin'; did you mean friction?"),
         (("--scenario", "200"), "--scenario must lie within 0 and 199, got 200"),
         (("--speed", "0"), "--speed must lie within 0.01 and 10, got 0"),
-        (("--out", "motion.avi"), "--out must end in .gif, got motion.avi"),
+        (("--out", "motion.avi"), "--out must end in .gif or .mp4, got motion.avi"),
         (("--out", "/dev/null/motion.gif"), "cannot write to /dev/null"),
         (("--controller", "paper") * 5, "at most 4 arms fit side by side, got 5"),
         ((), "--out motion.gif"),

@@ -48,8 +48,7 @@
     pen.lineCap = pen.lineJoin = "round";
     pen.font = "11px system-ui, sans-serif";
     const at = now * COLUMNS, ink = colour(view.tint), [joint, torsion] = view.frames.subarray(at, at + 2);
-    arm(pen, scene.reference[now], 0, colour("--rule"), 5);
-    arm(pen, joint, torsion, ink, 4);
+    machine(pen, scene.reference[now], joint, torsion, ink);
     magnifier(pen, view.frames, now, ink);
     strip(pen, view.frames, now, ink);
     pen.fillStyle = colour("--muted");
@@ -60,21 +59,62 @@
   }
 
   // Link 1 to l (cos, sin)(theta_1); link 2 and hand end on the line from the shoulder in the direction theta_s.
-  function arm(pen, joint, torsion, ink, thickness) {
-    const pixels = 460, left = 22, ground = 170, { link, hand } = scene;
+  function posture(joint, torsion) {
+    const pixels = 460, left = 26, ground = 164, { link, hand } = scene;
     const reach = 2 * link * Math.cos(joint - torsion);
     const point = (r, angle) => [left + pixels * r * Math.cos(angle), ground - pixels * r * Math.sin(angle)];
-    const joints = [point(0, 0), point(link, joint), point(reach, torsion), point(reach + hand, torsion)];
-    pen.strokeStyle = pen.fillStyle = ink;
-    pen.lineWidth = thickness;
+    return [point(0, 0), point(link, joint), point(reach, torsion), point(reach + hand, torsion)];
+  }
+
+  // As `beltarm_env/rendering.py` draws it, but link 1 and link 2 in the colour of the method.
+  function machine(pen, reference, joint, torsion, ink) {
+    const aim = posture(reference, 0), arm = posture(joint, torsion), [dark, ground, green] = ["--ink", "--ground", "--c2"].map(colour);
+    pen.fillStyle = colour("--rule");
+    pen.fillRect(arm[0][0] - 10, arm[0][1], 20, 17);
+    pen.fillRect(8, arm[0][1] - 0.5, WIDTH - 16, 1);
+    belt(pen, arm, dark, ground);
+    links(pen, aim, [green, green, green], 1.2);
+    links(pen, aim, Array(3).fill(colour("--ghost")), 0);
+    links(pen, arm, [ink, `color-mix(in srgb, ${ink} 55%, ${ground})`, dark], 0);
+    for (const joint of arm.slice(0, 3)) disc(pen, joint, 3, dark), disc(pen, joint, 1.4, ground);
+    if (scene.payload > 0) disc(pen, arm[2], 4.6, colour("--c1"));
     pen.beginPath();
-    joints.forEach(([x, y], k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    pen.arc(...aim[3], 4.6, 0, 7);
+    pen.strokeStyle = green;
+    pen.lineWidth = 1.4;
     pen.stroke();
-    for (const [x, y] of joints.slice(0, 3)) {
+    disc(pen, arm[3], 2.6, colour("--c4"));
+  }
+
+  function links(pen, points, inks, rim) {
+    [4, 2.9, 2].forEach((half, k) => {
+      pen.strokeStyle = inks[k];
+      pen.lineWidth = 2 * (half + rim);
       pen.beginPath();
-      pen.arc(x, y, 1.2 * thickness, 0, 7);
-      pen.fill();
-    }
+      pen.moveTo(...points[k]), pen.lineTo(...points[k + 1]);
+      pen.stroke();
+    });
+  }
+
+  // From the pulley at the motor to the smaller one at joint 2.
+  function belt(pen, [from, to], ink, ground) {
+    const across = Math.atan2(to[1] - from[1], to[0] - from[0]) + Math.PI / 2;
+    pen.beginPath();
+    pen.arc(...from, 9.2, across, across + Math.PI);
+    pen.arc(...to, 5.5, across + Math.PI, across + 2 * Math.PI);
+    pen.closePath();
+    pen.fillStyle = ground;
+    pen.fill();
+    pen.strokeStyle = ink;
+    pen.lineWidth = 1;
+    pen.stroke();
+  }
+
+  function disc(pen, place, radius, ink) {
+    pen.beginPath();
+    pen.arc(...place, radius, 0, 7);
+    pen.fillStyle = ink;
+    pen.fill();
   }
 
   function magnifier(pen, frames, now, ink) {

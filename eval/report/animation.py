@@ -55,6 +55,7 @@ def _scene(scene: Scene, names: list[str]) -> dict[str, Any]:
         "title": scene.title,
         "link": float(constants["link_length"]),
         "hand": float(constants["hand_length"]),
+        "payload": float(constants["payload_mass"]),
         "duration": float(first.moves[0, 2]),
         "magnified": _round_up(float(np.median(largest))),
         "reference": encode(reference),

@@ -5,17 +5,18 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
+from matplotlib.colors import Normalize
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from eval.colours import BLUE, GREEN, ORANGE
 from eval.report.scenes import Map
-from eval.report.svg import INK, MUTED, WIDTH, Panel, line, panel, panel_style
+from eval.report.svg import GROUND, INK, WIDTH, Panel, faint, line, panel, panel_style
 from eval.results import Comparison, profiles
 from eval.summary import cell
 
 KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN}
-_LARGEST_SHADE = 3.0  # of a map, as a power of two: beyond eight times all are alike
+STRONGEST = 4
+"""Ratio of a map's strongest colour, in all maps, so that they can be compared."""
 _MARKERS = {"classical": "o", "learned": "s", "added": "D"}
 
 
@@ -65,6 +66,13 @@ def _short(value: float) -> str:
     return f"{sign}{size / 1000:g}k" if size >= 1000 else f"{sign}{size:g}"
 
 
+def background(comparison: Comparison, colours: dict[str, str]) -> list[str]:
+    """Ranked methods without a colour, which profiles show by their number in this list, from 1."""
+    return [
+        outcome.method.name for outcome in comparison.methods() if outcome.ranked and outcome.method.name not in colours
+    ]
+
+
 def profile_panels(comparison: Comparison, colours: dict[str, str]) -> list[Panel]:
     """Share of the runs at or below a cost, split by split; methods without a colour stay in the background."""
     with panel_style():
@@ -74,10 +82,17 @@ def profile_panels(comparison: Comparison, colours: dict[str, str]) -> list[Pane
 
 def _profile(comparison: Comparison, split: str, colours: dict[str, str]) -> Panel:
     found = profiles([outcome for outcome in comparison.on(split) if outcome.ranked], "cost")
-    figure, axis = plt.subplots(figsize=(WIDTH, 2.6), layout="constrained")
-    for method, share in found.shares.items():
-        if method not in colours:
-            axis.plot(found.thresholds, 100 * share, color=MUTED, lw=0.6, alpha=0.6)
+    figure, axis = plt.subplots(figsize=(WIDTH, 3.0), layout="constrained")
+    others = background(comparison, colours)
+    for number, method in enumerate(others, 1):
+        if method in found.shares:
+            share = 100 * found.shares[method]
+            axis.plot(found.thresholds, share, **faint(method))
+            height = 12 + 76 * number / (len(others) + 1)  # each at its own, so that neighbours do not cover each other
+            first = np.searchsorted(share, height)
+            place = np.interp(height, share[first - 1 : first + 1], np.log(found.thresholds[first - 1 : first + 1]))
+            halo = {"boxstyle": "circle,pad=0.1", "fc": GROUND, "ec": "none"}
+            axis.text(np.exp(place), height, str(number), color=INK, fontsize=8, ha="center", va="center", bbox=halo)
     halves = []
     for method in colours:
         if method in found.shares:
@@ -100,19 +115,19 @@ def map_panels(maps: list[Map]) -> list[Panel]:
 def _map(number: int, found: Map) -> Panel:
     ratio = np.array(found.ratio)
     figure, axis = plt.subplots(figsize=(WIDTH, 3.3), layout="constrained")
-    reach = float(np.clip(np.abs(np.log2(ratio)).max(), 1.0, _LARGEST_SHADE))
     colours = plt.get_cmap("PuOr_r")
-    norm = TwoSlopeNorm(0.0, -reach, reach)
-    axis.imshow(np.log2(ratio), cmap=colours, norm=norm, origin="lower", aspect="auto")
+    reach = np.log2(STRONGEST)
+    shade = Normalize(-reach, reach, clip=True)
+    axis.imshow(np.log2(ratio), cmap=colours, norm=shade, origin="lower", aspect="auto")
     for (row, column), value in np.ndenumerate(ratio):
-        red, green, blue, _ = colours(norm(np.clip(np.log2(value), -reach, reach)))
+        red, green, blue, _ = colours(shade(np.log2(value)))
         dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
         shown = f"{value:.2f}" if value < 10 else f"{value:.0f}"
         axis.text(column, row, shown, ha="center", va="center", color="#ffffff" if dark else "#111111", fontsize=8.5)
     axis.set_xticks(range(len(found.x)), [f"{value:g}" for value in found.x])
     axis.set_yticks(range(len(found.y)), [f"{value:g}" for value in found.y])
     axis.set(xlabel=found.x_label, ylabel=found.y_label)
-    title = f"{found.challenger} over {found.classical}"
+    title = f"{found.y_label.split(' (')[0]} by {found.x_label.removesuffix(' over nominal')}"
     wins = int(np.sum(ratio < 1))
-    alt = f"Cost of {title} by {found.x_label} and {found.y_label}: below 1 in {wins} of {ratio.size} cells, "
+    alt = f"Cost of {found.challenger} over {found.classical}, {title}: below 1 in {wins} of {ratio.size} cells, "
     return panel(figure, f"map{number}", title, alt + f"from {ratio.min():.2f} to {ratio.max():.2f}.")

@@ -1,4 +1,4 @@
-"""Robustness maps: a challenger against a classical controller, over arms that differ in two properties at a time.
+"""Robustness maps: a challenger against every classical controller, over arms that differ in two properties at a time.
 
 The arms are nominal but for those two properties. The moves are drawn from a seed of their own, and are the same in all
 cells, so that a cell differs from its neighbour by the arm alone.
@@ -6,15 +6,17 @@ cells, so that a cell differs from its neighbour by the arm alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.moves import MOVE_FIELDS
 from beltarm_env.rollout import rollout
 from eval.estimates import interquartile_mean
-from eval.report.scenes import Map, challengers, main_split
+from eval.pairs import Failure, attempt
+from eval.report.scenes import Map, challengers
 from eval.results import Comparison, Outcome
 
 SEED = 8_500_000  # neither trained, tuned, validated nor tested on
@@ -23,39 +25,50 @@ _STIFFNESS = [0.5, 0.65, 0.8, 1.0, 1.2]
 _PAYLOAD = [0.0, 0.1, 0.2, 0.35, 0.5]
 _FRICTION = [0.5, 0.75, 1.0, 1.4, 1.8]
 _DELAY = [0.0, 1.0, 2.0]
-Costs = Callable[[Outcome], list[list[float]]]
+Floats = NDArray[np.float64]
 
 
-def robustness_maps(comparison: Comparison) -> list[Map]:
-    """Stiffness by payload and friction by delay; none without a challenger and a classical controller."""
-    split = main_split(comparison)
-    rivals, best = challengers(comparison, split), comparison.best_classical(split)
-    if not rivals or best is None:
-        return []
+def robustness_maps(comparison: Comparison) -> tuple[list[Map], list[Failure]]:
+    """Stiffness by payload and friction by delay, of the best challenger over every classical controller, best first.
+
+    Also what failed; there are no maps without a challenger and a classical controller.
+    """
+    rivals = challengers(comparison, comparison.main_split)[:1]
+    found = [outcome for outcome in comparison.on(comparison.main_split) if outcome.method.kind == "classical"]
+    classical = sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
+    if not rivals or not classical:
+        return [], []
+    costs = {o.method.name: attempt(o.method.name, "maps", partial(_costs, o)) for o in [*rivals, *classical]}
+    failures = [of_method for of_method in costs.values() if isinstance(of_method, Failure)]
+    done = {name: of_method for name, of_method in costs.items() if not isinstance(of_method, Failure)}
+    rival = rivals[0].method.name
+    opponents = [name for name in done if name != rival] if rival in done else []
+    return [found for name in opponents for found in _against(rival, name, done)], failures
+
+
+def _against(rival: str, classical: str, costs: dict[str, tuple[Floats, Floats]]) -> list[Map]:
+    plants, delays = (one / other for one, other in zip(costs[rival], costs[classical], strict=True))
+    names = rival, classical, ARMS, SEED
     return [
-        _map(rivals[0], best, "belt stiffness over nominal", "payload (kg)", (_STIFFNESS, _PAYLOAD), _of_plants),
-        _map(rivals[0], best, "Coulomb friction over nominal", "delay (samples)", (_FRICTION, _DELAY), _of_delays),
+        Map("belt stiffness over nominal", "payload (kg)", _STIFFNESS, _PAYLOAD, plants.tolist(), *names),
+        Map("Coulomb friction over nominal", "delay (samples)", _FRICTION, _DELAY, delays.tolist(), *names),
     ]
 
 
-def _map(
-    rival: Outcome, best: Outcome, x_label: str, y_label: str, grid: tuple[list[float], list[float]], costs: Costs
-) -> Map:
-    ratio = np.array(costs(rival)) / np.array(costs(best))
-    names = rival.method.name, best.method.name
-    return Map(x_label, y_label, *grid, ratio.tolist(), *names, ARMS, SEED)
+def _costs(outcome: Outcome) -> tuple[Floats, Floats]:
+    return _of_plants(outcome), _of_delays(outcome)
 
 
-def _of_plants(outcome: Outcome) -> list[list[float]]:
+def _of_plants(outcome: Outcome) -> Floats:
     nominal = ArmParams()
     stiffness, payload = (values.ravel() for values in np.meshgrid(_STIFFNESS, _PAYLOAD))
     params = {"belt_stiffness": nominal.belt_stiffness * stiffness, "payload_mass": payload}
-    return _cells(outcome, params, len(stiffness), 0).reshape(len(_PAYLOAD), len(_STIFFNESS)).tolist()
+    return _cells(outcome, params, len(stiffness), 0).reshape(len(_PAYLOAD), len(_STIFFNESS))
 
 
-def _of_delays(outcome: Outcome) -> list[list[float]]:
+def _of_delays(outcome: Outcome) -> Floats:
     params = {"coulomb_friction": ArmParams().coulomb_friction * np.array(_FRICTION)}
-    return [_cells(outcome, params, len(_FRICTION), int(delay)).tolist() for delay in _DELAY]
+    return np.array([_cells(outcome, params, len(_FRICTION), int(delay)) for delay in _DELAY])
 
 
 def _cells(outcome: Outcome, params: dict[str, np.ndarray], cells: int, delay: int) -> np.ndarray:

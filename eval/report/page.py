@@ -13,14 +13,15 @@ from baselines.files import write_text
 from eval.colours import COLOURS
 from eval.estimates import RESAMPLES
 from eval.report.animation import animation
-from eval.report.figures import forests, map_panels, profile_panels
+from eval.report.figures import STRONGEST, background, forests, map_panels, profile_panels
 from eval.report.motions import scene_panels
-from eval.report.scenes import Recordings, challengers, main_split
-from eval.report.svg import line
+from eval.report.scenes import Map, Recordings, challengers
+from eval.report.svg import Panel, line
 from eval.report.tables import PERIOD_US, effort_table, failure_table, metric_tables
 from eval.report.verdict import verdict
 from eval.results import Comparison
 from eval.splits import SPLITS
+from eval.traces import seed_note
 
 _TEMPLATES = Path(__file__).parent
 LARGEST = 3_000_000
@@ -67,7 +68,11 @@ def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
         "forests": forests(comparison),
         "profiles": profile_panels(comparison, colours),
         "scenes": [(scene, scene_panels(scene, k, colours)) for k, scene in enumerate(recordings.scenes)],
-        "maps": list(zip(recordings.maps, map_panels(recordings.maps), strict=True)),
+        "maps": recordings.maps,
+        "map_panels": _by_opponent(recordings.maps),
+        "strongest": STRONGEST,
+        "background": background(comparison, colours),
+        "seed_note": seed_note(comparison, list(colours)),
         "animation": animation(recordings.scenes, colours),
         "legend": [_legend_entry(colours, method) for method in colours],
         "palette": COLOURS,
@@ -81,10 +86,18 @@ def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
 def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
     """Methods with a colour: those whose motion is shown, in their order, or else the best of both camps."""
     shown = {method for scene in recordings.scenes for method in scene.motions}
-    split = main_split(comparison)
+    split = comparison.main_split
     best = comparison.best_classical(split)
     shown = shown or {o.method.name for o in [*challengers(comparison, split)[:1], *([best] if best else [])]}
     return [outcome.method.name for outcome in comparison.methods() if outcome.method.name in shown]
+
+
+def _by_opponent(maps: list[Map]) -> dict[str, list[Panel]]:
+    """Pictures of the maps, by who is compared with whom."""
+    found: dict[str, list[Panel]] = {}
+    for map_, panel in zip(maps, map_panels(maps), strict=True):
+        found.setdefault(f"{map_.challenger} over {map_.classical}", []).append(panel)
+    return found
 
 
 def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:

@@ -8,8 +8,10 @@ import numpy as np
 
 from beltarm_env.rollout import Recording
 from eval.colours import COLOURS
+from eval.pairs import Failure
 from eval.results import Comparison, Outcome
 from eval.splits import Split
+from eval.traces import motions, shown_seed
 
 CHALLENGERS = ("learned", "added")
 """Kinds of method that are put up against the classical ones; learned ones first."""
@@ -49,12 +51,6 @@ class Recordings:
     maps: list[Map] = field(default_factory=list)
 
 
-def main_split(comparison: Comparison) -> str:
-    """The split of arms from the training ranges, or else the first."""
-    splits = comparison.splits()
-    return "randomized" if "randomized" in splits else splits[0]
-
-
 def challengers(comparison: Comparison, split: str) -> list[Outcome]:
     """What is put up against the classical controllers on a split, best first: learned methods, or else added ones."""
     found = [outcome for kind in CHALLENGERS for outcome in comparison.on(split) if outcome.method.kind == kind]
@@ -63,25 +59,20 @@ def challengers(comparison: Comparison, split: str) -> list[Outcome]:
     return sorted((o for o in found if o.method.kind == wanted), key=lambda o: o.estimates["cost"].iqm)
 
 
-def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> list[Scene]:
-    """Record the scenes of the report; a policy by its first training seed."""
+def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[list[Scene], list[Failure]]:
+    """Record the scenes of the report, and what fails when it is run on its own."""
     chosen: dict[tuple[str, int], str] = {}
     for title, split, scenario in _chosen(comparison):
         before = chosen.get((split, scenario))
         chosen[split, scenario] = f"{before}; {title}" if before else title
     names = _shown(comparison, [split for split, _ in chosen])
-    return [
-        Scene(title, split, scenario, _motions(comparison, splits[split], scenario, names))
-        for (split, scenario), title in chosen.items()
-    ]
-
-
-def _motions(comparison: Comparison, split: Split, scenario: int, names: list[str]) -> dict[str, Recording]:
-    return {
-        outcome.method.name: split.run(outcome.method.controller(0, []), scenario)
-        for outcome in comparison.on(split.name)
-        if outcome.method.name in names
-    }
+    scenes, failures = [], []
+    for (split, scenario), title in chosen.items():
+        found, failed = motions(comparison, splits[split], scenario, names)
+        failures += failed
+        if found:
+            scenes.append(Scene(title, split, scenario, found))
+    return scenes, failures
 
 
 def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
@@ -90,7 +81,7 @@ def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
     The best challenger, the best classical controller of each split, what the challenger corrects or else the first
     method, and as far as there is room the next challenger and the next classical ones.
     """
-    home = main_split(comparison)
+    home = comparison.main_split
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     rivals = challengers(comparison, home)
     bases = [outcome for outcome in ranked if rivals and outcome.method.name == rivals[0].method.base]
@@ -104,14 +95,14 @@ def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
 
 def _chosen(comparison: Comparison) -> list[tuple[str, str, int]]:
     """Title, split and scenario of what is worth a look."""
-    home = main_split(comparison)
+    home = comparison.main_split
     rivals = challengers(comparison, home)
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     if not ranked:
         return []
     lead = rivals[0] if rivals else comparison.best_classical(home) or ranked[0]
     name = lead.method.name
-    costs = lead.metrics["cost"][0]
+    costs = _of(comparison, name)[home]
     chosen = [(f"median of {name}", home, int(np.argsort(costs)[len(costs) // 2]))]
     chosen.append((f"worst of {name} on all splits", *_extreme(_of(comparison, name))))
     losses = {}
@@ -129,8 +120,9 @@ def _chosen(comparison: Comparison) -> list[tuple[str, str, int]]:
 
 
 def _of(comparison: Comparison, name: str) -> dict[str, np.ndarray]:
-    """Costs of a method by split, of its first training seed."""
-    return {o.split: o.metrics["cost"][0] for o in comparison.outcomes if o.method.name == name}
+    """Costs of a method by split, of the training seed that is shown."""
+    seed = shown_seed(comparison, name)
+    return {o.split: o.metrics["cost"][seed] for o in comparison.outcomes if o.method.name == name}
 
 
 def _extreme(values: dict[str, np.ndarray]) -> tuple[str, int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from eval.estimates import Paired, holm, paired
 from eval.results import PAIRED_METRICS, Comparison, Outcome
 from eval.summary import heading, numbers
 
@@ -48,10 +47,12 @@ def metric_tables(comparison: Comparison) -> list[Table]:
 def _metric_table(comparison: Comparison, name: str) -> Table:
     splits = comparison.splits()
     by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
-    marks = {split: _marks(comparison, split, name) for split in splits}
 
     def cells(method: str) -> list[Cell]:
-        return [_metric_cell(by_split[split].get(method), name, marks[split].get(method, "")) for split in splits]
+        marks = [comparison.marks[split][name].get(method, "") for split in splits]
+        return [
+            _metric_cell(by_split[split].get(method), name, mark) for split, mark in zip(splits, marks, strict=True)
+        ]
 
     return _table(comparison, heading(name), splits, cells)
 
@@ -69,29 +70,6 @@ def _metric_cell(outcome: Outcome | None, name: str, mark: str) -> Cell:
         return Cell("failed")
     point, low, high = numbers(name, outcome.estimates[name])
     return Cell(point, f"[{low}, {high}]", outcome.estimates[name].iqm, mark)
-
-
-def _marks(comparison: Comparison, split: str, name: str) -> dict[str, str]:
-    """The best ranked method, and those that the paired test with Holm's correction cannot tell from it."""
-    ranked = [outcome for outcome in comparison.on(split) if outcome.ranked]
-    if not ranked:
-        return {}
-    best = min(ranked, key=lambda outcome: outcome.estimates[name].iqm)
-    pairs = _against(comparison, ranked, best, split, name)
-    ties = {method: "tie" for method, pair in pairs.items() if not pair.survives}
-    return {best.method.name: "best", **ties}
-
-
-def _against(comparison: Comparison, ranked: list[Outcome], best: Outcome, split: str, name: str) -> dict[str, Paired]:
-    if best is comparison.best_classical(split):
-        return {method: pairs[name] for method, pairs in comparison.against_best[split].items()}
-    others = [outcome for outcome in ranked if outcome is not best]
-    found = [paired(outcome.metrics[name], best.metrics[name]) for outcome in others]
-    adjusted = holm([pair.p for pair in found])
-    return {
-        outcome.method.name: Paired(pair.difference, pair.win_rate, pair.p, p)
-        for outcome, pair, p in zip(others, found, adjusted, strict=True)
-    }
 
 
 def failure_table(comparison: Comparison) -> Table:

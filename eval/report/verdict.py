@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from eval.estimates import Estimate, Paired
+from eval.estimates import Estimate, Paired, holm, paired
 from eval.report.scenes import challengers
 from eval.results import Comparison, Outcome
 from eval.summary import COLUMNS, cell, numbers
@@ -52,20 +52,37 @@ def verdict(comparison: Comparison) -> list[str]:
     if not fought:
         return _without_challenger(comparison)
     kind = _KINDS[fought[0].challenger.method.kind]
+    home = next((duel for duel in fought if duel.split == comparison.main_split), fought[0])
     best, worst = min(fought, key=lambda duel: duel.relative), max(fought, key=lambda duel: duel.relative)
-    return [_count(fought, kind), _best(best), _other_metrics(best) if best is worst else _worst(worst, kind)]
+    first = _count(fought, kind) + _among_all(home, comparison.on(home.split)) + "."
+    return [first, _best(best), _other_metrics(best) if best is worst else _worst(worst, kind)]
 
 
 def _count(fought: list[Duel], kind: str) -> str:
-    by_result = {word: [duel.split for duel in fought if duel.result == word] for word in ("wins", "loses", "ties")}
-    wins, loses, ties = (_listed(splits, len(fought)) for splits in by_result.values())
-    tied = "" if ties == "none" else f", and no difference is shown on {ties}"
-    return f"In cost, the best {kind} beats the best classical controller on {wins} and loses to it on {loses}{tied}."
+    leads = {"wins": "beats {} on {}", "loses": "loses to {} on {}", "ties": "is not shown to differ from {} on {}"}
+    parts = []
+    for result, lead in leads.items():
+        splits = [duel.split for duel in fought if duel.result == result]
+        if splits:
+            other = "it" if parts else "the best classical controller"
+            parts.append(lead.format(other, _listed(splits, len(fought))))
+    *before, last = parts
+    return f"In cost, the best {kind} {', '.join(before)}{' and ' if before else ''}{last}"
+
+
+def _among_all(duel: Duel, outcomes: list[Outcome]) -> str:
+    """How many classical controllers the challenger is shown to beat, where it does not beat the best."""
+    classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
+    if duel.result == "wins" or len(classical) < 2:
+        return ""
+    pairs = [paired(duel.challenger.metrics["cost"], outcome.metrics["cost"]) for outcome in classical]
+    adjusted = holm([pair.p for pair in pairs])
+    beaten = sum(replace(pair, p_holm=p).better for pair, p in zip(pairs, adjusted, strict=True))
+    count = f"{beaten} of the {len(classical)}" if beaten else f"none of the {len(classical)}"
+    return f"; on {duel.split} {duel.challenger.method.name} beats {count} classical controllers"
 
 
 def _listed(splits: list[str], total: int) -> str:
-    if not splits:
-        return "none"
     if len(splits) == total:
         return f"all {total} splits" if total > 1 else f"the only split, {splits[0]}"
     return f"{len(splits)} of {total} splits ({', '.join(splits)})"
@@ -73,7 +90,7 @@ def _listed(splits: list[str], total: int) -> str:
 
 def _best(duel: Duel) -> str:
     lead = {"wins": "It wins most", "ties": "It does best, but without a difference shown,"}
-    return f"{lead.get(duel.result, 'It loses least')} on {duel.split}: {_difference(duel)}."
+    return f"{lead.get(duel.result, 'It loses least')} on {duel.split}{_by(duel)}: {_difference(duel)}."
 
 
 def _worst(duel: Duel, kind: str) -> str:
@@ -81,7 +98,16 @@ def _worst(duel: Duel, kind: str) -> str:
         "loses": f"The {kind} loses most",
         "ties": f"The {kind} loses on no split; it does worst, without a difference shown,",
     }.get(duel.result, f"The {kind} loses on no split; it wins least")
-    return f"{lead} on {duel.split}: {_difference(duel)}."
+    return f"{lead} on {duel.split}{_by(duel)}: {_difference(duel)}."
+
+
+def _by(duel: Duel) -> str:
+    """By how much of the classical controller's cost, which is what least and most are about."""
+    if duel.result == "ties":
+        return ""
+    size = abs(duel.relative)
+    shown = f"{size:.{0 if size > 9.95 else 1}f} times" if size > 1.995 else f"{size:.0%} of"
+    return f", by {shown} the other’s cost"
 
 
 def _difference(duel: Duel) -> str:
@@ -91,8 +117,16 @@ def _difference(duel: Duel) -> str:
     return (
         f"{one.method.name} has a cost of {of_one:.0f}, {other.method.name} of {of_other:.0f}; run by run the "
         f"difference is {signed('cost', pair.difference)}, and {one.method.name} is the better one in "
-        f"{pair.win_rate.iqm:.0%} of the runs"
+        f"{_share(pair.win_rate.iqm)}"
     )
+
+
+def _share(share: float) -> str:
+    if share in (0.0, 1.0):
+        return "all runs" if share else "none of the runs"
+    if share < 0.005 or share > 0.995:
+        return "over 99% of the runs" if share > 0.5 else "under 1% of the runs"
+    return f"{share:.0%} of the runs"
 
 
 def signed(name: str, value: Estimate) -> str:
