@@ -44,7 +44,7 @@ class Config:
     """Folder of the runs; finished ones are kept and not repeated."""
     only: tuple[str, ...] = ()
     """Factors or variants, such as told or gamma-0.95; all by default. The default run is always among them."""
-    steps: int = 1_500_000
+    steps: int = 1_000_000
     """Agent steps of every run; a student has a budget of its own."""
     seeds: int = 2
     """Runs of each variant, with training seeds 0, 1, ..."""
