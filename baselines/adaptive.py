@@ -7,6 +7,11 @@ identification of `baselines.identification`, which also finds out how late and 
 the rest of the move is computed again every 30 ms for arms whose constants have changed by more than 2 % since
 (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995). At an episode's start the arm is nominal:
 nothing is carried over from one to the next.
+
+Where that plan asks for more than four times the torque limit, an optimal plan for a hundred times dearer torque takes
+over: a feedback that is cut that much is another one than was planned, and beyond the halving that every LQ regulator
+bears it may pump the ringing instead of damping it, for good (after G. F. Wredenhagen, P. R. Belanger: Piecewise-linear
+LQ control for systems with input constraints, Automatica 30, 1994). It is made when it is needed, for few arms need it.
 """
 
 from __future__ import annotations
@@ -26,6 +31,8 @@ Floats = NDArray[np.float64]
 
 _EVERY = 20  # samples between plans
 _NEWS = 0.02  # change of a constant that makes a new plan worth while
+_BEYOND = 4.0  # torque over its limit from which the careful plan is asked
+_DEARER = 100.0  # its weight of the torque over that of the other
 _FRICTION = IDENTIFIED.index("coulomb_friction")
 
 
@@ -55,12 +62,36 @@ class AdaptiveGains(Gains):
 
 
 @dataclass(frozen=True)
+class Made:
+    """Plans of n arms, and what arms they were made for."""
+
+    plans: Plans
+    logs: Floats  # as believed at the time, shape (n, 6); NaN where there is no plan
+
+    def old(self, belief: Belief, reading: Reading) -> NDArray[np.bool_]:
+        """Which arms need a new plan: those without, and at times those of which there is news; shape (n,)."""
+        news = np.abs(belief.logs - self.logs).max(axis=1) > _NEWS
+        return np.isnan(self.logs[:, 0]) | (news & (reading.step % _EVERY == 0))
+
+    def without(self, which: NDArray[np.bool_]) -> Made:
+        """The same, but some arms' plans are not to be used any more."""
+        return Made(self.plans, np.where(which[:, None], np.nan, self.logs)) if which.any() else self
+
+    def renewed(self, which: NDArray[np.bool_], reading: Reading, belief: Belief, table: Floats, by: Weights) -> Made:
+        """The same, but with those of some arms made anew; `table` has the constants of all as believed."""
+        if not which.any():
+            return self
+        plans = replanned(self.plans, which, reading.move, table, by)
+        return Made(plans, np.where(which[:, None], belief.logs, self.logs))
+
+
+@dataclass(frozen=True)
 class AdaptiveMemory:
     """Belief about n arms, and plans for the arms once believed in."""
 
     belief: Belief
-    plans: Plans
-    planned_for: Floats  # logs at the time of the plan, shape (n, 6)
+    bold: Made
+    careful: Made  # for dearer torque, of the arms that needed it
 
 
 class AdaptiveController:
@@ -74,7 +105,8 @@ class AdaptiveController:
     def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or AdaptiveGains()
         self.params = params or ArmParams()
-        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._bold = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._careful = Weights(self.gains.velocity_weight, self.gains.torque_weight * _DEARER)
         self._identifier = ArmIdentifier(self.params, self.gains.doubt())
 
     def predict(
@@ -95,16 +127,19 @@ class AdaptiveController:
         self, belief: Belief, reading: Reading, begins: NDArray[np.bool_], state: AdaptiveMemory | None
     ) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of shape (n,) for the arms as believed in, with a new plan for those of which there is news."""
-        planned_for = state.planned_for if state else belief.logs
-        news = np.abs(belief.logs - planned_for).max(axis=1) > _NEWS
-        due = begins | (news & (reading.step % _EVERY == 0))
+        none = Made([np.empty(0)] * len(begins), np.full_like(belief.logs, np.nan))
+        bold, careful = (state.bold.without(begins), state.careful.without(begins)) if state else (none, none)
         table = self._identifier.table(belief)
-        plans = replanned(state.plans if state else None, due, reading.move, table, self._weights)
-        torque = planned_torque(plans, reading.step, belief.state)
+        bold = bold.renewed(bold.old(belief, reading), reading, belief, table, self._bold)
+        torque = planned_torque(bold.plans, reading.step, belief.state)
+        beyond = np.abs(torque) > _BEYOND * self.params.torque_limit
+        careful = careful.renewed(beyond & careful.old(belief, reading), reading, belief, table, self._careful)
+        for arm in np.flatnonzero(beyond):
+            only = slice(arm, arm + 1)
+            torque[only] = planned_torque(careful.plans[only], reading.step[only], belief.state[only])
         direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
-        memory = AdaptiveMemory(belief, plans, np.where(due[:, None], belief.logs, planned_for))
-        return torque + self.gains.friction_share * friction * direction, memory
+        return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)
 
 
 def tuned_identifier() -> ArmIdentifier:

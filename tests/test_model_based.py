@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from baselines import CONTROLLERS as CONTROLLERS_BY_NAME
 from baselines.adaptive import AdaptiveController, AdaptiveGains
 from baselines.gains import Gains, tunable, tuned
 from baselines.linear import ANGLES, at_angle, linear_arm, linear_arms
@@ -213,6 +214,10 @@ class TestObserver:
 
 
 class TestControllers:
+    def test_a_torque_that_is_cut_much_does_not_go_on_ringing(self):
+        """On this arm the optimal plan alone ends in a limit cycle between both limits, at a cost above 4000."""
+        assert rollout(CONTROLLERS_BY_NAME["adaptive"](), 1, seed=5_700_796, randomization="train").cost[0] < 1000
+
     @pytest.mark.parametrize("make", CONTROLLERS)
     def test_batch_is_bit_for_bit_as_single_arms(self, make: Any):
         together = rollout(make(), 6, seed=SEED, randomization="train")
