@@ -167,8 +167,12 @@ def _marks(outcomes: list[Outcome], name: str, against_best: dict[str, dict[str,
     if best is None:
         return {}
     pairs = {method: of_method[name] for method, of_method in against_best.items()}
-    if best is not best_classical(outcomes):
+    classical = best_classical(outcomes)
+    if best is not classical:
         pairs = {o.method.name: paired(o.metrics[name], best.metrics[name]) for o in ranked if o is not best}
+        if classical and best.method.name in against_best:  # one test for a pair, whichever way round it is told
+            same = against_best[best.method.name][name]
+            pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)
         adjusted = holm([pair.p for pair in pairs.values()])
         pairs = {method: replace(pair, p_holm=p) for (method, pair), p in zip(pairs.items(), adjusted, strict=True)}
     marks: dict[str, Mark] = {method: "tie" for method, pair in pairs.items() if not pair.survives}
