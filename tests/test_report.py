@@ -36,6 +36,7 @@ from eval.splits import load
 from eval.traces import seed_note, shown_seed
 
 ROOT = Path(__file__).resolve().parent.parent
+pytestmark = pytest.mark.xdist_group(Path(__file__).stem)  # so that one worker makes what they share, once
 EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
 ORIGIN = {
     "command": "python eval/compare.py --out /tmp/me/out",

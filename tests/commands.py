@@ -1,0 +1,25 @@
+"""Command lines within the process of the tests: a user's mistakes are many, and starting Python takes seconds."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from unittest.mock import patch
+
+
+def stopped(main: Callable[[], None], arguments: tuple[str, ...], folder: Path) -> tuple[int, str]:
+    """Exit code and errors of a command that stops, run in a folder as its script's `main` with these arguments."""
+    errors = io.StringIO()
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stderr(errors),
+        patch.object(sys, "argv", ["script", *arguments]),
+    ):
+        try:
+            main()
+        except SystemExit as stop:
+            return int(stop.code or 0), errors.getvalue()
+    return 0, errors.getvalue()
