@@ -20,8 +20,8 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-compare: $(READY)  ## Compare all controllers on 100 scenarios of every split: report.html, pictures in results/compare
-	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 100)
+compare: $(READY)  ## Compare all controllers on 70 scenarios of every split: report.html, pictures in results/compare
+	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 70)
 
 scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them
 	$(BIN)/python eval/scenarios.py $(ARGS)
