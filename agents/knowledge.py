@@ -19,7 +19,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from baselines.adaptive import tuned_identifier
-from baselines.identification import IDENTIFIED, Belief
+from baselines.arm_filter import IDENTIFIED
+from baselines.identification import Belief
 from baselines.reading import Reading, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env import observation as layout

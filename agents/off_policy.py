@@ -102,6 +102,30 @@ class OffPolicyConfig(ReinforcementConfig):
         }
 
 
+@dataclass(frozen=True)
+class SoftConfig(OffPolicyConfig):
+    """Options of SAC and TQC, whose policies are stochastic and whose entropy is rewarded."""
+
+    noise: float = 0.0
+    """Standard deviation of noise added to actions, beside the policy's own exploration."""
+    exploration: float = 0.4
+    """Standard deviation of the policy at first."""
+    initial_entropy_weight: float = 0.01
+    """Weight of the entropy at first; it is learnt from there on."""
+    target_entropy: float = -2.0
+    """Entropy of the policy that its weight is learnt for; -2 is a standard deviation of 0.03 within -1 to 1."""
+
+    def check(self) -> None:
+        """Check the options, see `RunConfig.check`."""
+        super().check()
+        self.positive("exploration", "initial_entropy_weight")
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments that the algorithms have in common, see `OffPolicyConfig.arguments`."""
+        entropy = {"ent_coef": f"auto_{self.initial_entropy_weight}", "target_entropy": self.target_entropy}
+        return {**super().arguments(), **entropy}
+
+
 class ClippedAdam(torch.optim.Adam):
     """Adam on gradients whose norm over all weights is at most `_MAX_GRADIENT`."""
 

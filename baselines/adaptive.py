@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.arm_filter import IDENTIFIED, Doubt
 from baselines.gains import Gains, tunable, tuned
-from baselines.identification import IDENTIFIED, ArmIdentifier, Belief, Doubt
+from baselines.identification import ArmIdentifier, Belief
 from baselines.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
 from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import ArmParams
@@ -77,11 +78,13 @@ class Made:
         """The same, but some arms' plans are not to be used any more."""
         return Made(self.plans, np.where(which[:, None], np.nan, self.logs)) if which.any() else self
 
-    def renewed(self, which: NDArray[np.bool_], reading: Reading, belief: Belief, table: Floats, by: Weights) -> Made:
-        """The same, but with those of some arms made anew; `table` has the constants of all as believed."""
+    def renewed(
+        self, which: NDArray[np.bool_], reading: Reading, belief: Belief, identifier: ArmIdentifier, weights: Weights
+    ) -> Made:
+        """The same, but with those of some arms made anew, for the arms as the identifier believes them to be."""
         if not which.any():
             return self
-        plans = replanned(self.plans, which, reading.move, table, by)
+        plans = replanned(self.plans, which, reading.move, identifier.table(belief), weights)
         return Made(plans, np.where(which[:, None], belief.logs, self.logs))
 
 
@@ -127,13 +130,15 @@ class AdaptiveController:
         self, belief: Belief, reading: Reading, begins: NDArray[np.bool_], state: AdaptiveMemory | None
     ) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of shape (n,) for the arms as believed in, with a new plan for those of which there is news."""
-        none = Made([np.empty(0)] * len(begins), np.full_like(belief.logs, np.nan))
-        bold, careful = (state.bold.without(begins), state.careful.without(begins)) if state else (none, none)
-        table = self._identifier.table(belief)
-        bold = bold.renewed(bold.old(belief, reading), reading, belief, table, self._bold)
+        if state:
+            bold, careful = state.bold.without(begins), state.careful.without(begins)
+        else:
+            bold = careful = Made([np.empty(0)] * len(begins), np.full_like(belief.logs, np.nan))
+        bold = bold.renewed(bold.old(belief, reading), reading, belief, self._identifier, self._bold)
         torque = planned_torque(bold.plans, reading.step, belief.state)
         beyond = np.abs(torque) > _BEYOND * self.params.torque_limit
-        careful = careful.renewed(beyond & careful.old(belief, reading), reading, belief, table, self._careful)
+        due = beyond & careful.old(belief, reading)
+        careful = careful.renewed(due, reading, belief, self._identifier, self._careful)
         for arm in np.flatnonzero(beyond):
             only = slice(arm, arm + 1)
             torque[only] = planned_torque(careful.plans[only], reading.step[only], belief.state[only])

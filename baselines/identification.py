@@ -24,14 +24,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.arm_filter import IDENTIFIED, ArmFilter, Doubt, Tracks
+from baselines.arm_filter import ArmFilter, Doubt, Tracks
 from baselines.observer import QUANTUM
 from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env._jit import compiled
 from beltarm_env.simulation import ArmSimulation
-
-__all__ = ["IDENTIFIED", "ArmIdentifier", "Belief", "Doubt"]
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.intp]

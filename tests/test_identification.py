@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from baselines import CONTROLLERS
 from baselines.adaptive import AdaptiveController
-from baselines.identification import IDENTIFIED, ArmIdentifier, common_count
+from baselines.arm_filter import IDENTIFIED
+from baselines.identification import ArmIdentifier, common_count
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout

@@ -16,33 +16,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from stable_baselines3 import SAC
 
-from agents.off_policy import ExploringFromTheBase, OffPolicyConfig, begin_near_zero
+from agents.off_policy import ExploringFromTheBase, SoftConfig, begin_near_zero
 from agents.reinforcement import ModelLearner
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
 
 
 @dataclass(frozen=True)
-class Config(OffPolicyConfig):
+class Config(SoftConfig):
     """Train a residual SAC policy."""
 
     algorithm: ClassVar[str] = "sac"
 
     out: Path = Path("runs/sac")
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
-    noise: float = 0.0
-    """Standard deviation of noise added to actions, beside SAC's own exploration."""
-    exploration: float = 0.4
-    """Standard deviation of the policy at first."""
-    initial_entropy_weight: float = 0.01
-    """Weight of the entropy at first; it is learnt from there on."""
-    target_entropy: float = -2.0
-    """Entropy of the policy that its weight is learnt for; -2 is a standard deviation of 0.03 within -1 to 1."""
-
-    def check(self) -> None:
-        """Check the options, see `RunConfig.check`."""
-        super().check()
-        self.positive("exploration", "initial_entropy_weight")
 
 
 class ResidualSAC(ExploringFromTheBase, SAC):
@@ -51,13 +38,7 @@ class ResidualSAC(ExploringFromTheBase, SAC):
 
 def make_model(config: Config, env: ResidualVecEnv) -> SAC:
     """An untrained model whose mean residual is near zero."""
-    model = ResidualSAC(
-        "MlpPolicy",
-        env,
-        ent_coef=f"auto_{config.initial_entropy_weight}",
-        target_entropy=config.target_entropy,
-        **config.arguments(),
-    )
+    model = ResidualSAC("MlpPolicy", env, **config.arguments())
     begin_near_zero(model, config.exploration)
     return model
 

@@ -17,28 +17,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from sb3_contrib import TQC
 
-from agents.off_policy import ExploringFromTheBase, OffPolicyConfig, begin_near_zero
+from agents.off_policy import ExploringFromTheBase, SoftConfig, begin_near_zero
 from agents.reinforcement import ModelLearner
 from agents.residual_env import ResidualVecEnv
 from agents.runs import main
 
 
 @dataclass(frozen=True)
-class Config(OffPolicyConfig):
+class Config(SoftConfig):
     """Train a residual TQC policy."""
 
     algorithm: ClassVar[str] = "tqc"
 
     out: Path = Path("runs/tqc")
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
-    noise: float = 0.0
-    """Standard deviation of noise added to actions, beside TQC's own exploration."""
-    exploration: float = 0.4
-    """Standard deviation of the policy at first."""
-    initial_entropy_weight: float = 0.01
-    """Weight of the entropy at first; it is learnt from there on."""
-    target_entropy: float = -2.0
-    """Entropy of the policy that its weight is learnt for; -2 is a standard deviation of 0.03 within -1 to 1."""
     quantiles: int = 25
     """Quantiles of each critic."""
     dropped_quantiles: int = 2
@@ -47,7 +39,6 @@ class Config(OffPolicyConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         super().check()
-        self.positive("exploration", "initial_entropy_weight")
         if not 0 <= self.dropped_quantiles < self.quantiles:
             raise ValueError(
                 f"--dropped-quantiles must lie within 0 and --quantiles less 1, got {self.dropped_quantiles}"
@@ -65,8 +56,6 @@ def make_model(config: Config, env: ResidualVecEnv) -> TQC:
     model = ResidualTQC(
         "MlpPolicy",
         env,
-        ent_coef=f"auto_{config.initial_entropy_weight}",
-        target_entropy=config.target_entropy,
         top_quantiles_to_drop_per_net=config.dropped_quantiles,
         **arguments,
     )

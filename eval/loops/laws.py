@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.adaptive import AdaptiveController
+from baselines.arm_filter import Doubt
 from baselines.disturbance import DisturbanceController
 from baselines.horizon import Horizon, horizon
 from baselines.horizon import plan as plan_horizon
-from baselines.identification import Doubt
 from baselines.linear import ANGLES, LinearArms, linear_arm
 from baselines.lqg import LqgController
 from baselines.mpc import MpcController
