@@ -95,25 +95,34 @@ def test_the_script_draws(runs: Path, tmp_path: Path):
 
 
 def few(out: Path, **options: Any) -> Config:
-    common = {"trials": 2, "jobs": 1, "total_steps": 640, "arms": 4, "validation_arms": 2}
+    common = {"trials": 2, "jobs": 1, "samples": 7680, "arms": 4, "validation_arms": 2}
     return Config("sac", **{"out": out, **common, **options})
 
 
 def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
     assert set(SPACES) == set(ALGORITHMS) - {"student"}
     for algorithm, space in SPACES.items():
-        own = Config(algorithm, out=tmp_path).run({}, 3)
+        config = Config(algorithm, out=tmp_path)
+        settings, own = config.own(), config.run({}, 3)
         for name, distribution in space.items():
-            assert distribution._contains(distribution.to_internal_repr(getattr(own, name))), name
-        assert (own.seed, own.overwrite) == (503, True)
+            assert distribution._contains(distribution.to_internal_repr(settings[name])), name
+        assert config.run(settings, 3) == own and (own.seed, own.overwrite) == (503, True)
+        assert own.total_steps * own.hold == config.samples
+
+
+def test_trials_simulate_the_same_number_of_samples(tmp_path: Path):
+    config = Config("ppo", out=tmp_path, samples=80_000)
+    trials = [config.run({"hold": hold, "hidden": "64 32"}, 0) for hold in (4, 8)]
+    assert [trial.total_steps for trial in trials] == [20_000, 10_000]
+    assert [trial.validation_every for trial in trials] == [2_000, 1_000]
+    assert trials[0].hidden == (64, 32)
 
 
 def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     config = few(tmp_path)
     study = tune(config, StopRequest())
     first = study.get_trials()[0]
-    own = config.run({}, 0)
-    assert {name: getattr(own, name) for name in first.params} == first.params, "begins with the script's settings"
+    assert first.params == config.own(), "begins with the script's settings"
     assert len(counted(study)) == 2 and study.best_value == min(t.value for t in study.get_trials() if t.value)
     assert len(first.intermediate_values) > 5
     assert [path.name for path in tmp_path.iterdir()] == ["sac.db"], "runs of trials are not kept"

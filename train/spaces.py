@@ -1,4 +1,8 @@
-"""What `train/tune.py` varies of each algorithm's options, and within what."""
+"""What `train/tune.py` varies of each algorithm's options, and within what.
+
+Ranges are as wide as docs/learning.md leaves them sensible: what costs half as much again there is not searched again.
+Hidden layers are written as on the command line, "128 128".
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,6 @@ Algorithm = Literal["ppo", "recurrent_ppo", "sac", "td3", "tqc"]
 
 _EVERYWHERE: dict[str, BaseDistribution] = {
     "learning_rate": FloatDistribution(1e-4, 3e-3, log=True),
-    "gamma": FloatDistribution(0.85, 0.99),
-    "residual_limit": FloatDistribution(0.1, 1.0, log=True),
-    "hold": CategoricalDistribution([4, 8, 12, 16]),
     "reward_scale": FloatDistribution(0.01, 0.3, log=True),
 }
 _ON_POLICY: dict[str, BaseDistribution] = {
@@ -20,11 +21,27 @@ _ON_POLICY: dict[str, BaseDistribution] = {
     "rollout_steps": CategoricalDistribution([16, 32, 50, 64]),
     "epochs": CategoricalDistribution([3, 4, 5, 10]),
     "entropy": FloatDistribution(1e-5, 1e-2, log=True),
-    "initial_log_std": FloatDistribution(-2.0, 0.0),
-    "gae_lambda": FloatDistribution(0.85, 0.99),
+    "initial_log_std": FloatDistribution(-1.5, -0.5),
+    "gae_lambda": FloatDistribution(0.9, 0.99),
+}
+_PPO: dict[str, BaseDistribution] = {
+    **_ON_POLICY,
+    "gamma": FloatDistribution(0.95, 0.99),
+    "hold": CategoricalDistribution([4, 8]),
+    "batch_size": CategoricalDistribution([1024, 2048, 4096, 8192]),
+    "hidden": CategoricalDistribution(["64 64", "128 128", "256 256"]),
+}
+_RECURRENT: dict[str, BaseDistribution] = {
+    **_ON_POLICY,
+    "gamma": FloatDistribution(0.9, 0.99),
+    "hold": CategoricalDistribution([4, 8, 12]),
+    "lstm_width": CategoricalDistribution([32, 64, 128]),
 }
 _OFF_POLICY: dict[str, BaseDistribution] = {
     **_EVERYWHERE,
+    "gamma": FloatDistribution(0.85, 0.98),
+    "residual_limit": FloatDistribution(0.3, 1.0, log=True),
+    "hold": CategoricalDistribution([4, 8, 12, 16]),
     "gradient_steps": CategoricalDistribution([2, 4, 8]),
     "tau": FloatDistribution(0.002, 0.05, log=True),
 }
@@ -34,8 +51,8 @@ _SOFT: dict[str, BaseDistribution] = {
     "target_entropy": FloatDistribution(-4.0, -1.0),
 }
 SPACES: dict[Algorithm, dict[str, BaseDistribution]] = {
-    "ppo": _ON_POLICY,
-    "recurrent_ppo": _ON_POLICY,
+    "ppo": _PPO,
+    "recurrent_ppo": _RECURRENT,
     "sac": _SOFT,
     "tqc": _SOFT,
     "td3": {

@@ -2,7 +2,8 @@
 
 Optuna's tree-structured Parzen estimator proposes settings; a trial is a training run with them, whose value is its
 lowest validation cost, and it is stopped where its validation cost is above the median of the trials before it [1].
-Validation arms are those of all runs, never the comparison's. Trials are kept in an SQLite file, from which `--resume`
+All trials simulate the same number of samples, however long they hold a residual. Validation arms are those of all
+runs, never the comparison's. Trials are kept in an SQLite file, from which `--resume`
 goes on, and in which several processes work together. A trial's own run is not kept: at the end, the command is printed
 that trains with the settings found.
 
@@ -44,8 +45,8 @@ class Config:
     """Trials, those before an interruption included."""
     jobs: int = 2
     """Trials side by side, each in a process of its own."""
-    total_steps: int = 500_000
-    """Agent steps of a trial, validated ten times."""
+    samples: int = 6_000_000
+    """Simulated samples of a trial, `hold` to an agent step; validated ten times."""
     seed: int = 0
     """Seed of the search; trial k trains with seed 500 + k."""
     base: str = "paper"
@@ -71,7 +72,7 @@ class Config:
             ValueError: Naming the option.
             FileNotFoundError: If there is nothing to resume.
         """
-        for name, least in (("trials", 1), ("jobs", 1), ("total_steps", 10), ("seed", 0)):
+        for name, least in (("trials", 1), ("jobs", 1), ("samples", 1000), ("seed", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}")
         if self.trials > _MOST_TRIALS:
@@ -84,21 +85,35 @@ class Config:
 
     def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """The training run of a trial."""
-        return _script(self.algorithm).Config(
+        options = {**settings}
+        if "hidden" in settings:
+            options["hidden"] = tuple(int(width) for width in settings["hidden"].split())
+        script = _script(self.algorithm).Config
+        steps = self.samples // options.get("hold", script.hold)
+        return script(
             out=self.out / f"{self.algorithm}-trial{number}",
             seed=_FIRST_SEED + number,
             base=self.base,
-            total_steps=self.total_steps,
+            total_steps=steps,
             arms=self.arms,
-            validation_every=self.total_steps // 10,
+            validation_every=max(steps // _VALIDATIONS, 1),
             validation_arms=self.validation_arms,
             overwrite=True,
-            **settings,
+            **options,
         )
+
+    def own(self) -> dict[str, Any]:
+        """The script's own settings, as the study has them."""
+        run = self.run({}, 0)
+        values = {name: getattr(run, name) for name in SPACES[self.algorithm]}
+        if "hidden" in values:
+            values["hidden"] = " ".join(str(width) for width in run.hidden)
+        return values
 
 
 _FIRST_SEED = 500
 _MOST_TRIALS = 400
+_VALIDATIONS = 10  # per trial
 
 
 def _script(algorithm: str) -> Any:
@@ -118,11 +133,11 @@ def open_study(config: Config, worker: int = 0) -> optuna.Study:
             storage=f"sqlite:///{config.file.resolve()}",
             load_if_exists=True,
             sampler=optuna.samplers.TPESampler(seed=100 * config.seed + worker, multivariate=True),
-            pruner=optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=config.total_steps // 4),
+            pruner=optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3),
         )
     except Exception as error:  # SQLAlchemy's, of many kinds
         raise ValueError(f"{config.file} cannot be read ({type(error).__name__}): choose another --out") from None
-    begun = {name: getattr(config, name) for name in ("total_steps", "base", "arms", "validation_arms", "seed")}
+    begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
     if study.user_attrs.get("begun", begun) != begun:
         raise ValueError(f"{config.file} was begun with {study.user_attrs['begun']}: give the same, or another --out")
     study.set_user_attr("begun", begun)
@@ -135,8 +150,7 @@ def _prepare(config: Config) -> None:
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study.tell(trial.number, state=TrialState.FAIL)
     if not study.get_trials(deepcopy=False):
-        own = config.run({}, 0)
-        study.enqueue_trial({name: getattr(own, name) for name in SPACES[config.algorithm]})
+        study.enqueue_trial(config.own())
 
 
 def _work(config: Config, worker: int) -> None:
@@ -182,7 +196,7 @@ def _value(config: Config, trial: Trial, stop: StopRequest) -> float:
         if news.cost is None:
             return
         costs.append(news.cost)
-        trial.report(news.cost, news.steps)
+        trial.report(news.cost, len(costs))
         if trial.should_prune():
             raise optuna.TrialPruned
 
@@ -225,7 +239,7 @@ def command(config: Config, study: optuna.Study) -> str:
         failures = [trial.user_attrs.get("failure", "") for trial in study.get_trials(deepcopy=False)]
         raise ValueError(f"no trial of {config.file} was completed; {next(filter(None, failures), 'none was run')}")
     options = {"base": config.base, **study.best_params}
-    words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", _shown(value))]
+    words = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
     return shlex.join(["python", f"train/{config.algorithm}.py", *words, "--arms", str(config.arms)])
 
 
