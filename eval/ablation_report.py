@@ -15,15 +15,16 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from baselines.files import write_atomically
 from baselines.provenance import command_line, commit
 from beltarm_env import __version__
 from eval.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, SEED, Variant, described
+from eval.axes import mark_one_two_five
 from eval.colours import COLOURS
 from eval.curves import BEST_CLASSICAL
+from eval.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
 
@@ -134,14 +135,13 @@ def _common(study: Study) -> str:
 
 def _table(study: Study, factor: str, outcomes: list[Outcome]) -> str:
     default = float(study.outcomes[0].score("cost_mean").mean())
-    titles = [title for title, _ in COLUMNS.values()]
-    lines = [f"| | changed | {' | '.join(titles)} | vs default | minutes |", "|---|---|" + "---:|" * (len(titles) + 2)]
+    titles = ["", "changed", *(title for title, _ in COLUMNS.values()), "vs default", "minutes"]
+    rows = []
     for outcome in outcomes:
         cells = [_cell(outcome.score(name), decimals) for name, (_, decimals) in COLUMNS.items()]
         ratio = f"{float(outcome.score('cost_mean').mean()) / default:.2f}"
-        cells = [_label(outcome, factor), _changed(outcome.variant), *cells, ratio, f"{outcome.minutes:.1f}"]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append([_label(outcome, factor), _changed(outcome.variant), *cells, ratio, f"{outcome.minutes:.1f}"])
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
 
 def _changed(variant: Variant) -> str:
@@ -155,12 +155,11 @@ def _cell(values: Floats, decimals: int) -> str:
 
 
 def _references(study: Study) -> str:
-    titles = [title for title, _ in COLUMNS.values()]
-    lines = [f"| controller | {' | '.join(titles)} |", "|---|" + "---:|" * len(titles)]
+    rows = []
     for name, scores in study.references.items():
         cells = [f"{scores[key]:.{decimals}f}" for key, (_, decimals) in COLUMNS.items()]
-        lines.append(f"| {name if name != 'none' else 'no torque'} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append([name if name != "none" else "no torque", *cells])
+    return markdown_table(["controller", *(title for title, _ in COLUMNS.values())], rows)
 
 
 def draw(study: Study, path: Path) -> None:
@@ -210,6 +209,4 @@ def _scale(panels: list[Axes], study: Study) -> None:
     base = study.outcomes[0].runs[0]["validation_of_base"]
     for axis in panels:
         axis.set(yscale="log", xlim=(0, None), ylim=(0.7 * min(lowest, study.classical_validated), _TOP * base))
-        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter(NullFormatter())
+        mark_one_two_five(axis.yaxis)

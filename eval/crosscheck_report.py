@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 from baselines.files import write_atomically
 from baselines.provenance import command_line, commit
 from eval.colours import COLOURS
+from eval.markdown_table import markdown_table
 
 REGIMES = {
     "smooth": "no Coulomb friction",
@@ -36,14 +37,11 @@ class Outcome:
 
 def _table(outcomes: list[Outcome]) -> str:
     steps = list(outcomes[0].distances)
-    lines = [
-        "| MuJoCo | " + " | ".join(f"{count} per sample" for count in steps) + " |",
-        "|---|" + "---:|" * len(steps),
-    ]
+    rows = []
     for outcome in outcomes:
         cells = [f"{value:.2g}" if value >= 1e-4 else f"{value:.0e}" for value in outcome.distances.values()]
-        lines.append(f"| {outcome.setting} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([outcome.setting, *cells])
+    return markdown_table(["MuJoCo", *(f"{count} per sample" for count in steps)], rows)
 
 
 def verdict(outcomes: list[Outcome]) -> str:

@@ -25,13 +25,13 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from agents.bundle import MANIFEST, BundleError, BundleSpec, read_spec
 from agents.checkpoint import RunFolder
 from agents.monitor import validate
 from baselines import CONTROLLERS
 from baselines.files import require_writable, write_atomically
+from eval.axes import mark_one_two_five
 from eval.colours import COLOURS
 from eval.command import one_line_errors
 from eval.methods import POLICIES
@@ -133,9 +133,7 @@ def draw(curves: list[Curve], classical: float, path: Path) -> None:
         axis.grid(alpha=0.3, which="both")
     _name_methods(axes[0], curves, colours, panels[0][1])
     axes[0].set_ylabel("mean episode cost, validation arms")
-    axes[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes[0].yaxis.set_major_formatter("{x:g}")
-    axes[0].yaxis.set_minor_formatter(NullFormatter())
+    mark_one_two_five(axes[0].yaxis)
     write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
     plt.close(figure)
 

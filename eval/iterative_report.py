@@ -22,6 +22,7 @@ from baselines.provenance import command_line, commit
 from beltarm_env import __version__
 from eval.colours import BLUE, ORANGE, VERMILION
 from eval.estimates import Estimate, estimate, interquartile_mean, paired
+from eval.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
 _Label = tuple[float, str, str]  # value at the end of a curve, name, colour
@@ -101,10 +102,7 @@ def _ordinal(number: int) -> str:
 
 
 def _table(outcomes: list[Outcome], kind: str) -> str:
-    lines = [
-        "| controller | repetition | " + " | ".join(title for title, _ in METRICS.values()) + " |",
-        "|---|---:|" + "---:|" * len(METRICS),
-    ]
+    rows = []
     for outcome in (outcome for outcome in outcomes if outcome.kind == kind):
         for number, found in enumerate(outcome.estimates, start=1):
             cells = [
@@ -112,8 +110,8 @@ def _table(outcomes: list[Outcome], kind: str) -> str:
                 for name, (_, digits) in METRICS.items()
             ]
             which = str(number) if len(outcome.repetitions) > 1 else "each"
-            lines.append(f"| {outcome.name} | {which} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            rows.append([outcome.name, which, *cells])
+    return markdown_table(["controller", "repetition", *(title for title, _ in METRICS.values())], rows)
 
 
 def markdown(outcomes: list[Outcome], seed: int, seconds: float) -> str:

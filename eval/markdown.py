@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eval.estimates import RESAMPLES
+from eval.markdown_table import markdown_table
 from eval.results import PAIRED_METRICS, Comparison, Mark, Outcome
 from eval.splits import SPLITS
 from eval.summary import COLUMNS, TIE, cell, heading, verdict
@@ -70,7 +71,7 @@ def _italic(text: str, outcome: Outcome) -> str:
 def overview_table(comparison: Comparison, name: str) -> str:
     """One metric: a row per method, a column per split."""
     splits = comparison.splits()
-    lines = ["| method | " + " | ".join(splits) + " |", "|---|" + "---:|" * len(splits)]
+    rows = []
     by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
     for method in comparison.methods():
         cells = []
@@ -78,17 +79,17 @@ def overview_table(comparison: Comparison, name: str) -> str:
             outcome = by_split[split].get(method.method.name)
             mark = comparison.marks[split][name].get(method.method.name)
             cells.append(_cell(outcome, name, mark) if outcome else "failed")
-        lines.append(f"| {_italic(method.method.name, method)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([_italic(method.method.name, method), *cells])
+    return markdown_table(["method", *splits], rows)
 
 
 def metrics_table(outcomes: list[Outcome], marks: dict[str, dict[str, Mark]]) -> str:
     """All metrics of one split, with marks by metric and method."""
-    lines = ["| method | " + " | ".join(map(heading, COLUMNS)) + " |", "|---|" + "---:|" * len(COLUMNS)]
+    rows = []
     for outcome in outcomes:
         cells = [_cell(outcome, name, marks.get(name, {}).get(outcome.method.name)) for name in COLUMNS]
-        lines.append(f"| {_italic(outcome.method.name, outcome)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([_italic(outcome.method.name, outcome), *cells])
+    return markdown_table(["method", *map(heading, COLUMNS)], rows)
 
 
 def _cell(outcome: Outcome, name: str, mark: Mark | None) -> str:
@@ -101,30 +102,33 @@ def _cell(outcome: Outcome, name: str, mark: Mark | None) -> str:
 
 def paired_table(comparison: Comparison, split: str) -> str:
     """Every comparison on one split: against the best classical method, and of learned ones against their base."""
-    columns = [part for name in PAIRED_METRICS for part in (heading(name), "improves")]
-    lines = ["| method | against | " + " | ".join(columns) + " |", "|---|---|" + "---|---:|" * len(PAIRED_METRICS)]
     best = comparison.best_classical(split)
     of_best = comparison.against_best[split].items()
-    rows = [(method, best.method.name, pairs) for method, pairs in of_best] if best else []
+    pairings = [(method, best.method.name, pairs) for method, pairs in of_best] if best else []
     bases = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
-    rows += [(method, f"{bases[method]}, its base", pairs) for method, pairs in comparison.against_base[split].items()]
-    for method, other, pairs in rows:
+    against_base = comparison.against_base[split].items()
+    pairings += [(method, f"{bases[method]}, its base", pairs) for method, pairs in against_base]
+    if not pairings:
+        return "Nothing to compare with."
+    rows = []
+    for method, other, pairs in pairings:
         cells = []
         for name in PAIRED_METRICS:
             wins = pairs[name].win_rate
             cells.append(f"{verdict(pairs[name])}: {cell(name, pairs[name].difference)}")
             cells.append(f"{wins.iqm:.0%} [{wins.low:.0%}, {wins.high:.0%}]")
-        lines.append(f"| {method} | {other} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) if rows else "Nothing to compare with."
+        rows.append([method, other, *cells])
+    titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (heading(name), "improves"))]
+    return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS))
 
 
 def compute_table(comparison: Comparison) -> str:
     """What each method costs: tuning or training, and time per action."""
-    lines = [
-        "| method | kind | training seeds | simulator steps, tuning or training, per seed | the same in seconds | per "
-        "action, one arm (µs, median / 99 %) |",
-        "|---|---|---:|---:|---:|---:|",
+    titles = [
+        *("method", "kind", "training seeds", "simulator steps, tuning or training, per seed", "the same in seconds"),
+        "per action, one arm (µs, median / 99 %)",
     ]
+    rows = []
     for outcome in comparison.methods():
         method = outcome.method
         steps = f"{max(method.training['simulator_steps']):.3g}" if method.training else "-"
@@ -132,8 +136,8 @@ def compute_table(comparison: Comparison) -> str:
         seeds = str(outcome.seeds) if method.kind == "learned" else "-"
         median, slow = outcome.action_times
         name = _italic(method.name, outcome)
-        lines.append(f"| {name} | {method.kind} | {seeds} | {steps} | {seconds} | {median:.0f} / {slow:.0f} |")
-    return "\n".join(lines)
+        rows.append([name, method.kind, seeds, steps, seconds, f"{median:.0f} / {slow:.0f}"])
+    return markdown_table(titles, rows, "llrrrr")
 
 
 def _origin(comparison: Comparison, results: str) -> str:

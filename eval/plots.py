@@ -15,10 +15,10 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from baselines.files import write_atomically
 from beltarm_env.rollout import Recording
+from eval.axes import mark_one_two_five
 from eval.colours import BLUE, COLOURS, GREEN, ORANGE
 from eval.results import Comparison, Outcome, best_classical
 from eval.summary import heading
@@ -168,9 +168,7 @@ def _interval_axis(axis: Axes, ranking: list[Outcome], name: str) -> None:
     if best:
         axis.axvline(best.estimates[name].iqm, color=BLUE, lw=0.8, ls=":")
     axis.set_xscale("log")
-    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.xaxis.set_minor_formatter(NullFormatter())
+    mark_one_two_five(axis.xaxis)
     axis.set_ylim(-0.7, len(ranking) - 0.3)
     axis.grid(axis="x", which="both", alpha=0.3)
     axis.tick_params(labelsize=8)

@@ -22,6 +22,7 @@ from PIL import Image
 from baselines.files import write_text
 from eval.command import one_line_errors
 from eval.estimates import Estimate
+from eval.markdown_table import markdown_table
 from eval.plots import RESULTS_KEY
 from eval.summary import COLUMNS, cell, heading
 
@@ -66,14 +67,12 @@ def _table(
     show: Callable[[dict[str, Any], str], str],
 ) -> str:
     """A row per method; each cell from the first of its rows that belongs in the column."""
-    columns = list(columns)
-    lines = ["| method | " + " | ".join(_TITLES.get(name, name) for name in columns) + " |"]
-    lines += ["|---|" + "---:|" * len(columns)]
+    columns, lines = list(columns), []
     for method in dict.fromkeys(row["method"] for row in rows):
         mine = [row for row in rows if row["method"] == method]
         cells = [next((show(row, name) for row in mine if belongs(row, name)), "failed") for name in columns]
-        lines.append(f"| {_name(mine[0])} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append([_name(mine[0]), *cells])
+    return markdown_table(["method", *(_TITLES.get(name, name) for name in columns)], lines)
 
 
 def _name(row: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from baselines import CONTROLLERS, TUNABLE
 from baselines.gains import read_file
 from baselines.paper import PaperGains
+from eval.markdown_table import markdown_table
 
 MEANING = {
     "angle": ("K_p", "1/s²"),
@@ -42,9 +43,9 @@ MEANING = {
 """Symbol in the module's docstring and unit of every gain, by its name."""
 
 
-def _row(name: str, value: float, limits: str) -> str:
+def _row(name: str, value: float, limits: str) -> list[str]:
     symbol, unit = MEANING.get(name, ("", ""))
-    return f"| `{name}` | {symbol} | {value:.4g} | {unit} | {limits} |"
+    return [f"`{name}`", symbol, f"{value:.4g}", unit, limits]
 
 
 def _limits(metadata: Any) -> str:
@@ -61,9 +62,9 @@ def gains_table(name: str) -> str:
     """
     controller = CONTROLLERS[name]()
     gains = controller.gains
-    lines = ["| gain | symbol | value | unit | searched |", "|---|---|---:|---|---|"]
-    lines += [_row(gain.name, getattr(gains, gain.name), _limits(gain.metadata)) for gain in fields(gains)]
-    return "\n".join(lines) + "\n\n" + _origin(name, isinstance(gains, PaperGains))
+    rows = [_row(gain.name, getattr(gains, gain.name), _limits(gain.metadata)) for gain in fields(gains)]
+    table = markdown_table(["gain", "symbol", "value", "unit", "searched"], rows, "llrll")
+    return table + "\n\n" + _origin(name, isinstance(gains, PaperGains))
 
 
 def _origin(name: str, of_paper: bool) -> str:

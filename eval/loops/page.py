@@ -12,18 +12,13 @@ from eval.loops.costs import CHANGES, PRIVILEGED, SEED
 from eval.loops.gains import gains_table
 from eval.loops.models import Margins, Poles
 from eval.loops.study import Study, at_angle, worst
+from eval.markdown_table import markdown_table
 from eval.reproduction.words import number
 
 _SHOWN = (0, 45, 90)
 _METRICS = {"cost": ("cost", 0), "tip_rms_mm": ("tip RMS (mm)", 1), "residual_pp_mm": ("residual p-p (mm)", 1)}
 """Title of each metric, and digits after the point."""
 _MOST_POLES = 3
-
-
-def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown, the first column to the left."""
-    lines = ["| " + " | ".join(titles) + " |", "|---|" + "---:|" * (len(titles) - 1)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
 def factor(value: float) -> str:
@@ -67,7 +62,7 @@ def margins_table(study: Study) -> str:
             cells.append(shown if shown == "–" else f"{shown} at {degrees:.0f}°")
         slowest = [float(poles.real.max()) for poles in found.poles]
         rows.append([name, *cells, number(max(slowest), 1 if max(slowest) < -1 else 2)])
-    return table(titles, rows)
+    return markdown_table(titles, rows)
 
 
 def stability_line(study: Study) -> str:
@@ -127,7 +122,7 @@ def costs_table(study: Study) -> str:
             for metric, (_, digits) in _METRICS.items()
         ]
         rows.append([_label(name), *cells])
-    return table(titles, rows)
+    return markdown_table(titles, rows)
 
 
 def times_table(study: Study) -> str:
@@ -140,7 +135,7 @@ def times_table(study: Study) -> str:
         [name, number(t.median, 0), number(t.slow, 0), number(t.batched, 2), number(t.episode, 1)]
         for name, t in study.times.items()
     ]
-    return table(titles, rows)
+    return markdown_table(titles, rows)
 
 
 def breaks_table(study: Study) -> str:
@@ -149,7 +144,7 @@ def breaks_table(study: Study) -> str:
     for name, costs in study.costs.items():
         cells = [_ratio(b.ratio) + (f" ({b.failures} left)" if b.failures else "") for b in costs.breaks]
         rows.append([_label(name), *cells])
-    return table(["controller", *(change.title for change in CHANGES)], rows)
+    return markdown_table(["controller", *(change.title for change in CHANGES)], rows)
 
 
 def gap_table(study: Study) -> str:
@@ -163,7 +158,7 @@ def gap_table(study: Study) -> str:
     for name, costs in study.costs.items():
         means = [costs.oracle[m].sum() / optimum.costs[m].sum() for m in groups.values()]
         rows.append([_label(name), *(_ratio(value) for value in [*means, *costs.oracle / optimum.costs])])
-    return table(titles, rows)
+    return markdown_table(titles, rows)
 
 
 def controller_section(study: Study, name: str) -> str:
@@ -174,7 +169,7 @@ def controller_section(study: Study, name: str) -> str:
     for degrees in _SHOWN:
         margin, k = at_angle(found, degrees)
         rows.append([f"{degrees}°", *_cells(margin), poles_text(found.poles[k])])
-    return f"### {name}\n\n{gains_table(name)}\n\n{table(titles, rows)}"
+    return f"### {name}\n\n{gains_table(name)}\n\n{markdown_table(titles, rows)}"
 
 
 def markdown(study: Study, pictures: Sequence[Path], origin: str) -> str:

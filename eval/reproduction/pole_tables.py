@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from beltarm_env import ArmParams
+from eval.markdown_table import markdown_table
 from eval.reproduction.effects import without_and_with
 from eval.reproduction.loop import (
     GAIN_RANGES,
@@ -42,9 +43,9 @@ def _shown(values: Poles) -> str:
 
 def pole_table(gains: ServoGains) -> str:
     """Poles of the loop and of its variants at both angles."""
-    lines = ["| θ₁ | loop | poles (1/s) | dominant damping |", "|---|---|---|---:|"]
+    rows = []
     for name, angle in _ANGLES.items():
-        rows = {
+        loops = {
             "K4 = 0": poles(closed_loop(PAPER_ARM, angle, replace(gains, k4=0.0))),
             f"K4 = {gains.k4:g}": poles(closed_loop(PAPER_ARM, angle, gains)),
             f"K4 = {gains.k4:g}, sign in (6e) as printed": poles(closed_loop(PAPER_ARM, angle, gains, as_printed=True)),
@@ -53,9 +54,9 @@ def pole_table(gains: ServoGains) -> str:
             ),
             f"K4 = {gains.k4:g}, sampled at 1.5 ms": sampled_poles(PAPER_ARM, angle, gains),
         }
-        for loop, values in rows.items():
-            lines.append(f"| {name} | {loop} | {_shown(values)} | {number(dominant_damping(values), 3)} |")
-    return "\n".join(lines)
+        for loop, values in loops.items():
+            rows.append([name, loop, _shown(values), number(dominant_damping(values), 3)])
+    return markdown_table(["θ₁", "loop", "poles (1/s)", "dominant damping"], rows, "lllr")
 
 
 def pole_remarks(study: Study) -> list[str]:

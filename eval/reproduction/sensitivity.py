@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from eval.markdown_table import markdown_table
 from eval.reproduction.cases import Variant
 from eval.reproduction.effects import CLEAR, GONE, Compared
 from eval.reproduction.runs import PHASES
@@ -69,27 +70,23 @@ def thresholds(study: Study) -> str:
 
 def taken_table(study: Study) -> str:
     """What the paper prints, what is taken, and why."""
-    lines = ["| open | the paper | taken | why |", "|---|---|---|---|"]
-    lines += [f"| {q.name} | {q.printed} | {q.taken} | {q.why} |" for q in study.questions]
-    return "\n".join(lines)
+    rows = [[question.name, question.printed, question.taken, question.why] for question in study.questions]
+    return markdown_table(["open", "the paper", "taken", "why"], rows, "llll")
 
 
 def tried_table(study: Study) -> str:
     """Ratios and answer for every value tried, around the standard move with friction and as analysed."""
-    lines = [
-        f"| open | tried | {REAL}: after the stop / last | answer | {AS_ANALYSED}: after the stop / last | answer |",
-        "|---|---|---|---|---|---|",
-    ]
-    standard = [cell for view in MAIN for cell in _cells(study.standard(view), "")]
-    lines.append(f"| – | standard move | {' | '.join(standard)} |")
+    ratios = "after the stop / last"
+    titles = ["open", "tried", f"{REAL}: {ratios}", "answer", f"{AS_ANALYSED}: {ratios}", "answer"]
+    rows = [["–", "standard move", *(cell for view in MAIN for cell in _cells(study.standard(view), ""))]]
     for question in study.questions:
         for k, variant in enumerate(question.variants):
             cells = []
             for view in MAIN:
                 found, usual = study.found[view][variant.label], study.standard(view).answer
                 cells += _cells(found, usual) if study.differs(view, variant.label) else ["same", usual]
-            lines.append(f"| {'' if k else question.name} | {variant.label} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            rows.append(["" if k else question.name, variant.label, *cells])
+    return markdown_table(titles, rows, "llllll")
 
 
 def _cells(found: Compared, usual: str) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from baselines.provenance import command_line, commit
 from beltarm_env import CONTROL_PERIOD, __version__
+from eval.markdown_table import markdown_table
 from eval.reproduction.effects import CLEAR, without_and_with
 from eval.reproduction.loop import PAPER_ARM, ServoGains, best_gain, closed_loop, dominant_damping, poles
 from eval.reproduction.pole_tables import pole_remarks, pole_table
@@ -171,11 +172,11 @@ def _how_measured(study: Study) -> str:
 def ringing_table(study: Study) -> str:
     """Ringing, velocities and tracking of the moves at both ends, before and after."""
     after = f"{study.gains.k4:g}"
-    lines = [
-        f"| move to | assumptions | K4 | cruise (m/s²) | after the stop (m/s²) | last {END_WINDOW:g} s (m/s²) "
-        "| ṙ p-p (m/s) | ẏ p-p (m/s) | motor error RMS (rad/s) | stuck after the stop (%) |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+    titles = [
+        *("move to", "assumptions", "K4", "cruise (m/s²)", "after the stop (m/s²)", f"last {END_WINDOW:g} s (m/s²)"),
+        *("ṙ p-p (m/s)", "ẏ p-p (m/s)", "motor error RMS (rad/s)", "stuck after the stop (%)"),
     ]
+    rows = []
     for (place, view), scene in study.scenes.items():
         if place == TO_0 and scene.move == study.move:
             continue
@@ -187,25 +188,21 @@ def ringing_table(study: Study) -> str:
             cells += [number(np.ptp(speed[-_LAST:]), 3) for speed in (run.radial_speed, run.lateral_speed)]
             cells += [number(run.motor_speed_error, 1), number(100 * run.stuck_share, 0)]
             left = f" ({LEFT})" if np.isinf(rung.stop[0]) else ""
-            lines.append(f"| {degrees(scene.move.goal)} | {view}{left} | {k4} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            rows.append([degrees(scene.move.goal), f"{view}{left}", k4, *cells])
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
 
 def share_table(study: Study) -> str:
     """Share of random moves on which K4 removes, reduces and increases ringing."""
-    lines = [
-        f"{RANDOM_MOVES} moves drawn as the environment draws them (seed {RANDOM_SEED}), on the nominal arm."
-        + _leaving(study),
-        "",
-        "| assumptions | phase | removed (%) | reduced (%) | increased (%) | median ratio |",
-        "|---|---|---:|---:|---:|---:|",
-    ]
+    drawn = f"{RANDOM_MOVES} moves drawn as the environment draws them (seed {RANDOM_SEED}), on the nominal arm."
+    titles = ["assumptions", "phase", "removed (%)", "reduced (%)", "increased (%)", "median ratio"]
+    rows = []
     for view in BOTH_ARMS:
         for phase, words in PHASES.items():
             shares = (study.share_removed, study.share_reduced, study.share_increased)
             cells = [number(100 * share(view, phase), 0) for share in shares]
-            lines.append(f"| {view} | {words} | {' | '.join(cells)} | {_median(study, view, phase)} |")
-    return "\n".join(lines)
+            rows.append([view, words, *cells, _median(study, view, phase)])
+    return f"{drawn}{_leaving(study)}\n\n{markdown_table(titles, rows, 'llrrrr')}"
 
 
 def _median(study: Study, view: str, phase: str) -> str:
