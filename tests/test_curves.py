@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import optuna
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
@@ -120,12 +121,17 @@ def test_trials_simulate_the_same_number_of_samples(tmp_path: Path):
 
 def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     config = few(tmp_path)
-    study = tune(config, StopRequest())
+    options = ("--trials", "2", "--jobs", "1", "--samples", "7680", "--arms", "4", "--validation-arms", "2")
+    result = run("train/tune.py", "sac", *options, "--out", ".", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    study = open_study(config)
     first = study.get_trials()[0]
     assert first.params == config.own(), "begins with the script's settings"
     assert len(counted(study)) == 2 and study.best_value == min(t.value for t in study.get_trials() if t.value)
     assert len(first.intermediate_values) > 5
-    assert [path.name for path in tmp_path.iterdir()] == ["sac.db"], "runs of trials are not kept"
+    assert {path.name for path in tmp_path.iterdir()} == {"sac.csv", "sac.db"}, "runs of trials are not kept"
+    assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
+    assert command(config, study).split()[:2] == result.stdout.split("\n  ")[1].split()[:2]
     words = command(config, study).split()
     assert words[:2] == ["python", "train/sac.py"]
     assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"

@@ -4,6 +4,9 @@ Everything a run writes goes to one folder: `best/` (the policy bundle with the 
 `checkpoint.pkl` (to go on with `--resume`), `config.json`, `validation.csv`, and the training log as CSV and for
 TensorBoard. The checkpoint is a pickle, for this machine only; pass on `best/`, which is numbers and text.
 
+The defaults are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see docs/training.md; the budget
+is twice a trial's.
+
 J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017.
 """
 
@@ -35,12 +38,28 @@ class Config(OnPolicyConfig):
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
     total_steps: int = 6_000_000
     """Agent steps, each of `hold` samples; the learning rate falls to zero over them."""
-    gamma: float = 0.98
-    """Discount per agent step: 0.3 s."""
-    hidden: tuple[int, ...] = (128, 128)
+    learning_rate: float = 3.5e-4
+    """Learning rate of the optimiser at first."""
+    gamma: float = 0.988
+    """Discount per agent step: 0.5 s."""
+    reward_scale: float = 0.036
+    """Factor on the mean reward over a hold, so that values are of order 1."""
+    hidden: tuple[int, ...] = (256, 256)
     """Hidden layers of policy and critic."""
     hold: int = 4
     """Samples for which a residual is held: 6 ms."""
+    rollout_steps: int = 64
+    """Agent steps per arm between two updates."""
+    batch_size: int = 2048
+    """Samples per gradient step."""
+    epochs: int = 3
+    """Passes over each rollout."""
+    gae_lambda: float = 0.962
+    """Bias against variance of the advantage estimate."""
+    entropy: float = 0.008
+    """Weight of the entropy bonus, which keeps exploration from dying early."""
+    initial_log_std: float = -0.66
+    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
 
     @property
     def worst_reward(self) -> float:

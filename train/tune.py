@@ -31,7 +31,7 @@ from agents.monitor import Interrupted, News, StopRequest
 from agents.reinforcement import ReinforcementConfig
 from agents.runs import ASKING, start_process, stoppable
 from agents.training import train
-from baselines.files import require_writable
+from baselines.files import require_writable, write_text
 from train.spaces import SPACES, Algorithm
 
 
@@ -56,7 +56,7 @@ class Config:
     validation_arms: int = 128
     """Arms per validation."""
     out: Path = Path("results/train-tune")
-    """Folder of the SQLite files, ALGORITHM.db."""
+    """Folder of the SQLite files, ALGORITHM.db, and of the tables made of them, ALGORITHM.csv."""
     resume: bool = False
     """Go on with the study that is there."""
 
@@ -64,6 +64,11 @@ class Config:
     def file(self) -> Path:
         """The study's SQLite file."""
         return self.out / f"{self.algorithm}.db"
+
+    @property
+    def table(self) -> Path:
+        """The trials, to read."""
+        return self.out / f"{self.algorithm}.csv"
 
     def check(self) -> None:
         """Check the options.
@@ -229,6 +234,12 @@ def tune(config: Config, stop: StopRequest) -> optuna.Study:
     return open_study(config)
 
 
+def trials(study: optuna.Study) -> str:
+    """All trials as CSV: number, validation cost, settings, and whether one was stopped before its end."""
+    table = study.trials_dataframe(attrs=("number", "value", "params", "state", "duration"))
+    return table.to_csv(index=False)
+
+
 def command(config: Config, study: optuna.Study) -> str:
     """The command that trains with the settings found.
 
@@ -256,9 +267,9 @@ def main() -> None:
         if stop.made:
             raise KeyboardInterrupt
         found = command(config, study)
-        print(
-            f"{len(counted(study))} trials, lowest validation cost {study.best_value:.1f}; to train with it:\n  {found}"
-        )
+        write_text(config.table, trials(study))
+        print(f"{len(counted(study))} trials, see {config.table}; lowest validation cost {study.best_value:.1f}")
+        print(f"to train with it:\n  {found}")
     except KeyboardInterrupt:
         again = shlex.join(["python", "train/tune.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"])
         print(f"interrupted; trials are kept in {config.file}; to go on:\n  {again}")
