@@ -37,7 +37,7 @@ physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in
 	$(BIN)/python eval/crosscheck.py --out docs/crosscheck $(ARGS)
 
 test: $(READY)  ## Run the tests
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 lint: $(READY)  ## Check style and types
 	$(BIN)/ruff check .

@@ -99,6 +99,11 @@ def report(config: Config) -> None:
     print(f"written to {config.out}: summary.md, {len(pictures)} pictures", flush=True)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Command line."""
     with one_line_errors("eval/baselines.py"):
         report(tyro.cli(Config, description=__doc__))
+
+
+if __name__ == "__main__":
+    main()

@@ -228,10 +228,11 @@ def main() -> None:
         "event-located DOP853",
         "-",
     )
+    starts = min(config.repetitions, 3)
     with tempfile.TemporaryDirectory() as folder:
         _, cold = start_up(Path(folder))
-        warm = [start_up(Path(folder)) for _ in range(3)]
-    numba_alone = min(numba_start_up() for _ in range(3))
+        warm = [start_up(Path(folder)) for _ in range(starts)]
+    numba_alone = min(numba_start_up() for _ in range(starts))
     peer = f"numba, empty function: {numba_alone:.2f} s"
     first = min(run[1] for run in warm)
     table.add_row("import beltarm_env", f"{min(run[0] for run in warm):.2f} s", "-", "-")

@@ -11,18 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import stopped
 
 from baselines import CONTROLLERS
 from eval import custom
-from eval.check_controller import findings
+from eval.check_controller import findings, main
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
-
-
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "eval/check_controller.py"), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
 
 
 class Proportional:
@@ -138,23 +134,24 @@ def test_classical_controllers_keep_the_protocol(name: str):
 
 
 def test_the_example_passes_as_a_user_runs_it(tmp_path: Path):
-    result = run(f"{EXAMPLE}:MyController", cwd=tmp_path)
+    command = [sys.executable, str(ROOT / "eval/check_controller.py"), f"{EXAMPLE}:MyController"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0, result.stderr
     assert len(result.stdout.splitlines()) == 6
     assert all(line.startswith("ok") for line in result.stdout.splitlines())
 
 
 def test_a_module_beside_the_user_is_found(tmp_path: Path):
-    (tmp_path / "mine.py").write_text("from baselines.paper import PaperController as Mine\n")
-    assert run("mine:Mine", cwd=tmp_path).returncode == 0
+    (tmp_path / "beside.py").write_text("from baselines.paper import PaperController as Mine\n")
+    assert stopped(main, ("beside:Mine",), tmp_path) == (0, "")
 
 
-def test_a_controller_that_fails(tmp_path: Path):
+def test_a_controller_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    result = run("bad.py:Bad", cwd=tmp_path)
-    assert result.returncode == 1
-    assert result.stdout.startswith("FAILED  drives 5 arms")
-    assert "got int" in result.stdout
+    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
+    output = capsys.readouterr().out
+    assert output.startswith("FAILED  drives 5 arms")
+    assert "got int" in output
 
 
 @pytest.mark.parametrize(
@@ -183,9 +180,9 @@ def test_controllers_that_cannot_be_loaded(spec: str, message: str, tmp_path: Pa
 
 
 def test_a_mistake_on_the_command_line_is_one_line(tmp_path: Path):
-    result = run("nowhere.py:Class", cwd=tmp_path)
-    assert result.returncode == 2
-    assert len(result.stderr.strip().splitlines()) == 1
+    code, errors = stopped(main, ("nowhere.py:Class",), tmp_path)
+    assert code == 2
+    assert len(errors.strip().splitlines()) == 1
 
 
 CONTROLLER = """

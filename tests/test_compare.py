@@ -1,43 +1,32 @@
-"""The comparison as a user runs it: what it writes, keeps, resumes, and says of mistakes."""
+"""A comparison as a user runs it: its files, its numbers, and its report in a browser."""
 
 from __future__ import annotations
 
 import csv
 import json
 import re
-import signal
 import subprocess
 import sys
-import time
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import stopped
+import torch
+from browser import Page, browser
 
-from agents.actor import Actor
-from agents.bundle import BundleSpec, save_bundle
-from agents.residual import ResidualSettings
-from baselines import CONTROLLERS
-from eval import compare, pairs
-from eval.methods import classical_methods, learned_methods, shipped_policies
-from eval.pairs import LEFT, Pair, read_kept, run_and_keep
+from eval.methods import added_method, classical_methods, learned_methods, privileged_method, shipped_policies
+from eval.pairs import Failure, Metrics, Pair, run_pairs
 from eval.readme import block
+from eval.report.page import LARGEST
 from eval.schema import check, read_results
-from eval.splits import SPLITS, VERSION, load
+from eval.splits import SPLITS, load
 
 ROOT = Path(__file__).resolve().parent.parent
-pytestmark = pytest.mark.xdist_group(Path(__file__).stem)  # so that one worker makes what they share, once
 EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
 METHODS = ["paper", "zvd", "ppo", "MyController", "privileged"]
 FEW = ("--splits", "nominal", "sensing", "--methods", *METHODS, "--add", EXAMPLE, "--episodes", "6")
-
-
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -48,7 +37,8 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("compared")
-    result = run(*FEW, "--out", "out", "--jobs", "2", cwd=folder)
+    command = [sys.executable, str(ROOT / "eval/compare.py"), *FEW, "--maps", "--out", "out", "--jobs", "2"]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 0, result.stderr
     return folder / "out", result.stdout
 
@@ -71,16 +61,9 @@ def test_everything_is_written(compared: tuple[Path, str]):
     }
     assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
     assert all(method in output for method in METHODS)
+    assert "report.html" in output
     assert "ppo against" in output
     assert "privileged against" not in output
-
-
-def test_all_methods_run_on_a_split_by_default(tmp_path: Path):
-    result = run("--splits", "structural", "--episodes", "4", "--out", "out", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    rows = read_results(tmp_path / "out" / "results.json")["rows"]
-    shipped = {path.parent.name for path in shipped_policies()}
-    assert {row["method"] for row in rows} == {*CONTROLLERS, *shipped, "privileged"}
 
 
 def test_rows_of_the_results(results: dict[str, Any]):
@@ -139,10 +122,45 @@ def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: di
     assert iqm == pytest.approx(sum(costs[1:5]) / 4, rel=1e-5)  # 6 episodes: one cut off at either end
 
 
-def test_one_process_gives_what_two_give(compared: tuple[Path, str], tmp_path: Path):
-    result = run(*FEW, "--out", "out", "--jobs", "1", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert (tmp_path / "out" / "episodes.csv").read_bytes() == (compared[0] / "episodes.csv").read_bytes()
+def test_every_split_has_its_section_in_the_summary(compared: tuple[Path, str]):
+    text = (compared[0] / "summary.md").read_text()
+    assert all(
+        f"## {name}\n\n{SPLITS[name].description.capitalize()}; 6 scenarios." in text for name in ("nominal", "sensing")
+    )
+    assert "## payload" not in text
+
+
+def pairs_compared() -> list[Pair]:
+    """The pairs of method and split of `compared`, in their order."""
+    known = [*classical_methods(), *learned_methods(shipped_policies()), added_method(EXAMPLE), privileged_method()]
+    splits = load()
+    chosen = [method for method in known if method.name in METHODS]
+    return [Pair(method, splits[name], 6) for name in ("nominal", "sensing") for method in chosen]
+
+
+def same(first: list[Metrics | Failure], second: list[Metrics | Failure]) -> bool:
+    """Whether the same was measured, bit for bit."""
+    assert len(first) == len(second)
+    return all(
+        isinstance(ours, dict)
+        and isinstance(theirs, dict)
+        and ours.keys() == theirs.keys()
+        and all(np.array_equal(ours[name], theirs[name]) for name in ours)
+        for ours, theirs in zip(first, second, strict=True)
+    )
+
+
+def test_one_process_gives_what_two_gave_and_what_is_done_is_not_done_again(
+    compared: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    torch.set_num_threads(1)  # as the comparison does
+    alone = run_pairs(pairs_compared(), tmp_path, 1, lambda _: None)
+    before = {path: path.stat().st_mtime_ns for path in (compared[0] / "pairs").iterdir()}
+    assert len(before) == 2 * len(METHODS)
+    monkeypatch.setattr("eval.pairs.run_and_keep", None)  # nothing is run
+    kept = run_pairs(pairs_compared(), compared[0], 1, lambda _: None)
+    assert {path: path.stat().st_mtime_ns for path in (compared[0] / "pairs").iterdir()} == before
+    assert same(alone, kept)
 
 
 # Schema
@@ -170,225 +188,83 @@ def test_a_spoilt_results_file_is_refused(spoil: Any, message: str, results: dic
         check(content, "results")
 
 
-# What is kept
+# The page in a browser
 
 
-def pair(method: str = "paper", episodes: int = 4, split: str = "nominal") -> Pair:
-    (found,) = [known for known in classical_methods() if known.name == method]
-    return Pair(found, load()[split], episodes)
+@pytest.fixture(scope="module")
+def report(compared: tuple[Path, str]) -> Path:
+    return compared[0] / "report.html"
 
 
-def test_pairs_are_kept_and_read_again(tmp_path: Path):
-    measured = run_and_keep(pair(), tmp_path)
-    kept = read_kept(pair(), tmp_path)
-    assert isinstance(measured, dict) and kept is not None
-    assert set(kept) == set(measured) and LEFT in kept
-    assert all(np.array_equal(kept[name], measured[name]) for name in kept)
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("browser")) as found:
+        yield found
 
 
-def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    one = pair("zvd")
-    others = [
-        pair("zv"),
-        pair("zvd", 5),
-        pair("zvd", split="payload"),
-        replace(one, split=replace(one.split, digest="other")),
-        replace(one, method=replace(one.method, identity="other gains")),
-    ]
-    files = {found.file(tmp_path) for found in [one, *others]}
-    assert len(files) == 1 + len(others)
-    assert one.file(tmp_path) == pair("zvd").file(tmp_path)
-    monkeypatch.setattr(pairs, "_sources", lambda: "other code")
-    assert one.file(tmp_path) not in files
+def test_the_page_is_one_small_file_without_machine_paths(report: Path):
+    text = report.read_text(encoding="utf-8")
+    assert len(text.encode()) < LARGEST
+    assert not re.search(r"(?:src|href)=\"(?!#|data:)", text.replace("xlink:href", "href"))
+    assert str(ROOT) not in text
+    assert "@import" not in text
+    identifiers = re.findall(r'\bid="([^"]+)"', text)
+    assert len(identifiers) == len(set(identifiers))
+    assert text.count('role="img" aria-label="') == text.count("<figure>")
 
 
-def test_gains_are_part_of_the_identity(monkeypatch: pytest.MonkeyPatch):
-    identities = {method.name: method.identity for method in classical_methods()}
-    changed = {"zvd": {"gains": {"angle": 1.0}, "provenance": {"steps": 1, "seconds": 1.0}}}
-    monkeypatch.setattr("eval.methods.read_file", lambda: changed)
-    assert {method.name: method.identity for method in classical_methods()}["zvd"] != identities["zvd"]
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", [390, 1400])
+def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width: int, dark: bool):
+    page.complaints.clear()
+    page.requests.clear()
+    page.open(report, width, dark=dark)
+    page.run("document.querySelectorAll('details').forEach((details) => { details.open = true; })")
+    assert page.run("document.documentElement.scrollWidth") <= width
+    outside = "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, svg')"
+    outside += " && e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
+    assert page.run(outside) == []
+    assert page.complaints == []
+    assert all(address.startswith(("file:", "data:")) for address in page.requests)
 
 
-@pytest.mark.parametrize("damage", [b"", b"half", None])
-def test_damaged_pairs_are_run_again(damage: bytes | None, tmp_path: Path):
-    measured = run_and_keep(pair(), tmp_path)
-    path = pair().file(tmp_path)
-    path.write_bytes(path.read_bytes()[:-200] if damage is None else damage)
-    assert read_kept(pair(), tmp_path) is None
-    (again,) = pairs.run_pairs([pair()], tmp_path, 1, lambda _: None)
-    assert isinstance(measured, dict) and isinstance(again, dict)
-    assert np.array_equal(again["cost"], measured["cost"])
+def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
+    page.open(report)
+    column = "[...document.querySelectorAll('table')[0].tBodies[0].rows].map((row) => row.cells[2].dataset.value)"
+    sort = "document.querySelectorAll('table')[0].querySelectorAll('thead button')[2]"
+    orders = []
+    for _ in range(2):
+        page.run(f"{sort}.click()")
+        orders.append([float(value) for value in page.run(column)])
+    assert orders[0] == sorted(orders[0])
+    assert orders[1] == sorted(orders[0], reverse=True)
+    assert len(orders[0]) == 4
+    states = "[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)"
+    assert page.run(states) == ["none", "none", "descending"]
+    last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
+    assert "privileged" in page.run(last)
 
 
-def test_outdated_pairs_are_taken_away(tmp_path: Path):
-    old = replace(pair(), method=replace(pair().method, identity="before"))
-    run_and_keep(old, tmp_path)
-    run_and_keep(pair(episodes=5), tmp_path)
-    run_and_keep(pair(), tmp_path)
-    names = sorted(path.name for path in (tmp_path / "pairs").iterdir())
-    assert names == sorted([pair().file(tmp_path).name, pair(episodes=5).file(tmp_path).name])
-
-
-def test_what_is_done_is_not_done_again(compared: tuple[Path, str]):
-    folder = compared[0]
-    before = {path: path.stat().st_mtime_ns for path in (folder / "pairs").iterdir()}
-    assert len(before) == 2 * len(METHODS)
-    result = run(*FEW, "--out", str(folder), cwd=folder)
-    assert result.returncode == 0, result.stderr
-    assert {path: path.stat().st_mtime_ns for path in (folder / "pairs").iterdir()} == before
-
-
-def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
-    methods, splits = ("paper", "zvd", "preview", "mpc"), ("nominal", "payload", "friction", "structural")
-    arguments = ("--methods", *methods, "--splits", *splits, "--episodes", "24", "--out", "out")
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--jobs", "2"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 300
-    while not list(tmp_path.glob("out/pairs/[!.]*")) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 130, errors
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/pairs/*")}
-    assert 1 <= len(kept) < 16
-    assert len(errors.strip().splitlines()) == 1
-    assert f"interrupted: {len(kept)} of 16 pairs of method and split are kept in out; the same" in errors
-    result = run(*arguments, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    assert len(list(tmp_path.glob("out/pairs/*"))) == 16
-
-
-# What goes wrong
-
-
-def test_a_controller_that_fails_on_the_way_does_not_stop_the_others(tmp_path: Path):
-    (tmp_path / "mine.py").write_text(
-        "import numpy as np\n"
-        "class Fails:\n"
-        "    def predict(self, observation, state=None, episode_start=None, deterministic=True):\n"
-        "        if len(observation) == 7:\n"
-        "            raise RuntimeError('no such\\nnumber of arms')\n"
-        "        return np.zeros((len(observation), 1), np.float32), None\n"
-        "class Nan(Fails):\n"
-        "    def predict(self, observation, *rest, **options):\n"
-        "        bad = np.nan if len(observation) == 7 else 0\n"
-        "        return np.full((len(observation), 1), bad, np.float32), None\n"
+def test_the_animation_plays_pauses_and_can_be_scrubbed(report: Path, page: Page):
+    page.open(report)
+    shot = "document.querySelector('#stage canvas').toDataURL()"
+    place = "Number(document.getElementById('scrub').value)"
+    assert page.run(place) == 0
+    before = page.run(shot)
+    page.run("document.getElementById('play').click()")
+    page.run(f"new Promise((go) => {{ const wait = () => {place} > 5 ? go() : setTimeout(wait, 20); wait(); }})")
+    page.run("document.getElementById('play').click()")
+    assert page.run("document.getElementById('play').textContent") == "Play"
+    assert page.run(shot) != before
+    page.run(
+        "(() => { const s = document.getElementById('scrub'); s.value = 250; s.dispatchEvent(new Event('input')) })()"
     )
-    added = ("--add", "mine.py:Fails", "--add", "mine.py:Nan")
-    chosen = ("--methods", "paper", "Fails", "Nan", "--splits", "nominal", "--episodes", "7")
-    result = run(*added, *chosen, "--out", "out", cwd=tmp_path)
-    assert result.returncode == 1
-    assert "eval/compare.py: Fails failed on nominal: RuntimeError: no such number of arms" in result.stderr
-    assert "eval/compare.py: Nan failed on nominal: ValueError" in result.stderr
-    assert "Traceback" not in result.stderr
-    results = read_results(tmp_path / "out" / "results.json")
-    assert [row["method"] for row in results["rows"]] == ["paper"]
-    assert [failure["method"] for failure in results["failures"]] == ["Fails", "Nan"]
-    assert "- Fails on nominal: RuntimeError" in (tmp_path / "out" / "summary.md").read_text()
-    assert not list(tmp_path.glob("out/pairs/*Fails*"))  # tried again next time
-
-
-def test_a_controller_that_fails_on_a_single_arm_does_not_stop_the_others(tmp_path: Path):
-    (tmp_path / "mine.py").write_text(
-        "import numpy as np\n"
-        "class Alone:\n"
-        "    def predict(self, observation, state=None, episode_start=None, deterministic=True):\n"
-        "        state = (0 if state is None else state) + 1\n"
-        "        if len(observation) == 1 and state > 700:\n"
-        "            raise IndexError('one arm\\nis too few')\n"
-        "        return np.zeros((len(observation), 1), np.float32), state\n"
+    assert page.run("document.getElementById('clock').value") == "1.506 s"
+    page.run(
+        "(() => { const s = document.getElementById('scene'); s.value = 1; s.dispatchEvent(new Event('change')) })()"
     )
-    chosen = ("--add", "mine.py:Alone", "--methods", "paper", "Alone", "--splits", "nominal", "--episodes", "6")
-    result = run(*chosen, "--out", "out", cwd=tmp_path)
-    assert result.returncode == 1, result.stderr
-    assert re.search(r"Alone failed on nominal: alone on scenario \d: IndexError: one arm is too few", result.stderr)
-    assert len(result.stderr.strip().splitlines()) == 1
-    results = read_results(tmp_path / "out" / "results.json")
-    assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]
-    assert [failure["method"] for failure in results["failures"]] == ["Alone"]
-    assert "<b>Alone</b> on nominal: alone on" in (tmp_path / "out" / "report.html").read_text()
-
-
-def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
-    spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
-    save_bundle(folder, spec, Actor(spec.shape()))
-    return folder
-
-
-def test_policies_are_grouped_by_method(tmp_path: Path):
-    folders = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
-    found = learned_methods(folders)
-    assert [(method.name, method.base, len(method.sources)) for method in found] == [
-        ("ppo", "paper", 2),
-        ("ppo-preview", "preview", 1),
-    ]
-    assert found[0].training == {"simulator_steps": [20, 20], "wall_clock_s": [0.0, 0.0]}
-
-
-def test_policies_of_other_sensors_are_refused(tmp_path: Path):
-    with pytest.raises(ValueError, match="needs sensors='tip'; the comparison gives all methods the encoder alone"):
-        learned_methods([bundle(tmp_path / "a", sensors="tip")])
-
-
-def test_given_policies_take_the_place_of_the_shipped(tmp_path: Path):
-    bundle(tmp_path / "mine")
-    result = run(
-        "--policy", "mine", "--methods", "ppo", "paper", "--splits", "nominal", "--episodes", "4", cwd=tmp_path
-    )
-    assert result.returncode == 0, result.stderr
-    rows = read_results(tmp_path / "results" / "compare" / "results.json")["rows"]
-    assert [(row["method"], row["seeds"]) for row in rows] == [("paper", 1), ("ppo", 1)]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--policy", "nowhere"), "no policy bundle at nowhere"),
-        (("--episodes", "2"), "--episodes must lie within 4 and 200, got 2"),
-        (("--episodes", "201"), "--episodes must lie within 4 and 200, got 201"),
-        (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
-        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-        (("--methods", "papr"), "unknown method 'papr'; did you mean paper? Known: paper, rigid,"),
-        (("--splits", "frictoin"), "unknown split 'frictoin'; did you mean friction? Known: nominal, randomized,"),
-        (("--methods", "privileged"), "--methods names privileged alone"),
-        (("--add", "nowhere.py:Mine"), "there is no file"),
-        (("--add", "paper.py:paper"), "two methods are called 'paper': give yours another name"),
-        (("--add", "bad.py:Bad"), "bad.py:Bad does not keep the protocol (drives 5 arms"),
-        (("--out", "old", "--methods", "paper"), f"results of version {VERSION + 1} of the scenarios"),
-        (("--out", "damaged", "--methods", "paper"), "damaged/results.json cannot be read"),
-    ],
-)
-def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    for name, text in {"old": json.dumps({"version": VERSION + 1}), "damaged": "{"}.items():
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "results.json").write_text(text)
-    code, errors = stopped(compare.main, arguments, tmp_path)
-    assert code == 2, errors
-    assert message in errors
-    assert len(errors.strip().splitlines()) == 1
-
-
-def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    def full(path: Path, write: object) -> None:
-        raise OSError(28, "No space left on device", str(path))
-
-    monkeypatch.setattr(pairs, "write_atomically", full)
-    arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["compare.py", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        compare.main()
-    assert stopped.value.code == 2
-    errors = capsys.readouterr().err.strip().splitlines()
-    assert len(errors) == 1
-    assert "No space left on device" in errors[0]
-
-
-def test_every_split_has_its_section_in_the_summary(compared: tuple[Path, str]):
-    text = (compared[0] / "summary.md").read_text()
-    assert all(
-        f"## {name}\n\n{SPLITS[name].description.capitalize()}; 6 scenarios." in text for name in ("nominal", "sensing")
-    )
-    assert "## payload" not in text
+    assert page.run(place) == 0
+    names = page.run("[...document.querySelectorAll('#stage figcaption')].map((caption) => caption.textContent)")
+    assert "ppo" in names
+    assert "privileged" not in names
+    assert page.complaints == []

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import stopped
 
 pytest.importorskip("mujoco")
 
-from eval.convergence import STEPS, Convergence, convergence, table
+from eval import convergence, crosscheck
+from eval.convergence import STEPS, Convergence, table
 from eval.crosscheck import SETTINGS, distance, motions
 from eval.event_located import EventLocatedArm, tip
 
@@ -68,17 +70,18 @@ def test_report_of_a_run(tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["eval/crosscheck.py", "--arms", "0"], "--arms must lie within 1 and 1000, got 0"),
-        (["eval/crosscheck.py", "--seed", "-1"], "--seed must not be negative, got -1"),
-        (["eval/crosscheck.py", "--out", "/proc/nowhere"], "cannot write to /proc/nowhere"),
-        (["eval/convergence.py", "--samples", "0"], "--samples must lie within 1 and 1200, got 0"),
+        (["crosscheck", "--arms", "0"], "--arms must lie within 1 and 1000, got 0"),
+        (["crosscheck", "--seed", "-1"], "--seed must not be negative, got -1"),
+        (["crosscheck", "--out", "/proc/nowhere"], "cannot write to /proc/nowhere"),
+        (["convergence", "--samples", "0"], "--samples must lie within 1 and 1200, got 0"),
     ],
 )
 def test_mistakes_get_one_line(tmp_path: Path, arguments: list[str], message: str):
     script, *rest = arguments
-    result = run(str(ROOT / script), *rest, cwd=tmp_path)
-    assert result.returncode == 2 and message in result.stderr
-    assert len(result.stderr.splitlines()) == 1 and script in result.stderr
+    main = {"crosscheck": crosscheck.main, "convergence": convergence.main}[script]
+    code, errors = stopped(main, tuple(rest), tmp_path)
+    assert code == 2 and message in errors
+    assert len(errors.splitlines()) == 1 and f"eval/{script}.py" in errors
 
 
 def test_missing_mujoco_is_one_line(tmp_path: Path):
@@ -108,7 +111,7 @@ def test_committed_order_is_what_the_command_measures():
     text = (ROOT / "docs/physics.md").read_text(encoding="utf-8")
     (row,) = [line for line in text.splitlines() if line.startswith("| lumped | 11 stops |")]
     cells = [float(cell) for cell in row.split("|")[3:8]]
-    result = convergence("lumped", "stick-slip")
+    result = convergence.convergence("lumped", "stick-slip")
     np.testing.assert_allclose(1e9 * result.errors, cells[:4], rtol=0.06)
     assert result.orders.mean() == pytest.approx(cells[4], abs=0.01) and result.stops == 11
 

@@ -197,11 +197,11 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
     """As a user does it: SIGTERM within a round, and the line that is printed."""
     command = [sys.executable, str(ROOT / "train/student.py"), "--out", "run", *TINY]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not (tmp_path / "run/checkpoint.pkl").exists() and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(signal.SIGTERM)
-    output, errors = process.communicate(timeout=120)
+    output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert "python train/student.py --out run" in output and output.rstrip().endswith("--resume")
     run(tiny(tmp_path / "run", resume=True))

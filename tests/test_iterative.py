@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import stopped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,7 @@ from beltarm_env.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.reference import MoveShape
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.simulation import params_table
-from eval.iterative import metrics, repeated
+from eval.iterative import main, metrics, repeated
 
 ROOT = Path(__file__).parents[1]
 SEED = 4_200_000
@@ -279,13 +280,9 @@ def test_motors_error_is_that_of_the_joint():
     assert metrics(run)["motor_rms_mrad"][0] == pytest.approx(expected, rel=1e-9)
 
 
-def run_script(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "eval/iterative.py"), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
-
-
 def test_report_of_a_run(tmp_path: Path):
-    result = run_script("--arms", "4", "--repetitions", "2", "--out", "out", cwd=tmp_path)
+    command = [sys.executable, str(ROOT / "eval/iterative.py"), "--arms", "4", "--repetitions", "2", "--out", "out"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cost.png", "results.json", "summary.md"]
     rows = json.loads((tmp_path / "out/results.json").read_text())["rows"]
@@ -310,10 +307,10 @@ def test_report_of_a_run(tmp_path: Path):
     ],
 )
 def test_bad_options_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    result = run_script(*arguments, cwd=tmp_path)
-    assert result.returncode == 2
-    assert message in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    code, errors = stopped(main, arguments, tmp_path)
+    assert code == 2, errors
+    assert message in errors
+    assert len(errors.strip().splitlines()) == 1
 
 
 def test_committed_report_is_of_the_stated_seeds():

@@ -12,6 +12,7 @@ from typing import Any, cast
 import control
 import numpy as np
 import pytest
+from commands import stopped
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
@@ -22,6 +23,7 @@ from baselines.observer import QUANTUM
 from baselines.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.simulation import ArmSimulation
+from eval import baselines
 from eval.loops.gains import MEANING
 from eval.loops.laws import law_of
 from eval.loops.models import (
@@ -224,14 +226,10 @@ def test_a_controller_without_a_law_is_refused():
         law_of(object(), 0)
 
 
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "eval/baselines.py"), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
-
-
 def test_the_command_writes_the_page(tmp_path: Path):
     shown = ("paper", "ei", "adaptive")
-    result = run(*shown, "--arms", "4", "--batch", "2", "--out", "out", cwd=tmp_path)
+    command = [sys.executable, str(ROOT / "eval/baselines.py"), *shown, "--arms", "4", "--batch", "2", "--out", "out"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 0, result.stderr
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"summary.md", "margins.png", "poles.png", "breaks.png"}
@@ -254,7 +252,7 @@ def test_the_command_writes_the_page(tmp_path: Path):
     ],
 )
 def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    result = run(*arguments, cwd=tmp_path)
-    assert result.returncode == 2
-    assert message in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    code, errors = stopped(baselines.main, arguments, tmp_path)
+    assert code == 2, errors
+    assert message in errors
+    assert len(errors.strip().splitlines()) == 1

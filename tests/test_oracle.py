@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import stopped
 
 from baselines import PaperController
 from baselines.mpc import MpcController
-from baselines.oracle import FILE, METRICS, Scenario, read_file, replay
+from baselines.oracle import FILE, METRICS, Scenario, main, read_file, replay
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.dynamics import LUMPED
 from beltarm_env.integrator import rk4_step
@@ -97,20 +98,17 @@ def test_an_arm_without_friction_is_refused():
         optimum(ArmParams(coulomb_friction=0.0), MoveShape(0.8, 1.2, 0.6, 0.15))
 
 
-def run_script(*arguments: str, prelude: str = "") -> subprocess.CompletedProcess[str]:
-    start = f"{prelude}import runpy; runpy.run_path({str(ROOT / 'baselines/oracle.py')!r}, run_name='__main__')"
-    command = [sys.executable, "-c", start, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-
-
 def test_missing_casadi_is_one_line():
-    result = run_script(prelude="import sys; sys.modules['casadi'] = None; ")
+    start = "import runpy, sys; sys.modules['casadi'] = None; "
+    start += f"runpy.run_path({str(ROOT / 'baselines/oracle.py')!r}, run_name='__main__')"
+    command = [sys.executable, "-c", start]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 2
     assert result.stderr == "baselines/oracle.py: casadi is not installed; run `pip install -e '.[oracle]'`\n"
 
 
-def test_unknown_scenario_is_one_line():
+def test_unknown_scenario_is_one_line(tmp_path: Path):
     pytest.importorskip("casadi")
-    result = run_script("--scenario", "test:3")
-    assert result.returncode == 2
-    assert result.stderr == "baselines/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'\n"
+    code, errors = stopped(main, ("--scenario", "test:3"), tmp_path)
+    assert code == 2
+    assert errors == "baselines/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'\n"

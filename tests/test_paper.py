@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import stopped
 
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.reference import MoveShape
 from beltarm_env.rollout import rollout
-from eval.paper import Config
+from eval.paper import Config, main
 from eval.reproduction.cases import USUAL_MOVE, open_questions, run_all
 from eval.reproduction.effects import Compared, compare, effect
 from eval.reproduction.loop import (
@@ -56,7 +57,7 @@ STANDARD = USUAL_MOVE
 
 def paper(*arguments: str, cwd: Path, script: Path = ROOT / "eval/paper.py") -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-W", "error", str(script), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
 
 
 class TestLoop:
@@ -368,10 +369,10 @@ def test_committed_copy_shows_the_same_numbers(regenerated: tuple[Path, str]):
     ],
 )
 def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    result = paper(*arguments, cwd=tmp_path)
-    assert result.returncode == 2
-    assert result.stderr.startswith("eval/paper.py: ") and message in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    code, errors = stopped(main, arguments, tmp_path)
+    assert code == 2, errors
+    assert errors.startswith("eval/paper.py: ") and message in errors
+    assert len(errors.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
 
@@ -395,7 +396,7 @@ def test_interrupt_ends_with_one_line(tmp_path: Path):
         while not out.exists() and process.poll() is None:
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (130, "eval/paper.py: interrupted\n")
 
 
@@ -411,7 +412,7 @@ def test_a_closed_pipe_is_no_error(tmp_path: Path):
         assert process.stdout is not None
         process.stdout.close()
         process.stdout = None
-        _, errors = process.communicate("go\n", timeout=60)
+        _, errors = process.communicate("go\n", timeout=300)
     assert (process.returncode, errors) == (0, "")
 
 
@@ -424,6 +425,6 @@ def test_start_up_does_not_load_torch(tmp_path: Path):
     assert paper(cwd=tmp_path, script=script).stdout == "[]\n"
 
 
-def test_help_explains_the_options(tmp_path: Path):
-    result = paper("--help", cwd=tmp_path)
-    assert result.returncode == 0 and "--natural-frequency" in result.stdout
+def test_help_explains_the_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert stopped(main, ("--help",), tmp_path) == (0, "")
+    assert "--natural-frequency" in capsys.readouterr().out

@@ -5,15 +5,11 @@ from __future__ import annotations
 import base64
 import re
 import shlex
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import Page, browser
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,7 +23,7 @@ from eval.pairs import LEFT, Failure
 from eval.report.animation import EVERY, animation, encode
 from eval.report.maps import robustness_maps
 from eval.report.motions import spectrum
-from eval.report.page import LARGEST, render, without_paths
+from eval.report.page import render, without_paths
 from eval.report.scenes import Map, Recordings, Scene, challengers, record_scenes
 from eval.report.tables import effort_table, metric_tables
 from eval.report.verdict import verdict
@@ -36,8 +32,6 @@ from eval.splits import load
 from eval.traces import seed_note, shown_seed
 
 ROOT = Path(__file__).resolve().parent.parent
-pytestmark = pytest.mark.xdist_group(Path(__file__).stem)  # so that one worker makes what they share, once
-EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
 ORIGIN = {
     "command": "python eval/compare.py --out /tmp/me/out",
     "beltarm": "1",
@@ -296,96 +290,6 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
     maps, failures = robustness_maps(made(*classical, outcome("net", "learned", 60.0)))
     assert [(found.classical, found.ratio[0][0]) for found in maps] == [("lqg", 1.5)] * 2 + [("pid", 3.0)] * 2
     assert failures == [Failure("bad", "maps", "RuntimeError: no such arm")]
-
-
-# The page in a browser
-
-METHODS = ("paper", "zvd", "ppo", "MyController", "privileged")
-
-
-@pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("report")
-    arguments = ("--splits", "nominal", "sensing", "--methods", *METHODS, "--add", EXAMPLE, "--episodes", "6")
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--out", "out", "--maps"]
-    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
-    assert result.returncode == 0, result.stderr
-    assert "report.html" in result.stdout
-    return folder / "out" / "report.html"
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(tmp_path_factory.mktemp("browser")) as found:
-        yield found
-
-
-def test_the_page_is_one_small_file_without_machine_paths(report: Path):
-    text = report.read_text(encoding="utf-8")
-    assert len(text.encode()) < LARGEST
-    assert not re.search(r"(?:src|href)=\"(?!#|data:)", text.replace("xlink:href", "href"))
-    assert str(ROOT) not in text
-    assert "@import" not in text
-    identifiers = re.findall(r'\bid="([^"]+)"', text)
-    assert len(identifiers) == len(set(identifiers))
-    assert text.count('role="img" aria-label="') == text.count("<figure>")
-
-
-@pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize("width", [390, 1400])
-def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width: int, dark: bool):
-    page.complaints.clear()
-    page.requests.clear()
-    page.open(report, width, dark=dark)
-    page.run("document.querySelectorAll('details').forEach((details) => { details.open = true; })")
-    assert page.run("document.documentElement.scrollWidth") <= width
-    outside = "[...document.querySelectorAll('body *')].filter((e) => !e.closest('.scroll, svg')"
-    outside += " && e.getBoundingClientRect().right > innerWidth + 0.5).map((e) => e.outerHTML.slice(0, 80))"
-    assert page.run(outside) == []
-    assert page.complaints == []
-    assert all(address.startswith(("file:", "data:")) for address in page.requests)
-
-
-def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
-    page.open(report)
-    column = "[...document.querySelectorAll('table')[0].tBodies[0].rows].map((row) => row.cells[2].dataset.value)"
-    sort = "document.querySelectorAll('table')[0].querySelectorAll('thead button')[2]"
-    orders = []
-    for _ in range(2):
-        page.run(f"{sort}.click()")
-        orders.append([float(value) for value in page.run(column)])
-    assert orders[0] == sorted(orders[0])
-    assert orders[1] == sorted(orders[0], reverse=True)
-    assert len(orders[0]) == 4
-    states = "[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)"
-    assert page.run(states) == ["none", "none", "descending"]
-    last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
-    assert "privileged" in page.run(last)
-
-
-def test_the_animation_plays_pauses_and_can_be_scrubbed(report: Path, page: Page):
-    page.open(report)
-    shot = "document.querySelector('#stage canvas').toDataURL()"
-    place = "Number(document.getElementById('scrub').value)"
-    assert page.run(place) == 0
-    before = page.run(shot)
-    page.run("document.getElementById('play').click()")
-    page.run(f"new Promise((go) => {{ const wait = () => {place} > 5 ? go() : setTimeout(wait, 20); wait(); }})")
-    page.run("document.getElementById('play').click()")
-    assert page.run("document.getElementById('play').textContent") == "Play"
-    assert page.run(shot) != before
-    page.run(
-        "(() => { const s = document.getElementById('scrub'); s.value = 250; s.dispatchEvent(new Event('input')) })()"
-    )
-    assert page.run("document.getElementById('clock').value") == "1.506 s"
-    page.run(
-        "(() => { const s = document.getElementById('scene'); s.value = 1; s.dispatchEvent(new Event('change')) })()"
-    )
-    assert page.run(place) == 0
-    names = page.run("[...document.querySelectorAll('#stage figcaption')].map((caption) => caption.textContent)")
-    assert "ppo" in names
-    assert "privileged" not in names
-    assert page.complaints == []
 
 
 def test_scenes_are_of_chosen_scenarios():

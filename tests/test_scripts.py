@@ -1,4 +1,4 @@
-"""The scripts, run as a user runs them."""
+"""The scripts as a user runs them, their mistakes within this process."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import stopped
 from PIL import Image
 
-from eval import readme
+from agents.runs import main
+from eval import bench, check_controller, compare, readme, scenarios
+from eval.splits import SPLITS
+from train import ppo
 
 ROOT = Path(__file__).resolve().parent.parent
 TINY = (
@@ -30,6 +34,11 @@ TINY = (
     "--validation-arms",
     "4",
 )
+
+
+def train_ppo() -> None:
+    """What `train/ppo.py` does, within this process."""
+    main(ppo.Config, ppo.make_learner, None)
 
 
 def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -61,14 +70,13 @@ def test_training_leaves_a_policy_a_checkpoint_and_logs(trained: Path) -> None:
 
 
 def test_resume_goes_on_where_the_run_stopped(trained: Path) -> None:
-    result = run("train/ppo.py", "--out", str(trained), "--total-steps", "384", "--resume", *TINY, cwd=trained)
-    assert result.returncode == 0, result.stderr
+    arguments = ("--out", str(trained), "--total-steps", "384", "--resume", *TINY)
+    assert stopped(train_ppo, arguments, trained) == (0, "")
     assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256", "384"]
 
 
 def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None:
-    result = run("train/ppo.py", "--out", "again", "--total-steps", "256", *TINY, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    assert stopped(train_ppo, ("--out", "again", "--total-steps", "256", *TINY), tmp_path) == (0, "")
     first, second = (read_csv(folder / "validation.csv")[2] for folder in (trained, tmp_path / "again"))
     assert first["cost"] == second["cost"]
 
@@ -85,11 +93,11 @@ def test_resume_from_nothing_is_refused(tmp_path: Path) -> None:
 def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not (tmp_path / "run" / "validation.csv").exists() and time.monotonic() < deadline:
         time.sleep(0.1)
     process.send_signal(interrupt)
-    output, errors = process.communicate(timeout=120)
+    output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert "--resume" in output
     assert "interrupted at" in output and "saved in run" in output
@@ -106,23 +114,29 @@ def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Sign
     ],
 )
 def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
-    result = run("train/ppo.py", *arguments, cwd=tmp_path)
-    assert result.returncode == 2
-    assert message in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    code, errors = stopped(train_ppo, arguments, tmp_path)
+    assert code == 2, errors
+    assert message in errors
+    assert len(errors.strip().splitlines()) == 1
 
 
-HELPED = (
-    *("train/ppo.py", "eval/compare.py", "eval/bench.py", "eval/readme.py", "eval/scenarios.py"),
-    "eval/check_controller.py",
-)
+HELPED = {
+    **{"train/ppo.py": train_ppo, "eval/compare.py": compare.main, "eval/bench.py": bench.main},
+    **{"eval/readme.py": readme.main, "eval/scenarios.py": scenarios.main},
+    "eval/check_controller.py": check_controller.main,
+}
 
 
 @pytest.mark.parametrize("script", HELPED)
-def test_help_explains_the_options(script: str, tmp_path: Path) -> None:
-    result = run(script, "--help", cwd=tmp_path)
-    assert result.returncode == 0
-    assert "--" in result.stdout
+def test_help_explains_the_options(script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert stopped(HELPED[script], ("--help",), tmp_path) == (0, "")
+    assert "--" in capsys.readouterr().out
+
+
+def test_scenarios_are_checked(tmp_path: Path) -> None:
+    result = run("eval/scenarios.py", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert [line.split()[:2] for line in result.stdout.splitlines()] == [[name, "200"] for name in SPLITS]
 
 
 def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
@@ -165,8 +179,9 @@ def test_bench_prints_ratios(tmp_path: Path) -> None:
 
 
 def readme_examples() -> list[str]:
+    """As they are, but for the length of a training: one update tells as much as five."""
     blocks = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
-    return [block.split("```")[0] for block in blocks]
+    return [block.split("```")[0].replace("learn(10_000)", "learn(1)") for block in blocks]
 
 
 @pytest.mark.parametrize("number", range(len(readme_examples())))

@@ -106,7 +106,7 @@ def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
 
 
 def wait_for(path: Path) -> None:
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not path.exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     assert path.exists()
@@ -436,7 +436,7 @@ def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
     for name in ("seed0", "seed1"):
         wait_for(tmp_path / "many" / name / "best/policy.json")
     process.send_signal(signal.SIGTERM)
-    output, errors = process.communicate(timeout=120)
+    output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert "--resume" in output and not (tmp_path / "many/seed2").exists()
     config = as_script(tmp_path / "many", seeds=3, resume=True, validation_every=256, total_steps=4_000_000)

@@ -28,7 +28,7 @@ def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedP
         env=clean | environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
 
@@ -81,7 +81,7 @@ def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(timeout=2)  # goes on playing
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 130
     assert "Traceback" not in errors
 

@@ -1,0 +1,339 @@
+"""Residuals and policy bundles that are refused, and loading them, which executes nothing."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import math
+import os
+import pickle
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from refusals import refused
+from safetensors.torch import load_file
+from safetensors.torch import save as save_tensors
+
+import agents.bundle
+from agents.actor import MAX_LAYERS, MAX_WIDTH, Actor
+from agents.bases import settings_hash
+from agents.bundle import (
+    FORMAT,
+    MANIFEST,
+    MAX_BYTES,
+    VERSION,
+    BundleError,
+    BundleSpec,
+    load_controller,
+    read_spec,
+    save_bundle,
+)
+from agents.residual import ResidualController, ResidualSettings
+from agents.residual_env import ResidualEnv, ResidualVecEnv
+from baselines import CONTROLLERS
+from beltarm_env import BeltArmEnv, BeltArmVectorEnv, observation
+
+NAN, INF = math.nan, math.inf
+
+
+# Residuals
+
+
+@pytest.mark.parametrize("value", [0, -0.1, 2.1, NAN, INF, "0.5", None, True], ids=repr)
+def test_residual_limit(value: Any):
+    words = ("limit", repr(value), "(0, 2]")
+    refused((ValueError, TypeError), words, lambda: ResidualSettings(limit=value))
+
+
+@pytest.mark.parametrize("value", [0, -1, 101, 4.0, "4", None, True], ids=repr)
+def test_residual_hold(value: Any):
+    words = ("hold", repr(value), "whole", "1 to 100")
+    refused((ValueError, TypeError), words, lambda: ResidualSettings(hold=value))
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
+def test_residual_batch_needs_same_step_reset(mode: str):
+    envs = BeltArmVectorEnv(2, autoreset_mode=mode)
+    words = (repr(mode), "SameStep")
+    refused(ValueError, words, lambda: ResidualVecEnv(envs, CONTROLLERS["paper"](), ResidualSettings()))
+
+
+def test_residual_of_another_environment():
+    with pytest.raises((TypeError, ValueError), match="BeltArm"):
+        ResidualEnv(gym.make("CartPole-v1"), CONTROLLERS["paper"](), ResidualSettings())
+
+
+@pytest.mark.parametrize("residual", [[NAN], [INF], [0.1, 0.2], "0.5", []], ids=repr)
+def test_bad_residuals(residual: Any):
+    env = ResidualEnv(BeltArmEnv(), CONTROLLERS["paper"](), ResidualSettings())
+    refused(ResetNeeded, ("reset()",), lambda: env.step(np.zeros(1, np.float32)))
+    env.reset(seed=0)
+    with pytest.raises(ValueError):
+        env.step(residual)
+
+
+@pytest.mark.parametrize("shape", [(3,), (1, 1), (2, 1), (3, 2), ()], ids=str)
+def test_residuals_of_another_shape(shape: tuple[int, ...]):
+    envs = ResidualVecEnv(
+        BeltArmVectorEnv(3, autoreset_mode="SameStep"), CONTROLLERS["paper"](), ResidualSettings(), stagger=False
+    )
+    envs.reset()
+    refused(ValueError, (str(shape), "(3, 1)"), lambda: envs.step(np.zeros(shape, np.float32)))
+
+
+def test_residuals_that_are_not_finite():
+    envs = ResidualVecEnv(
+        BeltArmVectorEnv(2, autoreset_mode="SameStep"), CONTROLLERS["paper"](), ResidualSettings(), stagger=False
+    )
+    envs.reset()
+    refused(ValueError, ("nan", "finite"), lambda: envs.step(np.array([[0.0], [NAN]], np.float32)))
+
+
+# Policy bundles
+
+
+SPEC = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
+
+
+def new_actor(spec: BundleSpec = SPEC) -> Actor:
+    return Actor(spec.shape()).requires_grad_(False)
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    folder = tmp_path / "policy"
+    save_bundle(folder, SPEC, new_actor())
+    load_controller(folder)
+    return folder
+
+
+def weights(bundle: Path) -> Path:
+    (path,) = bundle.glob("*.safetensors")
+    return path
+
+
+def edit(bundle: Path, *, rehash: bool, **changes: Any) -> None:
+    """Change the manifest, with a fitting content hash (a foreign program's) or without (a hand's)."""
+    content = json.loads((bundle / MANIFEST).read_text())
+    content.update(changes)
+    if rehash:
+        content["content_hash"] = agents.bundle._content_hash(content)
+    (bundle / MANIFEST).write_text(json.dumps(content))
+
+
+def drop(bundle: Path, key: str) -> None:
+    content = json.loads((bundle / MANIFEST).read_text())
+    del content[key]
+    content["content_hash"] = agents.bundle._content_hash(content)
+    (bundle / MANIFEST).write_text(json.dumps(content))
+
+
+def flip_a_bit(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(data)
+
+
+def foreign_weights(bundle: Path) -> None:
+    """Weights of another network, with fitting hashes."""
+    other, spec = bundle.parent / "other", BundleSpec("ppo", "paper", ResidualSettings(), (5,))
+    save_bundle(other, spec, new_actor(spec))
+    manifest = json.loads((other / MANIFEST).read_text())
+    shutil.copy(weights(other), bundle)
+    edit(bundle, rehash=True, weights=manifest["weights"])
+
+
+def not_weights(bundle: Path, data: bytes) -> None:
+    (bundle / "weights-x.safetensors").write_bytes(data)
+    edit(bundle, rehash=True, weights={"file": "weights-x.safetensors", "sha256": hashlib.sha256(data).hexdigest()})
+
+
+def name_weights(bundle: Path, name: object) -> None:
+    manifest = json.loads((bundle / MANIFEST).read_text())
+    edit(bundle, rehash=True, weights={**manifest["weights"], "file": name})
+
+
+class Exploit:
+    """Its pickle, loaded, creates a file."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> Any:
+        return (Path.touch, (self.target,))
+
+
+def nan_weights(bundle: Path) -> None:
+    """Weights with a NaN, and fitting hashes."""
+    tensors = load_file(weights(bundle))
+    next(iter(tensors.values())).view(-1)[0] = NAN
+    not_weights(bundle, save_tensors(tensors))
+
+
+def other_gains(bundle: Path) -> None:
+    settings = json.loads((bundle / MANIFEST).read_text())["base_settings"]
+    settings["gains"]["angle"] += 1
+    edit(bundle, rehash=True, base_settings=settings, base_hash=settings_hash(settings))
+
+
+def other_doubts(bundle: Path) -> None:
+    settings = json.loads((bundle / MANIFEST).read_text())["base_settings"]
+    settings["doubts"]["swing"] = 0.5
+    edit(bundle, rehash=True, base_settings=settings, base_hash=settings_hash(settings))
+
+
+def rescaled(bundle: Path) -> None:
+    entries = json.loads((bundle / MANIFEST).read_text())["entries"]
+    entries[0][2] *= 2
+    edit(bundle, rehash=True, entries=entries)
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
+    "no folder": (shutil.rmtree, ("no policy bundle", MANIFEST)),
+    "no manifest": (lambda b: (b / MANIFEST).unlink(), ("no policy bundle", MANIFEST)),
+    "manifest is a folder": (
+        lambda b: ((b / MANIFEST).unlink(), (b / MANIFEST).mkdir()),
+        (MANIFEST, "cannot be read"),
+    ),
+    "empty manifest": (lambda b: (b / MANIFEST).write_text(""), (MANIFEST, "cannot be read")),
+    "truncated manifest": (
+        lambda b: (b / MANIFEST).write_text((b / MANIFEST).read_text()[:200]),
+        (MANIFEST, "cannot be read"),
+    ),
+    "binary manifest": (lambda b: (b / MANIFEST).write_bytes(b"\xff\xfe\x00"), (MANIFEST, "cannot be read")),
+    "a list": (lambda b: (b / MANIFEST).write_text("[1, 2]"), (MANIFEST, FORMAT)),
+    "another program's file": (lambda b: (b / MANIFEST).write_text('{"format": "onnx"}'), (MANIFEST, FORMAT)),
+    "newer version": (lambda b: edit(b, rehash=True, version=99), ("99", str(VERSION), "version")),
+    "no version": (lambda b: drop(b, "version"), ("None", str(VERSION), "version")),
+    "edited by hand": (lambda b: edit(b, rehash=False, base="rigid"), (MANIFEST, "changed", "hash")),
+    "provenance edited": (lambda b: edit(b, rehash=False, provenance={}), (MANIFEST, "changed", "hash")),
+    "weights named otherwise": (
+        lambda b: edit(b, rehash=False, weights={"file": "x", "sha256": ""}),
+        (MANIFEST, "changed", "hash"),
+    ),
+    "another algorithm": (lambda b: edit(b, rehash=True, algorithm="dqn"), (MANIFEST, "does not fit")),
+    "another base": (lambda b: edit(b, rehash=True, base="lqr"), (MANIFEST, "does not fit")),
+    "base of a wrong type": (lambda b: edit(b, rehash=True, base=["paper"]), (MANIFEST, "does not fit")),
+    "another activation": (lambda b: edit(b, rehash=True, activation="gelu"), (MANIFEST, "does not fit")),
+    "other sensors": (lambda b: edit(b, rehash=True, sensors="tip"), (MANIFEST, "does not fit")),
+    "unknown sensors": (lambda b: edit(b, rehash=True, sensors="sonar"), (MANIFEST, "does not fit", "sonar")),
+    "another layout": (lambda b: edit(b, rehash=True, entries=["speed"]), (MANIFEST, "does not fit")),
+    "another layout version": (lambda b: edit(b, rehash=True, layout=99), (MANIFEST, "does not fit", "layout")),
+    "inputs of another scale": (rescaled, (MANIFEST, "does not fit", "layout")),
+    "gains of the base": (other_gains, (MANIFEST, "'paper'", "gains.angle", "train it again")),
+    "doubts of the identification": (other_doubts, (MANIFEST, "doubts.swing was 0.5", "train it again")),
+    "no settings of the base": (lambda b: edit(b, rehash=True, base_settings=3, base_hash=""), ("unknown gains",)),
+    "provenance of a wrong type": (lambda b: edit(b, rehash=True, provenance=[]), (MANIFEST, "does not fit")),
+    "huge layers": (
+        lambda b: edit(b, rehash=True, hidden=[10**9, 10**9]),
+        (MANIFEST, "does not fit", str(MAX_WIDTH), str(10**9)),
+    ),
+    "very many layers": (
+        lambda b: edit(b, rehash=True, hidden=[1] * 10**5),
+        (MANIFEST, "does not fit", str(MAX_LAYERS), str(10**5)),
+    ),
+    "huge LSTM": (lambda b: edit(b, rehash=True, lstm=10**9), (MANIFEST, "does not fit", "LSTM", str(10**9))),
+    "an LSTM that is not in the weights": (lambda b: edit(b, rehash=True, lstm=4), ("weights-", "does not hold")),
+    "weights of NaN": (nan_weights, ("weights-x", "not finite")),
+    "weights elsewhere": (lambda b: name_weights(b, "../elsewhere.safetensors"), ("../elsewhere", "beside it")),
+    "weights at an absolute path": (lambda b: name_weights(b, "/etc/passwd"), ("/etc/passwd", "beside it")),
+    "weights named by a number": (lambda b: name_weights(b, 7), ("7", "beside it")),
+    "weights with a NUL in their name": (lambda b: name_weights(b, "weights-\0.safetensors"), ("beside it",)),
+    "huge manifest": (
+        lambda b: (b / MANIFEST).write_text(" " * (MAX_BYTES + 1)),
+        (MANIFEST, "cannot be read", str(MAX_BYTES)),
+    ),
+    "huge weights": (lambda b: os.truncate(weights(b), MAX_BYTES + 1), ("weights-", "cannot be read", str(MAX_BYTES))),
+    "deeply nested manifest": (lambda b: (b / MANIFEST).write_text("[" * 10**5), (MANIFEST, "cannot be read")),
+    "limit out of range": (
+        lambda b: edit(b, rehash=True, residual={"limit": 5.0, "hold": 4}),
+        (MANIFEST, "does not fit", "5.0", "(0, 2]"),
+    ),
+    "unknown residual setting": (
+        lambda b: edit(b, rehash=True, residual={"gain": 1.0}),
+        (MANIFEST, "does not fit", "gain"),
+    ),
+    "no residual": (lambda b: drop(b, "residual"), (MANIFEST, "does not fit", "residual")),
+    "no weights in the manifest": (lambda b: drop(b, "weights"), (MANIFEST, "weights")),
+    "layers that are words": (lambda b: edit(b, rehash=True, hidden=["wide"]), (MANIFEST, "does not fit", "wide")),
+    "layers that are one number": (lambda b: edit(b, rehash=True, hidden=64), (MANIFEST, "does not fit")),
+    "negative layers": (lambda b: edit(b, rehash=True, hidden=[-4]), (MANIFEST, "does not fit", "-4")),
+    "other layers": (lambda b: edit(b, rehash=True, hidden=[8, 8]), ("weights-", MANIFEST)),
+    "no weights": (lambda b: weights(b).unlink(), ("weights-", "cannot be read")),
+    "truncated weights": (lambda b: os.truncate(weights(b), 100), ("weights-", "damaged", "SHA-256")),
+    "one bit of the weights": (lambda b: flip_a_bit(weights(b)), ("weights-", "damaged", "SHA-256")),
+    "weights that are none": (lambda b: not_weights(b, b"\x80\x04pickled"), ("weights-x", "does not hold")),
+    "empty weights": (lambda b: not_weights(b, b""), ("weights-x", "does not hold")),
+    "weights of another network": (foreign_weights, ("weights-", "does not hold")),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_bundles(bundle: Path, damage: str):
+    break_it, words = DAMAGES[damage]
+    break_it(bundle)
+    refused(BundleError, words, lambda: load_controller(bundle))
+
+
+def test_a_file_is_no_bundle(tmp_path: Path):
+    (tmp_path / "policy.zip").write_bytes(b"PK")
+    with pytest.raises(BundleError, match=r"policy\.zip"):
+        load_controller(tmp_path / "policy.zip")
+
+
+def test_loading_executes_nothing(bundle: Path):
+    """Pickles in place of the weights and of the manifest are refused and not run."""
+    target = bundle.parent / "executed"
+    not_weights(bundle, pickle.dumps(Exploit(target)))
+    refused(BundleError, ("weights-x", "does not hold"), lambda: load_controller(bundle))
+    (bundle / MANIFEST).write_bytes(pickle.dumps(Exploit(target)))
+    refused(BundleError, (MANIFEST, "cannot be read"), lambda: load_controller(bundle))
+    assert not target.exists()
+    pickle.loads(pickle.dumps(Exploit(target)))
+    assert target.exists(), "the exploit should work where a pickle is loaded"
+
+
+def test_policies_that_are_not_saved(bundle: Path):
+    before = read_spec(bundle)
+    actor = new_actor()
+    next(actor.parameters())[:] = NAN
+    refused(BundleError, ("not finite", "layers.0.weight"), lambda: save_bundle(bundle, SPEC, actor))
+    wide = BundleSpec("ppo", "paper", ResidualSettings(), (600, 600))
+    refused(ValueError, (str(MAX_BYTES), "smaller layers"), lambda: save_bundle(bundle, wide, new_actor(wide)))
+    refused(ValueError, ("(600, 600)", "(4, 3)"), lambda: save_bundle(bundle, wide, new_actor()))
+    assert read_spec(bundle) == before
+
+
+@pytest.mark.parametrize("files_written", [0, 1])
+def test_a_bundle_that_cannot_be_replaced_stays_valid(
+    bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int
+):
+    """The disk fills up at the weights, or between the weights and the manifest."""
+    old, _ = load_controller(bundle)
+    seen = np.ones((2, observation.size()), np.float32)
+    expected = old.predict(seen)[0]
+    replace, calls = os.replace, []
+
+    def replace_then_fail(*arguments: Any) -> None:
+        calls.append(arguments)
+        if len(calls) > files_written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(*arguments)
+
+    monkeypatch.setattr(os, "replace", replace_then_fail)
+    with pytest.raises(OSError, match="No space"):
+        save_bundle(bundle, SPEC, new_actor())
+    monkeypatch.undo()
+    again, _ = load_controller(bundle)
+    assert isinstance(again, ResidualController)
+    assert np.array_equal(again.predict(seen)[0], expected)
+    assert not [name for name in os.listdir(bundle) if name.startswith(".")]
+    save_bundle(bundle, SPEC, new_actor())
+    assert len(os.listdir(bundle)) == 3

@@ -1,0 +1,93 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.files import require_writable, write_atomically, write_text
+
+
+def fail(code: int) -> Callable[..., Any]:
+    def call(*_: Any, **__: Any) -> None:
+        raise OSError(code, os.strerror(code))
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("module", "function", "code"),
+    [(tempfile, "mkstemp", errno.EACCES), (os, "replace", errno.EROFS), (os, "chmod", errno.EPERM)],
+    ids=["create", "rename", "permissions"],
+)
+def test_a_file_that_cannot_be_written_stays_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, function: str, code: int
+):
+    path = tmp_path / "results.json"
+    path.write_text("old")
+    monkeypatch.setattr(module, function, fail(code))
+    with pytest.raises(OSError) as caught:
+        write_text(path, "new")
+    assert caught.value.errno == code
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["results.json"]
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()], ids=repr)
+def test_half_written_files_are_taken_away(tmp_path: Path, error: BaseException):
+    path = tmp_path / "results.json"
+    path.write_text("old")
+
+    def write(temporary: Path) -> None:
+        temporary.write_text("half of")
+        raise error
+
+    with pytest.raises(type(error)):
+        write_atomically(path, write)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["results.json"]
+
+
+def test_a_new_file_that_cannot_be_written_does_not_appear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(os, "replace", fail(errno.ENOSPC))
+    with pytest.raises(OSError):
+        write_text(tmp_path / "new" / "results.json", "new")
+    assert os.listdir(tmp_path / "new") == []
+
+
+def test_written_files_are_whole_and_readable(tmp_path: Path):
+    path = tmp_path / "a" / "b" / "results.json"
+    write_text(path, "first")
+    write_text(path, "gain ×2")
+    assert path.read_text(encoding="utf-8") == "gain ×2"
+    assert os.listdir(path.parent) == ["results.json"]
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EROFS, errno.ENOSPC], ids=errno.errorcode.get)
+def test_unwritable_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int):
+    monkeypatch.setattr(tempfile, "mkstemp", fail(code))
+    words = (str(tmp_path), os.strerror(code), "choose another")
+    with pytest.raises(OSError) as caught:
+        require_writable(tmp_path)
+    assert [word for word in words if word not in str(caught.value)] == []
+    assert os.listdir(tmp_path) == []
+
+
+def test_folder_that_is_a_file(tmp_path: Path):
+    path = tmp_path / "results"
+    path.write_text("mine")
+    with pytest.raises(OSError, match=r"results.*choose another"):
+        require_writable(path)
+    assert path.read_text() == "mine"
+
+
+def test_writable_folder_is_left_empty(tmp_path: Path):
+    require_writable(tmp_path / "results")
+    assert os.listdir(tmp_path / "results") == []

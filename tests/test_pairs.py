@@ -1,0 +1,243 @@
+"""What the comparison keeps and does not run again, and what it says of mistakes."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import stopped
+
+from agents.actor import Actor
+from agents.bundle import BundleSpec, save_bundle
+from agents.residual import ResidualSettings
+from baselines import CONTROLLERS
+from eval import compare, pairs
+from eval.methods import classical_methods, learned_methods, shipped_policies
+from eval.pairs import LEFT, Pair, read_kept, run_and_keep
+from eval.schema import read_results
+from eval.splits import VERSION, load
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+# What is kept
+
+
+def pair(method: str = "paper", episodes: int = 4, split: str = "nominal") -> Pair:
+    (found,) = [known for known in classical_methods() if known.name == method]
+    return Pair(found, load()[split], episodes)
+
+
+def test_pairs_are_kept_and_read_again(tmp_path: Path):
+    measured = run_and_keep(pair(), tmp_path)
+    kept = read_kept(pair(), tmp_path)
+    assert isinstance(measured, dict) and kept is not None
+    assert set(kept) == set(measured) and LEFT in kept
+    assert all(np.array_equal(kept[name], measured[name]) for name in kept)
+
+
+def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    one = pair("zvd")
+    others = [
+        pair("zv"),
+        pair("zvd", 5),
+        pair("zvd", split="payload"),
+        replace(one, split=replace(one.split, digest="other")),
+        replace(one, method=replace(one.method, identity="other gains")),
+    ]
+    files = {found.file(tmp_path) for found in [one, *others]}
+    assert len(files) == 1 + len(others)
+    assert one.file(tmp_path) == pair("zvd").file(tmp_path)
+    monkeypatch.setattr(pairs, "_sources", lambda: "other code")
+    assert one.file(tmp_path) not in files
+
+
+def test_gains_are_part_of_the_identity(monkeypatch: pytest.MonkeyPatch):
+    identities = {method.name: method.identity for method in classical_methods()}
+    changed = {"zvd": {"gains": {"angle": 1.0}, "provenance": {"steps": 1, "seconds": 1.0}}}
+    monkeypatch.setattr("eval.methods.read_file", lambda: changed)
+    assert {method.name: method.identity for method in classical_methods()}["zvd"] != identities["zvd"]
+
+
+@pytest.mark.parametrize("damage", [b"", b"half", None])
+def test_damaged_pairs_are_run_again(damage: bytes | None, tmp_path: Path):
+    measured = run_and_keep(pair(), tmp_path)
+    path = pair().file(tmp_path)
+    path.write_bytes(path.read_bytes()[:-200] if damage is None else damage)
+    assert read_kept(pair(), tmp_path) is None
+    (again,) = pairs.run_pairs([pair()], tmp_path, 1, lambda _: None)
+    assert isinstance(measured, dict) and isinstance(again, dict)
+    assert np.array_equal(again["cost"], measured["cost"])
+
+
+def test_outdated_pairs_are_taken_away(tmp_path: Path):
+    old = replace(pair(), method=replace(pair().method, identity="before"))
+    run_and_keep(old, tmp_path)
+    run_and_keep(pair(episodes=5), tmp_path)
+    run_and_keep(pair(), tmp_path)
+    names = sorted(path.name for path in (tmp_path / "pairs").iterdir())
+    assert names == sorted([pair().file(tmp_path).name, pair(episodes=5).file(tmp_path).name])
+
+
+def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
+    methods, splits = ("paper", "rigid", "zvd", "ei"), ("nominal", "payload", "friction", "structural")
+    arguments = ("--methods", *methods, "--splits", *splits, "--episodes", "100", "--out", "out")
+    command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--jobs", "2"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 300
+    while not list(tmp_path.glob("out/pairs/[!.]*")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/pairs/*")}
+    assert 1 <= len(kept) < 16
+    assert len(errors.strip().splitlines()) == 1
+    assert f"interrupted: {len(kept)} of 16 pairs of method and split are kept in out; the same" in errors
+    code, errors = stopped(compare.main, (*arguments, "--jobs", "1"), tmp_path)
+    assert code == 0, errors
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert len(list(tmp_path.glob("out/pairs/*"))) == 16
+
+
+# What goes wrong
+
+
+FAILING = """
+import numpy as np
+
+class Fails:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if len(observation) == 7:
+            raise RuntimeError('no such\\nnumber of arms')
+        return np.zeros((len(observation), 1), np.float32), None
+
+class Nan:
+    def predict(self, observation, *rest, **options):
+        bad = np.nan if len(observation) == 7 else 0
+        return np.full((len(observation), 1), bad, np.float32), None
+
+class Alone:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        state = (0 if state is None else state) + 1
+        if len(observation) == 1 and state > 700:
+            raise IndexError('one arm\\nis too few')
+        return np.zeros((len(observation), 1), np.float32), state
+"""
+
+
+def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path):
+    """On the scenarios, by an exception or a torque that is none, or where an arm is recorded alone."""
+    (tmp_path / "mine.py").write_text(FAILING)
+    added = [word for name in ("Fails", "Nan", "Alone") for word in ("--add", f"mine.py:{name}")]
+    chosen = ("--methods", "paper", "Fails", "Nan", "Alone", "--splits", "nominal", "--episodes", "7", "--jobs", "1")
+    code, errors = stopped(compare.main, (*added, *chosen, "--out", "out"), tmp_path)
+    assert code == 1
+    assert "eval/compare.py: Fails failed on nominal: RuntimeError: no such number of arms\n" in errors
+    assert "eval/compare.py: Nan failed on nominal: ValueError" in errors
+    assert re.search(r"Alone failed on nominal: alone on scenario \d: IndexError: one arm is too few\n", errors)
+    assert len(errors.strip().splitlines()) == 3
+    results = read_results(tmp_path / "out" / "results.json")
+    assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]
+    assert [failure["method"] for failure in results["failures"]] == ["Fails", "Nan", "Alone"]
+    assert "- Fails on nominal: RuntimeError" in (tmp_path / "out" / "summary.md").read_text()
+    assert "<b>Alone</b> on nominal: alone on" in (tmp_path / "out" / "report.html").read_text()
+    assert not list(tmp_path.glob("out/pairs/*Fails*"))  # tried again next time
+
+
+# Which methods
+
+
+def test_all_methods_run_on_a_split_by_default(tmp_path: Path):
+    arguments = ("--splits", "structural", "--episodes", "4", "--jobs", "1", "--out", "out")
+    code, errors = stopped(compare.main, arguments, tmp_path)
+    assert code == 0, errors
+    rows = read_results(tmp_path / "out" / "results.json")["rows"]
+    shipped = {path.parent.name for path in shipped_policies()}
+    assert {row["method"] for row in rows} == {*CONTROLLERS, *shipped, "privileged"}
+
+
+def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
+    spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
+    save_bundle(folder, spec, Actor(spec.shape()))
+    return folder
+
+
+def test_policies_are_grouped_by_method(tmp_path: Path):
+    folders = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
+    found = learned_methods(folders)
+    assert [(method.name, method.base, len(method.sources)) for method in found] == [
+        ("ppo", "paper", 2),
+        ("ppo-preview", "preview", 1),
+    ]
+    assert found[0].training == {"simulator_steps": [20, 20], "wall_clock_s": [0.0, 0.0]}
+
+
+def test_policies_of_other_sensors_are_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="needs sensors='tip'; the comparison gives all methods the encoder alone"):
+        learned_methods([bundle(tmp_path / "a", sensors="tip")])
+
+
+def test_given_policies_take_the_place_of_the_shipped(tmp_path: Path):
+    bundle(tmp_path / "mine")
+    chosen = ("--policy", "mine", "--methods", "ppo", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1")
+    code, errors = stopped(compare.main, chosen, tmp_path)
+    assert code == 0, errors
+    rows = read_results(tmp_path / "results" / "compare" / "results.json")["rows"]
+    assert [(row["method"], row["seeds"]) for row in rows] == [("paper", 1), ("ppo", 1)]
+
+
+# Mistakes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--policy", "nowhere"), "no policy bundle at nowhere"),
+        (("--episodes", "2"), "--episodes must lie within 4 and 200, got 2"),
+        (("--episodes", "201"), "--episodes must lie within 4 and 200, got 201"),
+        (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
+        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
+        (("--methods", "papr"), "unknown method 'papr'; did you mean paper? Known: paper, rigid,"),
+        (("--splits", "frictoin"), "unknown split 'frictoin'; did you mean friction? Known: nominal, randomized,"),
+        (("--methods", "privileged"), "--methods names privileged alone"),
+        (("--add", "nowhere.py:Mine"), "there is no file"),
+        (("--add", "paper.py:paper"), "two methods are called 'paper': give yours another name"),
+        (("--add", "bad.py:Bad"), "bad.py:Bad does not keep the protocol (drives 5 arms"),
+        (("--out", "old", "--methods", "paper"), f"results of version {VERSION + 1} of the scenarios"),
+        (("--out", "damaged", "--methods", "paper"), "damaged/results.json cannot be read"),
+    ],
+)
+def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
+    (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
+    for name, text in {"old": json.dumps({"version": VERSION + 1}), "damaged": "{"}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "results.json").write_text(text)
+    code, errors = stopped(compare.main, arguments, tmp_path)
+    assert code == 2, errors
+    assert message in errors
+    assert len(errors.strip().splitlines()) == 1
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    def full(path: Path, write: object) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(pairs, "write_atomically", full)
+    arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["compare.py", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        compare.main()
+    assert stopped.value.code == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "No space left on device" in errors[0]
