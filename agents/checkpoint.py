@@ -30,7 +30,7 @@ import torch
 from agents.settings import RunConfig
 from baselines.files import require_writable, write_atomically, write_text
 
-VERSION = 2
+VERSION = 3
 
 
 class RunFolder:

@@ -149,6 +149,6 @@ class InformedBase:
 
     def _believed(self, belief: Belief, reading: Reading) -> Floats:
         doubted = [4 + IDENTIFIED.index(name) for name in _DOUBTED]
-        doubts = np.sqrt(np.maximum(belief.covariance[:, doubted, doubted], 0.0))
+        doubts = np.sqrt(np.maximum(belief.variance[:, doubted], 0.0))
         errors = tip_errors(belief.state, reading, self._params)
         return np.concatenate([belief.state[:, 1:], errors, belief.logs, doubts], axis=1)

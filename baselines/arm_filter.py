@@ -24,9 +24,13 @@ from numpy.typing import NDArray
 
 from baselines.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env import _layout as at
 from beltarm_env._jit import compiled
+from beltarm_env._layout import LANES
+from beltarm_env.dynamics import LUMPED
+from beltarm_env.motion import WORK_ROWS, move_block
 from beltarm_env.params import FIELDS
-from beltarm_env.simulation import ArmSimulation, params_table
+from beltarm_env.simulation import load_arms, params_table
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +42,8 @@ IDENTIFIED = (
     "coulomb_friction",
     "arm_inertia",
 )
-_COLUMNS = np.array([FIELDS.index(name) for name in IDENTIFIED])
+_ROWS = np.array([FIELDS.index(name) for name in IDENTIFIED])
+_LIMIT = FIELDS.index("torque_limit")
 _LOWEST = np.array([-0.5, -0.4, -0.3, -0.6, -0.6, -0.4])
 _HIGHEST = np.array([1.4, 0.4, 0.3, 0.6, 0.6, 0.4])
 """Bounds of the logarithms: any arm that the benchmark has, and none that the simulation could not integrate."""
@@ -69,45 +74,94 @@ class Doubt:
 
 
 class Tracks(NamedTuple):
-    """What m filters believe, each of one arm."""
+    """What m filters believe, each of one arm: along the last axis, for kernels to take many of them side by side."""
 
-    state: Floats  # x, shape (m, 4)
-    logs: Floats  # ln of each of IDENTIFIED over its nominal value, shape (m, 6)
-    covariance: Floats  # of both, shape (m, 10, 10)
+    state: Floats  # x, shape (4, m)
+    logs: Floats  # ln of each of IDENTIFIED over its nominal value, shape (6, m)
+    covariance: Floats  # of both, shape (10, 10, m)
     evidence: Floats  # ln of the likelihood of all that the encoder has shown, shape (m,)
 
-    def of(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Tracks:
+    def of(self, rows: NDArray[np.intp]) -> Tracks:
         """Some of them."""
-        return Tracks(*(part[rows] for part in self))
+        return Tracks(*(part.take(rows, axis=-1) for part in self))
 
 
 @compiled
-def _prior(predicted: Floats, covariance: Floats, by_torque: Floats, by_acceleration: Floats, prior: Floats) -> None:
-    """Covariance before the measurement, into `prior`: F P F' + Q, where F is the unit matrix but for its rows of x.
+def _simulated(state: Floats, table: Floats, torque: Floats, simulations: int) -> Floats:
+    """States one period on: as believed, then with the first, the second, ... of the ten moved a little.
 
     Args:
-        predicted: Simulations of one arm, shape (11, 4): the first as believed, then each of the ten moved.
-        covariance: P, shape (10, 10).
-        by_torque: What the torque's noise does to x, its standard deviation included, shape (4,).
-        by_acceleration: The same of the torsional acceleration's.
-        prior: Shape (10, 10).
+        state: As believed, shape (4, m).
+        table: Constants as believed, rows as the fields of `ArmParams`, shape (12, m).
+        torque: Held over the period [N m], shape (m,); cut at the torque limit.
+        simulations: How many of each arm.
+
+    Returns:
+        Shape (simulations, 4, m).
     """
-    jacobian, half = np.empty((4, _SIZE)), np.zeros((4, _SIZE))
+    result, factors = np.empty((simulations, *state.shape)), np.exp(_MOVES)
+    block, work, actions = np.zeros(at.ROWS * LANES), np.zeros(WORK_ROWS * LANES), np.zeros(LANES)
+    for low in range(0, len(torque), LANES):
+        count = min(LANES, len(torque) - low)
+        arms = table[:, low : low + count].copy()
+        for j in range(count):
+            actions[j] = min(max(torque[low + j] / arms[_LIMIT, j], -1.0), 1.0)
+        load_arms(block, arms, LUMPED)
+        for k in range(simulations):
+            for i in range(4):
+                for j in range(count):
+                    block[(at.STATE + i) * LANES + j] = state[i, low + j]
+            if 1 <= k <= 4:
+                for j in range(count):
+                    block[(at.STATE + k - 1) * LANES + j] += _MOVES[k - 1]
+            elif k > 4:
+                constant = _ROWS[k - 5]
+                arms[constant] *= factors[k - 1]
+                load_arms(block, arms, LUMPED)
+                arms[constant] = table[constant, low : low + count]
+            move_block(block, work, actions, count, LUMPED)
+            for i in range(4):
+                for j in range(count):
+                    result[k, i, low + j] = block[(at.STATE + i) * LANES + j]
+    return result
+
+
+@compiled
+def _prior(predicted: Floats, covariance: Floats, noise: Floats) -> Floats:
+    """Covariance before the measurement: F P F' + Q, where F is the unit matrix but for its rows of x.
+
+    Args:
+        predicted: Simulations, shape (11, 4, m): the first as believed, then each of the ten moved.
+        covariance: P, shape (10, 10, m).
+        noise: What torque and torsional acceleration do to x, each by its standard deviation, shape (2, 4, m).
+
+    Returns:
+        Shape (10, 10, m).
+    """
+    count = covariance.shape[2]
+    jacobian, half, prior = np.empty((4, _SIZE, count)), np.empty((4, _SIZE, count)), covariance.copy()
+    for i in range(4):
+        for j in range(_SIZE):
+            for arm in range(count):
+                jacobian[i, j, arm] = (predicted[j + 1, i, arm] - predicted[0, i, arm]) / _MOVES[j]
     for j in range(_SIZE):
         for i in range(4):
-            jacobian[i, j] = (predicted[j + 1, i] - predicted[0, i]) / _MOVES[j]
-    for i in range(4):
-        for m in range(_SIZE):
-            for j in range(_SIZE):
-                half[i, j] += jacobian[i, m] * covariance[m, j]
-    prior[:] = covariance
+            for arm in range(count):
+                total = 0.0
+                for m in range(_SIZE):
+                    total += jacobian[i, m, arm] * covariance[m, j, arm]
+                half[i, j, arm] = total
     for i in range(4):
         for j in range(4):
-            prior[i, j] = by_torque[i] * by_torque[j] + by_acceleration[i] * by_acceleration[j]
-            for m in range(_SIZE):
-                prior[i, j] += half[i, m] * jacobian[j, m]
+            for arm in range(count):
+                total = noise[0, i, arm] * noise[0, j, arm] + noise[1, i, arm] * noise[1, j, arm]
+                for m in range(_SIZE):
+                    total += half[i, m, arm] * jacobian[j, m, arm]
+                prior[i, j, arm] = total
         for j in range(4, _SIZE):
-            prior[i, j] = prior[j, i] = half[i, j]
+            for arm in range(count):
+                prior[i, j, arm] = prior[j, i, arm] = half[i, j, arm]
+    return prior
 
 
 @compiled
@@ -117,54 +171,41 @@ def _corrected(
     measured: Floats,
     count: Floats,
     by_noise: Floats,
-    noise: tuple[float, float, float],
+    doubt: tuple[float, float, float],
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Kalman filter step from simulations of shape (m, 11, 4): the first as believed, then each of the ten moved."""
-    _, logs, covariance, evidence = tracks
-    state, new_logs, new_covariance = np.empty((len(predicted), 4)), logs.copy(), np.empty_like(covariance)
-    new_evidence, prior = evidence.copy(), np.empty((_SIZE, _SIZE))
-    for arm in range(len(predicted)):
-        innovation = measured[arm] - predicted[arm, 0, 0]
-        sticks = predicted[arm, 0, 1] == 0.0
-        holds = sticks and abs(innovation) <= _SLIDES * count[arm]
-        torque = (0.0 if holds else _LOOSE) if sticks else noise[0]
-        _prior(predicted[arm], covariance[arm], torque * by_noise[arm, 0], noise[1] * by_noise[arm, 1], prior)
-        for i in range(4, _SIZE):
-            prior[i, i] += noise[2] * noise[2] * CONTROL_PERIOD
-        rounding = count[arm] * count[arm]
-        prior[0, 0] += rounding / 120  # keeps the angle open to the encoder
-        total = prior[0, 0] + rounding / 12
-        new_evidence[arm] -= 0.5 * (innovation * innovation / total + np.log(total))
+    """Kalman filter step from simulations of shape (11, 4, m): the first as believed, then each of the ten moved."""
+    arms = len(measured)
+    noise, holds = np.empty((2, 4, arms)), np.empty(arms, np.bool_)
+    for arm in range(arms):
+        sticks = predicted[0, 1, arm] == 0.0
+        holds[arm] = sticks and abs(measured[arm] - predicted[0, 0, arm]) <= _SLIDES * count[arm]
+        torque = (0.0 if holds[arm] else _LOOSE) if sticks else doubt[0]
+        for i in range(4):
+            noise[0, i, arm], noise[1, i, arm] = torque * by_noise[arm, 0, i], doubt[1] * by_noise[arm, 1, i]
+    prior, gain = _prior(predicted, tracks.covariance, noise), np.empty((_SIZE, arms))
+    for i in range(4, _SIZE):
+        for arm in range(arms):
+            prior[i, i, arm] += doubt[2] * doubt[2] * CONTROL_PERIOD
+    state, logs, evidence = predicted[0].copy(), tracks.logs.copy(), tracks.evidence.copy()
+    for arm in range(arms):
+        innovation, rounding = measured[arm] - predicted[0, 0, arm], count[arm] * count[arm]
+        prior[0, 0, arm] += rounding / 120  # keeps the angle open to the encoder
+        total = prior[0, 0, arm] + rounding / 12
+        evidence[arm] -= 0.5 * (innovation * innovation / total + np.log(total))
         for i in range(_SIZE):
-            gain = prior[i, 0] / total
-            if i < 4:
-                state[arm, i] = predicted[arm, 0, i] + gain * innovation
-            else:
-                new_logs[arm, i - 4] += gain * innovation
-            for j in range(_SIZE):
-                new_covariance[arm, i, j] = prior[i, j] - gain * prior[0, j]
-        if holds:
-            state[arm, 1] = 0.0
-    return state, new_logs, new_covariance, new_evidence
-
-
-@compiled
-def _moved(state: Floats, table: Floats) -> tuple[Floats, Floats]:
-    """States (11 m, 4) and constants (11 m, 12) of all simulations: as believed, then with each of the ten moved."""
-    states, tables = np.empty(((_SIZE + 1) * len(state), 4)), np.empty(((_SIZE + 1) * len(table), table.shape[1]))
-    factors = np.exp(_MOVES)
-    for arm in range(len(state)):
-        first = arm * (_SIZE + 1)
-        for row in range(first, first + _SIZE + 1):
-            for i in range(4):
-                states[row, i] = state[arm, i]
-            for i in range(table.shape[1]):
-                tables[row, i] = table[arm, i]
-        for j in range(4):
-            states[first + 1 + j, j] += _MOVES[j]
-        for j in range(4, _SIZE):
-            tables[first + 1 + j, _COLUMNS[j - 4]] *= factors[j]
-    return states, tables
+            gain[i, arm] = prior[i, 0, arm] / total
+        for i in range(4):
+            state[i, arm] += gain[i, arm] * innovation
+        for i in range(4, _SIZE):
+            logs[i - 4, arm] += gain[i, arm] * innovation
+        if holds[arm]:
+            state[1, arm] = 0.0
+    covariance = np.empty_like(prior)
+    for i in range(_SIZE):
+        for j in range(_SIZE):
+            for arm in range(arms):
+                covariance[i, j, arm] = prior[i, j, arm] - gain[i, arm] * prior[0, j, arm]
+    return state, logs, covariance, evidence
 
 
 class ArmFilter:
@@ -173,30 +214,24 @@ class ArmFilter:
     def __init__(self, params: ArmParams, doubt: Doubt) -> None:
         self.params = params
         self.doubt = doubt
-        self._nominal = params_table([params])
+        self._nominal = params_table([params]).T
         arm = linear_arm(params)
         self._by_noise = np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1)  # shape (46, 2, 4)
 
     def begun(self, angles: Floats, count: float) -> Tracks:
         """Filters of nominal arms at rest at these motor angles, shape (m,), read in counts of so many rad."""
-        state = np.zeros((len(angles), 4))
-        state[:, 0] = angles
-        covariance = np.repeat(self.doubt.covariance(count)[None], len(angles), axis=0)
-        return Tracks(state, np.zeros((len(angles), len(IDENTIFIED))), covariance, np.zeros(len(angles)))
-
-    def room(self, count: int) -> ArmSimulation:
-        """A simulation for up to so many filters."""
-        return ArmSimulation(self.params, (_SIZE + 1) * count)
+        state = np.zeros((4, len(angles)))
+        state[0] = angles
+        covariance = np.repeat(self.doubt.covariance(count)[:, :, None], len(angles), axis=2)
+        return Tracks(state, np.zeros((len(IDENTIFIED), len(angles))), covariance, np.zeros(len(angles)))
 
     def table(self, logs: Floats) -> Floats:
-        """Constants of the arms as believed, columns as `ArmParams`, shape (m, 12)."""
-        table = np.repeat(self._nominal, len(logs), axis=0)
-        table[:, _COLUMNS] *= np.exp(logs)
+        """Constants of the arms as believed, rows as the fields of `ArmParams`, shape (12, m)."""
+        table = np.repeat(self._nominal, logs.shape[1], axis=1)
+        table[_ROWS] *= np.exp(logs)
         return table
 
-    def stepped(
-        self, tracks: Tracks, torque: Floats, measured: Floats, count: Floats, simulation: ArmSimulation
-    ) -> Tracks:
+    def stepped(self, tracks: Tracks, torque: Floats, measured: Floats, count: Floats) -> Tracks:
         """The filters one sample on.
 
         Args:
@@ -204,24 +239,14 @@ class ArmFilter:
             torque: Held over the period up to this sample [N m], shape (m,).
             measured: Motor angle [rad], shape (m,).
             count: The encoder's resolution [rad], shape (m,).
-            simulation: With room for them.
         """
-        predicted = self._predicted(tracks, torque, simulation)
-        angle = predicted[:, 0, 0] / self.params.gear_ratio
-        by_noise = at_angle(self._by_noise, angle)
-        noise = self.doubt.torque, self.doubt.acceleration, self.doubt.drift
-        new = Tracks(*_corrected(predicted, tracks, measured, count, by_noise, noise))
-        state, logs = np.clip(new.state, -_LARGEST, _LARGEST), np.clip(new.logs, _LOWEST, _HIGHEST)
-        return new._replace(state=state, logs=logs)
+        predicted = _simulated(tracks.state, self.table(tracks.logs), torque, 1 + _SIZE)
+        by_noise = at_angle(self._by_noise, predicted[0, 0] / self.params.gear_ratio)
+        doubt = self.doubt.torque, self.doubt.acceleration, self.doubt.drift
+        new = Tracks(*_corrected(predicted, tracks, measured, count, by_noise, doubt))
+        state = np.clip(new.state, -_LARGEST[:, None], _LARGEST[:, None])
+        return new._replace(state=state, logs=np.clip(new.logs, _LOWEST[:, None], _HIGHEST[:, None]))
 
-    def ahead(self, state: Floats, logs: Floats, torque: Floats, simulation: ArmSimulation) -> Floats:
-        """States one sample on of arms as believed, under torques [N m] of shape (m,)."""
-        simulation.set_table(self.table(logs))
-        return simulation.advance(state, torque)
-
-    def _predicted(self, tracks: Tracks, torque: Floats, simulation: ArmSimulation) -> Floats:
-        """States one period on: as believed, and with each of the ten moved; shape (m, 11, 4)."""
-        states, table = _moved(tracks.state, self.table(tracks.logs))
-        simulation.set_table(table)
-        torques = np.repeat(torque, _SIZE + 1)
-        return simulation.advance(states, torques).reshape(len(torque), _SIZE + 1, 4)
+    def ahead(self, state: Floats, logs: Floats, torque: Floats) -> Floats:
+        """States (4, m) one sample on of arms as believed, under torques [N m] of shape (m,)."""
+        return _simulated(state, self.table(logs), torque, 1)[0]

@@ -29,7 +29,6 @@ from baselines.observer import QUANTUM
 from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env._jit import compiled
-from beltarm_env.simulation import ArmSimulation
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.intp]
@@ -57,12 +56,16 @@ class Belief:
     count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
     angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
     torques: Floats = field(repr=False)  # the last ones, latest first [N m], shape (n, 3)
-    simulation: ArmSimulation = field(repr=False)  # room for all filters; keeps nothing from call to call
 
     @property
     def covariance(self) -> Floats:
         """Of the filter's x and of the logarithms, shape (n, 10, 10)."""
-        return self.filters.tracks.covariance[self.believed]
+        return np.moveaxis(self.filters.tracks.covariance.take(self.believed, axis=-1), -1, 0)
+
+    @property
+    def variance(self) -> Floats:
+        """The diagonals of `covariance`, shape (n, 10)."""
+        return self.filters.tracks.covariance.diagonal()[self.believed]
 
     def recalling(self, which: Flags, logs: Floats, covariance: Floats) -> Belief:
         """The same at an episode's beginning, but with constants known from elsewhere.
@@ -73,7 +76,7 @@ class Belief:
             covariance: Of these, shape (n, 6, 6).
         """
         filters = self.filters.recalling(which, logs, covariance)
-        return replace(self, filters=filters, logs=filters.tracks.logs[self.believed])
+        return replace(self, filters=filters, logs=filters.tracks.logs[:, self.believed].T)
 
 
 @dataclass(frozen=True)
@@ -84,46 +87,46 @@ class Filters:
     delay: Whole  # shape (m,)
     tracks: Tracks
 
-    def of(self, rows: Whole | Flags) -> Filters:
+    def of(self, rows: Whole) -> Filters:
         """Some of them."""
         return Filters(self.arm[rows], self.delay[rows], self.tracks.of(rows))
 
-    def with_those_of(self, others: Filters) -> Filters:
-        """These and others, in order."""
+    def replaced(self, which: Flags, others: Filters) -> Filters:
+        """The same, but those of some arms, shape (n,), replaced by others."""
         arm, delay = (np.concatenate(parts) for parts in ((self.arm, others.arm), (self.delay, others.delay)))
-        tracks = Tracks(*(np.concatenate(parts) for parts in zip(self.tracks, others.tracks, strict=True)))
-        return Filters(arm, delay, tracks).of(np.lexsort((delay, arm)))
+        tracks = Tracks(*(np.concatenate(parts, axis=-1) for parts in zip(self.tracks, others.tracks, strict=True)))
+        order = np.argsort(arm, kind="stable")
+        stay = np.append(~which[self.arm], np.ones(len(others.arm), np.bool_))
+        return Filters(arm, delay, tracks).of(order[stay[order]])
 
     def recalling(self, which: Flags, logs: Floats, covariance: Floats) -> Filters:
         """The same, but with constants known from elsewhere, see `Belief.recalling`."""
-        known, rows = self.tracks.covariance.copy(), which[self.arm]
-        known[rows, 4:, 4:] = covariance[self.arm[rows]]
-        logs = np.where(rows[:, None], logs[self.arm], self.tracks.logs)
-        return Filters(self.arm, self.delay, self.tracks._replace(logs=logs, covariance=known))
+        tracks = self.tracks._replace(logs=self.tracks.logs.copy(), covariance=self.tracks.covariance.copy())
+        rows = which[self.arm]
+        tracks.logs[:, rows] = logs[self.arm[rows]].T
+        tracks.covariance[4:, 4:, rows] = np.moveaxis(covariance[self.arm[rows]], 0, -1)
+        return Filters(self.arm, self.delay, tracks)
 
     def best(self) -> Whole:
         """Which are those with the most evidence, of equals the one with the shorter delay; shape (n,)."""
-        if self._decided:
-            return self.arm
-        order = np.lexsort((self.delay, -self.tracks.evidence, self.arm))
-        return order[self._first()]
+        return _most_evident(self.arm, self.tracks.evidence)
 
     def promising(self) -> Filters:
         """Those that may still be right."""
-        if self._decided:
-            return self
-        best = np.maximum.reduceat(self.tracks.evidence, self._first())
-        promising = self.tracks.evidence >= best[self.arm] - _HOPELESS
-        return self if promising.all() else self.of(promising)
+        evidence = self.tracks.evidence
+        promising = evidence >= evidence[self.best()][self.arm] - _HOPELESS
+        return self if promising.all() else self.of(np.flatnonzero(promising))
 
-    @property
-    def _decided(self) -> bool:
-        """Whether each arm has one filter left."""
-        return bool(self.arm[-1] + 1 == len(self.arm))
 
-    def _first(self) -> Whole:
-        """Where the filters of each arm begin."""
-        return np.searchsorted(self.arm, np.arange(self.arm[-1] + 1))
+@compiled
+def _most_evident(arm: Whole, evidence: Floats) -> Whole:
+    """For each arm the row with the most evidence, of equals the first; rows are by arm."""
+    best = np.empty(arm[-1] + 1, np.intp)
+    for row in range(len(arm)):
+        first = row == 0 or arm[row] != arm[row - 1]
+        if first or evidence[row] > evidence[best[arm[row]]]:
+            best[arm[row]] = row
+    return best
 
 
 class ArmIdentifier:
@@ -136,7 +139,7 @@ class ArmIdentifier:
 
     def table(self, belief: Belief) -> Floats:
         """Constants of the arms as believed, columns as `ArmParams`, shape (n, 12)."""
-        return self._filter.table(belief.logs)
+        return self._filter.table(belief.logs.T).T.copy()
 
     def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:
         """Bring the belief up to this sample.
@@ -153,21 +156,21 @@ class ArmIdentifier:
         torques = np.column_stack([reading.last_torque, belief.torques[:, :-1]])
         filters = self._stepped(belief, angle, np.where(count > 0, np.maximum(count, QUANTUM), COARSEST), torques)
         best = filters.best()
-        delay, logs = filters.delay[best], filters.tracks.logs[best]
-        state = self._now(filters.tracks.state[best], logs, delay, torques, belief.simulation)
-        stepped = Belief(state, logs, delay, best, filters, count, angle, torques, belief.simulation)
+        delay, tracks = filters.delay[best], filters.tracks
+        logs = tracks.logs.take(best, axis=1)
+        state = self._now(tracks.state.take(best, axis=1), logs, delay, torques)
+        stepped = Belief(state.T.copy(), logs.T.copy(), delay, best, filters, count, angle, torques)
         return self.begun(stepped, angle, begins)
 
     def begun(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
         """The same, but nothing of arms that begin an episode at rest at these motor angles [rad], shape (n,)."""
         if not begins.any():
             return belief
-        others = belief.filters.of(~begins[belief.filters.arm])
-        filters = others.with_those_of(self._begun(np.flatnonzero(begins), angle[begins]))
+        filters = belief.filters.replaced(begins, self._begun(np.flatnonzero(begins), angle[begins]))
         best, start = filters.best(), begins[:, None]
         return replace(
             belief,
-            state=np.where(start, filters.tracks.state[best], belief.state),
+            state=np.where(start, filters.tracks.state[:, best].T, belief.state),
             logs=np.where(start, 0.0, belief.logs),
             delay=np.where(begins, 0, belief.delay),
             believed=best,
@@ -181,9 +184,8 @@ class ArmIdentifier:
         """Of arms at rest at these motor angles, of which nothing is known."""
         filters = self._begun(np.arange(len(angle)), angle)
         best, count, torques = filters.best(), np.zeros(len(angle)), np.zeros((len(angle), LATEST + 1))
-        state, logs = filters.tracks.state[best], filters.tracks.logs[best]
-        room = self._filter.room(len(filters.arm))
-        return Belief(state, logs, filters.delay[best], best, filters, count, angle, torques, room)
+        state, logs = filters.tracks.state[:, best].T.copy(), filters.tracks.logs[:, best].T.copy()
+        return Belief(state, logs, filters.delay[best], best, filters, count, angle, torques)
 
     def _begun(self, arms: Whole, angles: Floats) -> Filters:
         """New filters of these arms, at rest at these motor angles, one for each delay."""
@@ -194,16 +196,15 @@ class ArmIdentifier:
     def _stepped(self, belief: Belief, angle: Floats, count: Floats, torques: Floats) -> Filters:
         """The filters one sample on, without those that are given up."""
         arm, delay = belief.filters.arm, belief.filters.delay
-        tracks = self._filter.stepped(
-            belief.filters.tracks, torques[arm, delay], angle[arm], count[arm], belief.simulation
-        )
+        tracks = self._filter.stepped(belief.filters.tracks, torques[arm, delay], angle[arm], count[arm])
         return Filters(arm, delay, tracks).promising()
 
-    def _now(self, state: Floats, logs: Floats, delay: Whole, torques: Floats, simulation: ArmSimulation) -> Floats:
-        """States now, from states as old as the delay, by the torques since; shape (n, 4)."""
+    def _now(self, state: Floats, logs: Floats, delay: Whole, torques: Floats) -> Floats:
+        """States now, from states as old as the delay, by the torques since; shape (4, n)."""
         for age in range(int(delay.max()), 0, -1):
             late = np.flatnonzero(delay >= age)
-            state[late] = self._filter.ahead(state[late], logs[late], torques[late, age - 1], simulation)
+            old, believed = state.take(late, axis=1), logs.take(late, axis=1)
+            state[:, late] = self._filter.ahead(old, believed, torques[late, age - 1])
         return state
 
 

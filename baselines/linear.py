@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env._jit import compiled
 from beltarm_env.linear import sample_models
 from beltarm_env.simulation import params_table
 
@@ -37,7 +38,16 @@ def linear_arm(params: ArmParams) -> LinearArms:
 
 def at_angle(table: Floats, angle: Floats) -> Floats:
     """Linear interpolation of one arm's table over `ANGLES` at joint angles [rad] of shape (n,): shape (n, ...)."""
-    position = np.clip(angle / ANGLES[1], 0.0, len(ANGLES) - 1.0)
-    below = np.minimum(position.astype(np.intp), len(ANGLES) - 2)
-    weight = (position - below).reshape(-1, *(1,) * (table.ndim - 1))
-    return table[below] * (1.0 - weight) + table[below + 1] * weight
+    return _interpolated(table.reshape(len(table), -1), angle).reshape(len(angle), *table.shape[1:])
+
+
+@compiled
+def _interpolated(table: Floats, angle: Floats) -> Floats:
+    result = np.empty((len(angle), table.shape[1]))
+    for n in range(len(angle)):
+        position = min(max(0.0, angle[n] / ANGLES[1]), len(ANGLES) - 1.0)  # 0 of an angle that is not a number
+        below = min(int(position), len(ANGLES) - 2)
+        weight = position - below
+        for k in range(table.shape[1]):
+            result[n, k] = table[below, k] * (1.0 - weight) + table[below + 1, k] * weight
+    return result

@@ -92,9 +92,8 @@ class TorsionSimulation:
         square = self._stiffness / m2
         frequency = np.sqrt(square - decay * decay)
         rate = rate + speed_change
-        envelope = np.exp(-decay * CONTROL_PERIOD)
-        cosine = envelope * np.cos(frequency * CONTROL_PERIOD)
-        sine = envelope * np.sin(frequency * CONTROL_PERIOD) / frequency
+        envelope, phase = np.exp(-decay * CONTROL_PERIOD), frequency * CONTROL_PERIOD
+        cosine, sine = envelope * np.cos(phase), envelope * np.sin(phase) / frequency
         return (
             torsion * (cosine + decay * sine) + rate * sine,
             rate * (cosine - decay * sine) - torsion * square * sine,
@@ -134,8 +133,8 @@ class PaperController:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         p, gains = self.params, self.gains
         error, speed_error, speed, angle_ref, speed_ref, acceleration_ref = (
-            observation[:, :6].astype(np.float64) * self._scales[:6]
-        ).T
+            observation[:, :6].T.astype(np.float64, order="C") * self._scales[:6, None]
+        )
         joint_angle = angle_ref - error / p.gear_ratio
         memory = self._simulation.follow(state, episode_start, speed / p.gear_ratio, joint_angle)
         u_1 = p.gear_ratio * acceleration_ref + gains.speed * speed_error + gains.angle * error

@@ -24,12 +24,18 @@ def params_table(arms: Sequence[ArmParams]) -> Floats:
 
 
 @compiled
-def _load_arms(blocks: Floats, table: Floats, model: Model) -> None:
-    for i in range(len(table)):
-        block, j = blocks[i // LANES], i % LANES
-        plant = plant_of(table[i])
+def load_arms(block: Floats, table: Floats, model: Model) -> None:
+    """Put constants, rows as the fields of `ArmParams`, shape (12, n), into the first n lanes of a block."""
+    for j in range(table.shape[1]):
+        plant = plant_of(table[:, j])
         store_plant(block, j, plant)
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
+
+
+@compiled
+def _load_blocks(blocks: Floats, table: Floats, model: Model) -> None:
+    for k in range(len(blocks)):
+        load_arms(blocks[k], table[k * LANES : (k + 1) * LANES].T, model)
 
 
 @compiled
@@ -74,7 +80,7 @@ class ArmSimulation:
         self._limits = table[:, FIELDS.index("torque_limit")].copy()
         self._blocks = at.empty_blocks(len(table))
         self._work, self._actions = np.zeros(WORK_ROWS * LANES), np.zeros(LANES)
-        _load_arms(self._blocks, table, self._model)
+        _load_blocks(self._blocks, table, self._model)
 
     def set_table(self, table: Floats) -> None:
         """Go on with other constants that are near those before: columns as `ArmParams`, shape (n, 12).
@@ -85,7 +91,7 @@ class ArmSimulation:
         if len(table) > len(self._blocks) * LANES:
             raise ValueError(f"there is room for {len(self._blocks) * LANES} arms, got {len(table)}")
         self._limits = table[:, FIELDS.index("torque_limit")].copy()
-        _load_arms(self._blocks, table, self._model)
+        _load_blocks(self._blocks, table, self._model)
 
     def advance(self, states: Floats, torques: Floats) -> Floats:
         """States one control period later.
