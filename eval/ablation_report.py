@@ -105,14 +105,14 @@ def markdown(study: Study, seconds: float) -> str:
     seeds = len(study.outcomes[0].runs)
     parts = [
         "# What makes learning work: ablations",
-        f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: "
-        f"{study.steps:,} agent steps, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the "
-        "learning rate falling to zero over them. (With the hold the discount changes, so that it "
-        "reaches as far ahead in seconds.) Scores are those of the *last* policy on "
-        f"{study.arms} arms of the training ranges with seeds from {SEED}, which nothing else uses. Of several seeds "
-        "the mean, with the lowest and the highest; differences within that range show nothing. *left* is the share of "
-        "arms that left the workspace, which costs as much as a hundred good episodes: where it is not 0, look at the "
-        "median. *vs default* is the ratio of mean costs. *Minutes* are the wall-clock of one run.",
+        f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: {study.steps:,} "
+        f"agent steps, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning rate falling to zero "
+        "over them. (With the hold the discount changes, so that it reaches as far ahead in seconds; small residuals "
+        f"are tried on another base.) Scores are those of the *last* policy on {study.arms} arms of the training "
+        f"ranges with seeds from {SEED}, which nothing else uses. Of several seeds the mean, with the lowest and the "
+        "highest; differences within that range show nothing. *left* is the share of arms that left the workspace, "
+        "which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs default* is the "
+        "ratio of mean costs. *Minutes* are the wall-clock of one run.",
         "What it means is in [../learning.md](../learning.md). The common part of the commands is "
         f"`{_common(study)}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
         "![curves](curves.png)",

@@ -73,6 +73,7 @@ VARIANTS = (
     Variant("base-preview", "base", "preview", ("--base", "preview")),
     Variant("base-lqg", "base", "lqg", ("--base", "lqg")),
     Variant("base-adaptive", "base", "adaptive", ("--base", "adaptive")),
+    Variant("small-on-adaptive", "base", "adaptive, 0.1 of limit", ("--base", "adaptive", "--residual-limit", "0.1")),
     Variant("base-none", "base", "none: from scratch", ("--base", "none")),
     Variant("hold-2", "hold", "3 ms, as far ahead", ("--hold", "2", "--gamma", "0.994")),
     Variant("hold-12", "hold", "18 ms, as far ahead", ("--hold", "12", "--gamma", "0.964")),
