@@ -143,9 +143,10 @@ def main() -> None:
         require_writable(config.out)
         require_writable(config.runs)
         found = study(config, lambda line: print(line, file=sys.stderr, flush=True))
+        data, page = as_json(found), markdown(found, time.perf_counter() - began)  # before a file of the commit changes
         draw(found, config.out / "curves.png")
-        write_text(config.out / "ablations.json", as_json(found))
-        write_text(config.out / "ablations.md", markdown(found, time.perf_counter() - began))
+        write_text(config.out / "ablations.json", data)
+        write_text(config.out / "ablations.md", page)
         print(f"written to {config.out}: ablations.md, ablations.json, curves.png")
 
 
