@@ -37,6 +37,10 @@ class OnPolicyConfig(ReinforcementConfig):
         if self.arms * self.rollout_steps < 2:
             raise ValueError("--arms times --rollout-steps must be at least 2")
 
+    def learning_rate_left(self, remaining: float) -> float:
+        """Learning rate while a share `remaining` of the run is left; the last rollout takes that below 0."""
+        return self.learning_rate * max(remaining, 0.0)
+
     def arguments(self, **policy: Any) -> dict[str, Any]:
         """Arguments that the algorithms have in common; the learning rate falls linearly to zero.
 
@@ -44,7 +48,7 @@ class OnPolicyConfig(ReinforcementConfig):
             **policy: What the algorithm's policy takes besides layers and exploration noise.
         """
         return {
-            "learning_rate": lambda remaining: self.learning_rate * remaining,
+            "learning_rate": self.learning_rate_left,
             "n_steps": self.rollout_steps,
             "batch_size": self.batch_size,
             "n_epochs": self.epochs,

@@ -516,3 +516,11 @@ def test_a_folder_not_begun_is_no_run(tmp_path: Path):
     RunFolder(tmp_path).begin(config)
     with pytest.raises(FileNotFoundError, match="nothing to resume"):
         RunFolder(tmp_path).begin(replace(config, resume=True))
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo"])
+def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Path):
+    """A run ends with a whole rollout, beyond its steps: a negative rate there would climb the loss."""
+    config = tiny(algorithm, tmp_path)
+    schedule = MODULES[algorithm].make_learner(config).model.lr_schedule
+    assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]
