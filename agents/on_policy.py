@@ -13,18 +13,18 @@ from agents.reinforcement import ReinforcementConfig
 class OnPolicyConfig(ReinforcementConfig):
     """Options of PPO and its kind."""
 
-    rollout_steps: int = 32
+    rollout_steps: int = 64
     """Agent steps per arm between two updates."""
-    batch_size: int = 4096
+    batch_size: int = 2048
     """Samples per gradient step."""
-    epochs: int = 5
+    epochs: int = 3
     """Passes over each rollout."""
     gae_lambda: float = 0.95
     """Bias against variance of the advantage estimate."""
     clip_range: float = 0.2
     """PPO's clipping range."""
-    entropy: float = 1e-4
-    """Weight of the entropy bonus: hardly any, exploration is to fade."""
+    entropy: float = 0.008
+    """Weight of the entropy bonus, which keeps exploration from dying early."""
     initial_log_std: float = -1.0
     """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
 

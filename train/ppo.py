@@ -48,16 +48,8 @@ class Config(OnPolicyConfig):
     """Hidden layers of policy and critic."""
     hold: int = 4
     """Samples for which a residual is held: 6 ms."""
-    rollout_steps: int = 64
-    """Agent steps per arm between two updates."""
-    batch_size: int = 2048
-    """Samples per gradient step."""
-    epochs: int = 3
-    """Passes over each rollout."""
     gae_lambda: float = 0.962
     """Bias against variance of the advantage estimate."""
-    entropy: float = 0.008
-    """Weight of the entropy bonus, which keeps exploration from dying early."""
     initial_log_std: float = -0.66
     """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
 

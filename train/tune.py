@@ -3,9 +3,9 @@
 Optuna's tree-structured Parzen estimator proposes settings; a trial is a training run with them, whose value is its
 lowest validation cost, and it is stopped where its validation cost is above the median of the trials before it [1].
 All trials simulate the same number of samples, however long they hold a residual. Validation arms are those of all
-runs, never the comparison's. Trials are kept in an SQLite file, from which `--resume`
-goes on, and in which several processes work together. A trial's own run is not kept: at the end, the command is printed
-that trains with the settings found.
+runs, never the comparison's. Trials are kept in an SQLite file, from which `--resume` goes on, and in which several
+processes work together. A trial's own run is not kept: at the end, the command is printed that trains with the settings
+found.
 
 [1] D. Golovin et al.: Google Vizier: A Service for Black-Box Optimization, KDD 2017.
 """
