@@ -23,3 +23,11 @@ def stopped(main: Callable[[], None], arguments: tuple[str, ...], folder: Path) 
         except SystemExit as stop:
             return int(stop.code or 0), errors.getvalue()
     return 0, errors.getvalue()
+
+
+def mistake(main: Callable[[], None], arguments: tuple[str, ...], folder: Path) -> str:
+    """The one line with which a command refuses these arguments, as `stopped` runs it, exiting with 2."""
+    code, errors = stopped(main, arguments, folder)
+    assert code == 2, errors
+    (line,) = errors.strip().splitlines()
+    return line

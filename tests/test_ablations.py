@@ -16,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import tyro
+from commands import mistake
 from matplotlib.axes import Axes
 
 from agents.reinforcement import make_env
@@ -24,7 +25,7 @@ from baselines import PaperController
 from eval import ablation_runs, training_loop
 from eval.ablation_report import COLUMNS, Outcome, Study, as_json, draw, markdown
 from eval.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Run, score
-from eval.ablations import Config, run_all
+from eval.ablations import Config, main, run_all
 from train import ppo
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -138,16 +139,8 @@ def test_a_folder_with_another_run_is_refused(done: Path):
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
     ],
 )
-def test_bad_options(
-    arguments: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    from eval import ablations as script
-
-    monkeypatch.setattr(sys, "argv", ["eval/ablations.py", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        script.main()
-    assert stop.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
+def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    line = mistake(main, arguments, tmp_path)
     assert line.startswith("eval/ablations.py: ") and message in line
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import stopped
+from commands import mistake, stopped
 
 from baselines import CONTROLLERS
 from eval import custom
@@ -180,9 +180,7 @@ def test_controllers_that_cannot_be_loaded(spec: str, message: str, tmp_path: Pa
 
 
 def test_a_mistake_on_the_command_line_is_one_line(tmp_path: Path):
-    code, errors = stopped(main, ("nowhere.py:Class",), tmp_path)
-    assert code == 2
-    assert len(errors.strip().splitlines()) == 1
+    assert mistake(main, ("nowhere.py:Class",), tmp_path)
 
 
 CONTROLLER = """

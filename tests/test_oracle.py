@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import stopped
+from commands import mistake
 
 from baselines import PaperController
 from baselines.mpc import MpcController
@@ -109,6 +109,5 @@ def test_missing_casadi_is_one_line():
 
 def test_unknown_scenario_is_one_line(tmp_path: Path):
     pytest.importorskip("casadi")
-    code, errors = stopped(main, ("--scenario", "test:3"), tmp_path)
-    assert code == 2
-    assert errors == "baselines/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'\n"
+    line = mistake(main, ("--scenario", "test:3"), tmp_path)
+    assert line == "baselines/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'"
