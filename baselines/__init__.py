@@ -7,18 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.adaptive import AdaptiveController, AdaptiveGains
-from baselines.disturbance import DisturbanceController, DisturbanceGains
 from baselines.gains import Tunable, tuned
-from baselines.lqg import LqgController, LqgGains
-from baselines.mpc import MpcController, MpcGains
-from baselines.paper import PaperController, PaperGains, rigid_controller
-from baselines.preview import PreviewController, PreviewGains
-from baselines.retuned import RetunedController, RetunedGains
-from baselines.shaping import GAINS as SHAPING_GAINS
-from baselines.shaping import ShapingController
-from baselines.smooth import SmoothController, SmoothGains
-from beltarm_env._jit import drop_stale_kernels
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
+from baselines.optimal.lqg import LqgController, LqgGains
+from baselines.optimal.mpc import MpcController, MpcGains
+from baselines.optimal.preview import PreviewController, PreviewGains
+from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
+from baselines.servo.paper import PaperController, PaperGains, rigid_controller
+from baselines.servo.retuned import RetunedController, RetunedGains
+from baselines.servo.shaping import GAINS as SHAPING_GAINS
+from baselines.servo.shaping import ShapingController
+from baselines.servo.smooth import SmoothController, SmoothGains
+from beltarm_env.jit import drop_stale_kernels
 
 drop_stale_kernels(Path(__file__).parent)
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from baselines.files import write_text
+from baselines.tools.files import write_text
 from beltarm_env.rollout import Controller
 
 FILE = Path(__file__).with_name("gains.json")

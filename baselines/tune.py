@@ -1,8 +1,8 @@
 """Tune the gains of classical controllers: `python baselines/tune.py NAME`, or `--all` of them.
 
-Every controller gets the same optimiser, arms, objective and budget, see `baselines/search.py`; a full budget is what
-a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with where they come from. Each search keeps a
-journal, from which `--resume` goes on after an interruption. A new search begins with the untuned gains, never with
+Every controller gets the same optimiser, arms, objective and budget, see `baselines/tuning/search.py`; a full budget is
+what a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with where they come from. Each search keeps
+a journal, from which `--resume` goes on after an interruption. A new search begins with the untuned gains, never with
 tuned ones: otherwise budgets would add up.
 """
 
@@ -28,10 +28,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baselines import TUNABLE
-from baselines.files import require_writable
 from baselines.gains import FILE, read_file, write_entry
-from baselines.provenance import command_line, commit
-from baselines.search import CHOICE_SEED, Found, State, search, split
+from baselines.tools.files import require_writable
+from baselines.tools.provenance import command_line, commit
+from baselines.tuning.search import CHOICE_SEED, Found, State, search, split
 from beltarm_env import __version__
 
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 if TYPE_CHECKING:
-    from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
+    from beltarm_env.arm import TRAIN_RANGES, ArmParams
     from beltarm_env.env import BeltArmEnv
-    from beltarm_env.linear import state_space
-    from beltarm_env.params import TRAIN_RANGES, ArmParams
+    from beltarm_env.physics.linear import state_space
+    from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
     from beltarm_env.vector_env import BeltArmVectorEnv
 
 __version__ = "0.1.0"
@@ -32,13 +32,13 @@ __all__ = [
 ]
 
 _HOME = {
-    "CONTROL_PERIOD": "_constants",
-    "EPISODE_STEPS": "_constants",
-    "TRAIN_RANGES": "params",
-    "ArmParams": "params",
+    "CONTROL_PERIOD": "timing",
+    "EPISODE_STEPS": "timing",
+    "TRAIN_RANGES": "arm",
+    "ArmParams": "arm",
     "BeltArmEnv": "env",
     "BeltArmVectorEnv": "vector_env",
-    "state_space": "linear",
+    "state_space": "physics.linear",
 }
 
 

@@ -10,12 +10,12 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env._batch import DRAWS, TOTALS, ArmBatch, new_renderer
-from beltarm_env.kernel import step_arm
-from beltarm_env.moves import MOVE_FIELDS
-from beltarm_env.params import ArmParams, Ranges
-from beltarm_env.reference import Reference
-from beltarm_env.sensors import ENCODER_COUNTS
+from beltarm_env.arm import ArmParams, Ranges
+from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
+from beltarm_env.kernels.step import step_arm
+from beltarm_env.task.moves import MOVE_FIELDS
+from beltarm_env.task.reference import Reference
+from beltarm_env.task.sensors import ENCODER_COUNTS
 
 _ARM = np.array([0])
 _HUGE = 1e300  # comparing with it is the quickest way to tell a finite number

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env._constants import CONTROL_PERIOD, EPISODE_TIME
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 Floats = NDArray[np.float64]
 

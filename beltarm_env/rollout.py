@@ -14,9 +14,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from beltarm_env._constants import CONTROL_PERIOD, EPISODE_STEPS
+from beltarm_env.arm import FIELDS
 from beltarm_env.metrics import episode_metrics
-from beltarm_env.params import FIELDS
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
 
 Floats = NDArray[np.float64]

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env import _layout as at
-from beltarm_env._jit import compiled
-from beltarm_env._layout import LANES, load_state, store_plant, store_state
-from beltarm_env.dynamics import MODELS, Model
-from beltarm_env.motion import WORK_ROWS, move_block
-from beltarm_env.params import FIELDS, ArmParams, check_integrable, integration_substeps, plant_of
-from beltarm_env.plant import ArmState
+from beltarm_env.arm import FIELDS, ArmParams, check_integrable, integration_substeps, plant_of
+from beltarm_env.jit import compiled
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.advance import WORK_ROWS, move_block
+from beltarm_env.kernels.layout import LANES, load_state, store_plant, store_state
+from beltarm_env.physics.models import MODELS, Model
+from beltarm_env.physics.plant import ArmState
 
 Floats = NDArray[np.float64]
 

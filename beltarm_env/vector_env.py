@@ -13,12 +13,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env._batch import DRAWS, TOTALS, ArmBatch, new_renderer
+from beltarm_env.arm import ArmParams, Ranges
+from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
-from beltarm_env.kernel import step_arms
-from beltarm_env.params import ArmParams, Ranges
-from beltarm_env.reference import Reference
-from beltarm_env.sensors import ENCODER_COUNTS
+from beltarm_env.kernels.step import step_arms
+from beltarm_env.task.reference import Reference
+from beltarm_env.task.sensors import ENCODER_COUNTS
 
 Flags = NDArray[np.bool_]
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")

@@ -1,8 +1,8 @@
 """What makes learning work on this arm: `python eval/ablations.py` trains and scores variants of PPO's run.
 
-Each variant changes one thing of `train/ppo.py` (`eval/ablation_runs.py` has the list), at one shortened budget, over
-which the learning rate falls to zero. Finished runs are kept in `--runs` and not repeated; an interrupted one goes on
-where it stopped. Writes ablations.md, ablations.json and curves.png.
+Each variant changes one thing of `train/ppo.py` (`eval/learning/ablation_runs.py` has the list), at one shortened
+budget, over which the learning rate falls to zero. Finished runs are kept in `--runs` and not repeated; an interrupted
+one goes on where it stopped. Writes ablations.md, ablations.json and curves.png.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from eval.command import one_line_errors, stop_without
+from baselines.tools.command import one_line_errors, stop_without
 
 try:
     import tyro
 
-    from agents.bases import make_base
-    from baselines.files import require_writable, write_text
-    from eval.ablation_report import Outcome, Study, as_json, draw, markdown
-    from eval.ablation_runs import DEFAULT, QUESTIONS, VARIANTS, Run, Variant, score
+    from agents.residual.bases import make_base
+    from baselines.tools.files import require_writable, write_text
     from eval.curves import BEST_CLASSICAL, classical_cost
+    from eval.learning.ablation_report import Outcome, Study, as_json, draw, markdown
+    from eval.learning.ablation_runs import DEFAULT, QUESTIONS, VARIANTS, Run, Variant, score
 except ModuleNotFoundError as error:
     stop_without("eval/ablations.py", error)
 

@@ -15,14 +15,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from eval.command import one_line_errors, stop_without
+from baselines.tools.command import one_line_errors, stop_without
 
 try:
     import tyro
 
     from baselines import CONTROLLERS
-    from baselines.files import require_writable, write_text
-    from baselines.provenance import command_line, commit
+    from baselines.tools.files import require_writable, write_text
+    from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
     from eval.loops.page import margins_table, markdown, stability_line
     from eval.loops.pictures import save_pictures

@@ -136,7 +136,7 @@ def start_up(cache: Path) -> tuple[float, float]:
 def accuracy() -> tuple[float, int]:
     """Largest tip distance [m] to the event-located reference over stick-slip moves, and their changes of mode."""
     from baselines import PaperController
-    from eval.event_located import EventLocatedArm, tip
+    from eval.verification.event_located import EventLocatedArm, tip
 
     worst, changes = 0.0, 0
     for seed in range(5):
@@ -178,7 +178,7 @@ def training() -> tuple[float, float, str]:
 
 def training_loop(console: Console, table: Table) -> None:
     """Speed of `train/ppo.py`'s loop beside the same PPO on single arms; prints where its time goes."""
-    from eval import training_loop as loop
+    from eval.speed import training_loop as loop
 
     config = loop.Config()
     console.print(loop.shares_table(config, _ITERATIONS))

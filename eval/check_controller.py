@@ -19,11 +19,11 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from baselines.tools.command import one_line_errors
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.rollout import Controller
-from eval import custom
-from eval.command import one_line_errors
-from eval.timing import time_actions
+from eval.comparison import custom
+from eval.comparison.timing import time_actions
 
 Singles = NDArray[np.float32]
 

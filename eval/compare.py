@@ -26,13 +26,12 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from baselines.files import require_writable, write_text
-from baselines.provenance import command_line
+from baselines.tools.command import one_line_errors
+from baselines.tools.files import require_writable, write_text
+from baselines.tools.provenance import command_line
 from beltarm_env import ArmParams
 from eval.check_controller import first_failure
-from eval.command import one_line_errors
-from eval.markdown import markdown
-from eval.methods import (
+from eval.comparison.methods import (
     PRIVILEGED,
     Method,
     added_method,
@@ -42,16 +41,17 @@ from eval.methods import (
     privileged_method,
     shipped_policies,
 )
-from eval.pairs import Failure, Metrics, Pair, attempt, default_jobs, run_pairs
-from eval.plots import save_plots
-from eval.report import Recordings, record_scenes, robustness_maps, write_report
-from eval.results import Comparison, Outcome, make_comparison, make_outcome, provenance
+from eval.comparison.pairs import Failure, Metrics, Pair, attempt, default_jobs, run_pairs
+from eval.comparison.results import Comparison, Outcome, make_comparison, make_outcome, provenance
+from eval.comparison.schema import require_same_version, write_results
+from eval.comparison.splits import EPISODES, QUICK_EPISODES, load
+from eval.comparison.timing import action_times
+from eval.comparison.traces import Traces, record
 from eval.scenarios import require_same_physics
-from eval.schema import require_same_version, write_results
-from eval.splits import EPISODES, QUICK_EPISODES, load
-from eval.summary import print_tables
-from eval.timing import action_times
-from eval.traces import Traces, record
+from eval.views.markdown import markdown
+from eval.views.plots import save_plots
+from eval.views.report import Recordings, record_scenes, robustness_maps, write_report
+from eval.views.terminal import print_tables
 
 
 @dataclass(frozen=True)

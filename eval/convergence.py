@@ -12,7 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from eval.command import one_line_errors, stop_without
+from baselines.tools.command import one_line_errors, stop_without
 
 try:
     import numpy as np
@@ -23,7 +23,7 @@ try:
     from rich.table import Table
 
     from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
-    from eval.event_located import MODELS, EventLocatedArm, tip
+    from eval.verification.event_located import MODELS, EventLocatedArm, tip
 except ModuleNotFoundError as error:
     stop_without("eval/convergence.py", error)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from eval.command import one_line_errors, stop_without
+from baselines.tools.command import one_line_errors, stop_without
 
 try:
     import numpy as np
@@ -22,13 +22,13 @@ try:
     from numpy.typing import NDArray
 
     from baselines import PaperController
-    from baselines.files import require_writable, write_text
+    from baselines.tools.files import require_writable, write_text
     from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
-    from beltarm_env._mujoco_model import load_model, mujoco, read_state, write_state
-    from beltarm_env.params import FIELDS
+    from beltarm_env.arm import FIELDS
+    from beltarm_env.mujoco.model import load_model, mujoco, read_state, write_state
     from beltarm_env.rollout import rollout
-    from eval.crosscheck_report import MUJOCOS_OWN, REGIMES, Outcome, markdown, save_picture
-    from eval.event_located import tip
+    from eval.verification.crosscheck_report import MUJOCOS_OWN, REGIMES, Outcome, markdown, save_picture
+    from eval.verification.event_located import tip
 except ModuleNotFoundError as error:
     stop_without("eval/crosscheck.py", error)
 

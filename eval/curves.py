@@ -26,15 +26,15 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from agents.bundle import MANIFEST, BundleError, BundleSpec, read_spec
-from agents.checkpoint import RunFolder
-from agents.monitor import validate
+from agents.policy.bundle import MANIFEST, BundleError, BundleSpec, read_spec
+from agents.runs.checkpoint import RunFolder
+from agents.runs.monitor import validate
 from baselines import CONTROLLERS
-from baselines.files import require_writable, write_atomically
-from eval.axes import mark_one_two_five
-from eval.colours import COLOURS
-from eval.command import one_line_errors
-from eval.methods import POLICIES
+from baselines.tools.command import one_line_errors
+from baselines.tools.files import require_writable, write_atomically
+from eval.comparison.methods import POLICIES
+from eval.style.axes import mark_one_two_five
+from eval.style.colours import COLOURS
 
 Floats = NDArray[np.float64]
 

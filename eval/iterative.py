@@ -1,9 +1,9 @@
 """Iterative learning: `python eval/iterative.py` repeats the same moves on the same arms.
 
 Each arm makes its move again and again, and three ways of learning from one repetition to the next are compared: the
-arm and the torque (`baselines.iterative`), the arm alone, and what a textbook does with the motor's error
-(`baselines.motor_learning`). Beside them are controllers that learn nothing. Writes summary.md, results.json and a
-picture.
+arm and the torque (`baselines.iterative.controller`), the arm alone, and what a textbook does with the motor's error
+(`baselines.iterative.motor_learning`). Beside them are controllers that learn nothing. Writes summary.md, results.json
+and a picture.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from eval.command import one_line_errors, stop_without
+from baselines.tools.command import one_line_errors, stop_without
 
 try:
     import numpy as np
@@ -26,19 +26,19 @@ try:
     from numpy.typing import NDArray
 
     from baselines import PaperController, tuned_controller
-    from baselines.adaptive import AdaptiveGains
-    from baselines.files import require_writable, write_text
     from baselines.gains import tuned
-    from baselines.iterative import IterativeController
-    from baselines.lesson import Notes
-    from baselines.motor_learning import MotorLearningController
-    from baselines.preview import PreviewGains
-    from baselines.privileged import PrivilegedController
+    from baselines.iterative.controller import IterativeController
+    from baselines.iterative.lesson import Notes
+    from baselines.iterative.motor_learning import MotorLearningController
+    from baselines.optimal.adaptive import AdaptiveGains
+    from baselines.optimal.preview import PreviewGains
+    from baselines.tools.files import require_writable, write_text
+    from baselines.yardsticks.privileged import PrivilegedController
     from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
-    from beltarm_env.params import FIELDS
-    from beltarm_env.reference import TRAPEZOID, sample_references
+    from beltarm_env.arm import FIELDS
     from beltarm_env.rollout import Controller, Recording, rollout
-    from eval.iterative_report import ARM, KINDS, TORQUE, Outcome, as_json, markdown, save_picture, verdict
+    from beltarm_env.task.reference import TRAPEZOID, sample_references
+    from eval.repetition.report import ARM, KINDS, TORQUE, Outcome, as_json, markdown, save_picture, verdict
 except ModuleNotFoundError as error:
     stop_without("eval/iterative.py", error)
 

@@ -28,8 +28,8 @@ def _end(message: str, status: int) -> NoReturn:
 try:
     import tyro
 
-    from baselines.files import require_writable, write_text
-    from beltarm_env.reference import MoveShape
+    from baselines.tools.files import require_writable, write_text
+    from beltarm_env.task.reference import MoveShape
     from eval.reproduction.cases import USUAL_MOVE
     from eval.reproduction.loop import ServoGains
     from eval.reproduction.response_plots import save_pictures

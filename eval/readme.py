@@ -19,12 +19,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import tyro
 from PIL import Image
 
-from baselines.files import write_text
-from eval.command import one_line_errors
-from eval.estimates import Estimate
-from eval.markdown_table import markdown_table
-from eval.plots import RESULTS_KEY
-from eval.summary import COLUMNS, cell, heading
+from baselines.tools.command import one_line_errors
+from baselines.tools.files import write_text
+from eval.comparison.estimates import Estimate
+from eval.style.markdown_table import markdown_table
+from eval.views.plots import RESULTS_KEY
+from eval.views.terminal import COLUMNS, cell, heading
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "comparison" / "results.json"

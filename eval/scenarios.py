@@ -1,4 +1,4 @@
-"""Draw the test scenarios and write them to `eval/scenarios.json`: `python eval/scenarios.py --write`.
+"""Draw the test scenarios and write them to `eval/comparison/scenarios.json`: `python eval/scenarios.py --write`.
 
 Without `--write` the file is checked, and that the arms still move as they did when it was written.
 """
@@ -17,10 +17,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 import tyro
 
-from baselines.files import write_text
+from baselines.tools.command import one_line_errors
+from baselines.tools.files import write_text
 from beltarm_env.observation import index
-from eval.command import one_line_errors
-from eval.splits import COMMAND, FILE, FORMAT, SPLITS, VERSION, Split, columns_of, digest_of, draw, load
+from eval.comparison.splits import COMMAND, FILE, FORMAT, SPLITS, VERSION, Split, columns_of, digest_of, draw, load
 
 _CHECKED = 3  # scenarios of a split whose motion is kept, to notice a changed physics
 _AGREEMENT = 1e-6  # relative, of kept and fresh numbers: far above rounding, far below any change that matters
@@ -91,7 +91,7 @@ def require_same_physics(splits: dict[str, Split], path: Path = FILE) -> None:
             raise ValueError(
                 f"on split {name} the arms move otherwise than when version {VERSION} of the scenarios was written, by "
                 f"up to {np.abs(fresh - known).max():.2g}: the physics, the sensors or the cost has changed. Raise "
-                f"VERSION in eval/splits.py and run `{COMMAND}`"
+                f"VERSION in eval/comparison/splits.py and run `{COMMAND}`"
             )
 
 
@@ -100,7 +100,7 @@ class Config:
     """Check the test scenarios, or draw them."""
 
     write: bool = False
-    """Draw all splits from their seeds and write eval/scenarios.json."""
+    """Draw all splits from their seeds and write eval/comparison/scenarios.json."""
 
 
 def main() -> None:

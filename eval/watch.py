@@ -23,16 +23,16 @@ import tyro
 from gymnasium.error import DependencyNotInstalled
 from rich.console import Console
 
-from baselines.files import require_writable
-from beltarm_env._window import Window, import_pygame
-from beltarm_env.params import FIELDS, ArmParams
-from beltarm_env.rendering import HEIGHT, WIDTH, Renderer
+from baselines.tools.command import one_line_errors
+from baselines.tools.files import require_writable
+from beltarm_env.arm import FIELDS, ArmParams
+from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
+from beltarm_env.rendering.window import Window, import_pygame
 from beltarm_env.rollout import Controller, Recording
-from eval.command import one_line_errors
-from eval.film import FPS, REST_S, require_writer, write_film
-from eval.methods import Method, added_method, chosen, classical_methods, learned_methods, shipped_policies
-from eval.report.animation import reference_angles
-from eval.splits import EPISODES, Split, load
+from eval.comparison.methods import Method, added_method, chosen, classical_methods, learned_methods, shipped_policies
+from eval.comparison.splits import EPISODES, Split, load
+from eval.views.film import FPS, REST_S, require_writer, write_film
+from eval.views.report.animation import reference_angles
 
 _COLUMN = 480  # pixels across of one arm
 _PICTURE = _COLUMN * HEIGHT // WIDTH

@@ -19,13 +19,14 @@ import tyro
 from commands import mistake
 from matplotlib.axes import Axes
 
-from agents.reinforcement import make_env
-from agents.settings import MAX_SEED, SEED_SPACING, first_arm_seed
+from agents.learners.reinforcement import make_env
+from agents.runs.settings import MAX_SEED, SEED_SPACING, first_arm_seed
 from baselines import PaperController
-from eval import ablation_runs, training_loop
-from eval.ablation_report import COLUMNS, Outcome, Study, as_json, draw, markdown
-from eval.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Run, score
 from eval.ablations import Config, main, run_all
+from eval.learning import ablation_runs
+from eval.learning.ablation_report import COLUMNS, Outcome, Study, as_json, draw, markdown
+from eval.learning.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Run, score
+from eval.speed import training_loop
 from train import ppo
 
 ROOT = Path(__file__).resolve().parent.parent

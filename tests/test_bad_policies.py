@@ -21,10 +21,9 @@ from refusals import refused
 from safetensors.torch import load_file
 from safetensors.torch import save as save_tensors
 
-import agents.bundle
-from agents.actor import MAX_LAYERS, MAX_WIDTH, Actor
-from agents.bases import settings_hash
-from agents.bundle import (
+import agents.policy.bundle
+from agents.policy.actor import MAX_LAYERS, MAX_WIDTH, Actor
+from agents.policy.bundle import (
     FORMAT,
     MANIFEST,
     MAX_BYTES,
@@ -35,8 +34,9 @@ from agents.bundle import (
     read_spec,
     save_bundle,
 )
-from agents.residual import ResidualController, ResidualSettings
-from agents.residual_env import ResidualEnv, ResidualVecEnv
+from agents.residual.bases import settings_hash
+from agents.residual.controller import ResidualController, ResidualSettings
+from agents.residual.env import ResidualEnv, ResidualVecEnv
 from baselines import CONTROLLERS
 from beltarm_env import BeltArmEnv, BeltArmVectorEnv, observation
 
@@ -124,14 +124,14 @@ def edit(bundle: Path, *, rehash: bool, **changes: Any) -> None:
     content = json.loads((bundle / MANIFEST).read_text())
     content.update(changes)
     if rehash:
-        content["content_hash"] = agents.bundle._content_hash(content)
+        content["content_hash"] = agents.policy.bundle._content_hash(content)
     (bundle / MANIFEST).write_text(json.dumps(content))
 
 
 def drop(bundle: Path, key: str) -> None:
     content = json.loads((bundle / MANIFEST).read_text())
     del content[key]
-    content["content_hash"] = agents.bundle._content_hash(content)
+    content["content_hash"] = agents.policy.bundle._content_hash(content)
     (bundle / MANIFEST).write_text(json.dumps(content))
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from baselines import CONTROLLERS, PaperController, PaperGains, rigid_controller
-from baselines.paper import TorsionSimulation
+from baselines.servo.paper import TorsionSimulation
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout

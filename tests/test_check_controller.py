@@ -14,8 +14,8 @@ import pytest
 from commands import mistake, stopped
 
 from baselines import CONTROLLERS
-from eval import custom
 from eval.check_controller import findings, main
+from eval.comparison import custom
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
@@ -142,7 +142,7 @@ def test_the_example_passes_as_a_user_runs_it(tmp_path: Path):
 
 
 def test_a_module_beside_the_user_is_found(tmp_path: Path):
-    (tmp_path / "beside.py").write_text("from baselines.paper import PaperController as Mine\n")
+    (tmp_path / "beside.py").write_text("from baselines.servo.paper import PaperController as Mine\n")
     assert stopped(main, ("beside:Mine",), tmp_path) == (0, "")
 
 
@@ -204,7 +204,7 @@ def test_identity_changes_with_what_the_controller_is_made_of(name: str, tmp_pat
     np.save(folder / "weights.npy", 0.5)
 
     def identity() -> str:
-        code = "from eval import custom; print(custom.identity('mine.py:Mine'))"
+        code = "from eval.comparison import custom; print(custom.identity('mine.py:Mine'))"
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         return subprocess.run(
             [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=True

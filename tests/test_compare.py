@@ -16,12 +16,18 @@ import pytest
 import torch
 from browser import Page, browser
 
-from eval.methods import added_method, classical_methods, learned_methods, privileged_method, shipped_policies
-from eval.pairs import Failure, Metrics, Pair, run_pairs
+from eval.comparison.methods import (
+    added_method,
+    classical_methods,
+    learned_methods,
+    privileged_method,
+    shipped_policies,
+)
+from eval.comparison.pairs import Failure, Metrics, Pair, run_pairs
+from eval.comparison.schema import check, read_results
+from eval.comparison.splits import SPLITS, load
 from eval.readme import block
-from eval.report.page import LARGEST
-from eval.schema import check, read_results
-from eval.splits import SPLITS, load
+from eval.views.report.page import LARGEST
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
@@ -157,7 +163,7 @@ def test_one_process_gives_what_two_gave_and_what_is_done_is_not_done_again(
     alone = run_pairs(pairs_compared(), tmp_path, 1, lambda _: None)
     before = {path: path.stat().st_mtime_ns for path in (compared[0] / "pairs").iterdir()}
     assert len(before) == 2 * len(METHODS)
-    monkeypatch.setattr("eval.pairs.run_and_keep", None)  # nothing is run
+    monkeypatch.setattr("eval.comparison.pairs.run_and_keep", None)  # nothing is run
     kept = run_pairs(pairs_compared(), compared[0], 1, lambda _: None)
     assert {path: path.stat().st_mtime_ns for path in (compared[0] / "pairs").iterdir()} == before
     assert same(alone, kept)

@@ -14,7 +14,7 @@ pytest.importorskip("mujoco")
 from eval import convergence, crosscheck
 from eval.convergence import STEPS, Convergence, table
 from eval.crosscheck import SETTINGS, distance, motions
-from eval.event_located import EventLocatedArm, tip
+from eval.verification.event_located import EventLocatedArm, tip
 
 ROOT = Path(__file__).parents[1]
 

@@ -14,12 +14,12 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
-from agents.bundle import ALGORITHMS, BundleError
-from agents.monitor import StopRequest
-from agents.training import train
+from agents.learners.spaces import SPACES
+from agents.policy.bundle import ALGORITHMS, BundleError
+from agents.runs.monitor import StopRequest
+from agents.runs.training import train
 from eval.curves import Curve, draw, find_curves
 from train import ppo
-from train.spaces import SPACES
 from train.tune import Config, command, counted, open_study, tune
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
-from beltarm_env.dynamics import LAGRANGIAN, LUMPED, MODELS, Model, accelerations
-from beltarm_env.integrator import mode_margin, rk4_step, step_to_mode_change
-from beltarm_env.params import TRAIN_RANGES, plant_of
-from beltarm_env.plant import ArmState, Plant
-from eval.event_located import EventLocatedArm, tip
+from beltarm_env.arm import TRAIN_RANGES, plant_of
+from beltarm_env.physics.integrator import mode_margin, rk4_step, step_to_mode_change
+from beltarm_env.physics.models import LAGRANGIAN, LUMPED, MODELS, Model, accelerations
+from beltarm_env.physics.plant import ArmState, Plant
+from eval.verification.event_located import EventLocatedArm, tip
 
 Floats = NDArray[np.float64]
 Torque = Callable[[float, Floats], float]

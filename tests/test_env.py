@@ -15,9 +15,9 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv
-from beltarm_env.cost import MAX_COST
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
-from eval.event_located import tip
+from beltarm_env.task.cost import MAX_COST
+from eval.verification.event_located import tip
 
 SENSORS = ("encoder", "tip", "full")
 PROFILES = ("trapezoid", "scurve", "quintic")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
-from eval.estimates import RESAMPLES, estimate, holm, interquartile_mean, paired, profile, resampled
+from eval.comparison.estimates import RESAMPLES, estimate, holm, interquartile_mean, paired, profile, resampled
 
 
 def test_interquartile_mean_by_hand():

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from baselines.files import require_writable, write_atomically, write_text
+from baselines.tools.files import require_writable, write_atomically, write_text
 
 
 def fail(code: int) -> Callable[..., Any]:

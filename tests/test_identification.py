@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines import CONTROLLERS
-from baselines.adaptive import AdaptiveController
-from baselines.arm_filter import IDENTIFIED
-from baselines.identification import ArmIdentifier, common_count
+from baselines.estimation.arm_ekf import IDENTIFIED
+from baselines.estimation.identification import ArmIdentifier, common_count
+from baselines.optimal.adaptive import AdaptiveController
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout

@@ -17,18 +17,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import agents.imitation
-import agents.monitor
-from agents.bundle import load_controller
-from agents.imitation import Student
-from agents.monitor import Interrupted, News, StopRequest, TrainingMonitor
-from agents.residual import ResidualController, ResidualSettings
-from agents.settings import MAX_SEED, SEED_SPACING, first_arm_seed
-from agents.teaching import Advised, ask, practise
-from agents.training import train
+import agents.learners.imitation
+import agents.runs.monitor
+from agents.learners.imitation import Student
+from agents.learners.teaching import Advised, ask, practise
+from agents.policy.bundle import load_controller
+from agents.residual.controller import ResidualController, ResidualSettings
+from agents.runs.monitor import Interrupted, News, StopRequest, TrainingMonitor
+from agents.runs.settings import MAX_SEED, SEED_SPACING, first_arm_seed
+from agents.runs.training import train
 from baselines import CONTROLLERS
-from baselines.iterative import IterativeController
-from baselines.lesson import Lesson, Notes
+from baselines.iterative.controller import IterativeController
+from baselines.iterative.lesson import Lesson, Notes
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Controller, Recording, rollout
 from eval.curves import find_curves
@@ -145,7 +145,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("whole") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agents.imitation, "rollout", noted)
+        patch.setattr(agents.learners.imitation, "rollout", noted)
         run(tiny(folder))
     return folder
 
@@ -218,7 +218,7 @@ def test_the_untrained_student_is_its_base(tmp_path: Path):
 def test_what_is_left_is_a_policy(whole: Path):
     trained, spec = load_controller(whole / "last")
     assert (spec.algorithm, spec.base) == ("student", "paper")
-    scores = agents.monitor.validate(trained, 2)
+    scores = agents.runs.monitor.validate(trained, 2)
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
 
 

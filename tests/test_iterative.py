@@ -12,16 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baselines import PaperController, tuned_controller
-from baselines.iterative import IterativeController, Learning
-from baselines.lesson import Lesson, Notes
-from baselines.linear import at_angle, linear_arm
-from baselines.motor_learning import FeedForward, MotorLearningController
-from baselines.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
+from baselines.iterative.controller import IterativeController, Learning
+from baselines.iterative.lesson import Lesson, Notes
+from baselines.iterative.motor_learning import FeedForward, MotorLearningController
+from baselines.iterative.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
+from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import ArmParams, BeltArmEnv
-from beltarm_env.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.reference import MoveShape
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.simulation import params_table
+from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+from beltarm_env.task.reference import MoveShape
 from eval.iterative import main, metrics, repeated
 
 ROOT = Path(__file__).parents[1]

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.kinematics import WORKSPACE_MARGIN, outside_workspace, reference_tip, tip_motion
-from beltarm_env.params import plant_of
-from beltarm_env.plant import ArmState, Plant, sin_cos
-from eval.event_located import tip
+from beltarm_env.arm import plant_of
+from beltarm_env.physics.kinematics import WORKSPACE_MARGIN, outside_workspace, reference_tip, tip_motion
+from beltarm_env.physics.plant import ArmState, Plant, sin_cos
+from eval.verification.event_located import tip
 
 Floats = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ from commands import mistake
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
-from baselines.adaptive import AdaptiveMemory
+from baselines.estimation.observer import QUANTUM
 from baselines.gains import tuned
-from baselines.linear import ANGLES
-from baselines.observer import QUANTUM
-from baselines.paper import PaperController, rigid_controller
+from baselines.models.linear import ANGLES
+from baselines.optimal.adaptive import AdaptiveMemory
+from baselines.servo.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.simulation import ArmSimulation
 from eval import baselines

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from baselines.flatness import Corners, FlatMotion, flat_motion, smoothed
+from baselines.estimation.observer import Noise, kalman_gains
 from baselines.gains import tuned
-from baselines.linear import ANGLES, linear_arm
-from baselines.lqg import LqgController, LqgGains, feedback_gains, tip_errors
-from baselines.observer import Noise, kalman_gains
-from baselines.plan import Weights
+from baselines.models.linear import ANGLES, linear_arm
+from baselines.optimal.flatness import Corners, FlatMotion, flat_motion, smoothed
+from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains, tip_errors
+from baselines.optimal.plan import Weights
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.rollout import rollout
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 
 Floats = NDArray[np.float64]
 

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from baselines import CONTROLLERS as CONTROLLERS_BY_NAME
-from baselines.adaptive import AdaptiveController, AdaptiveGains
+from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.gains import Gains, tunable, tuned
-from baselines.linear import ANGLES, at_angle, linear_arm, linear_arms
-from baselines.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
-from baselines.plan import Weights, plan_moves
-from baselines.preview import PreviewController, PreviewGains
-from baselines.privileged import PrivilegedController
+from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
+from baselines.optimal.plan import Weights, plan_moves
+from baselines.optimal.preview import PreviewController, PreviewGains
 from baselines.reading import read
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation, params_table

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, lagrangian, state_space
-from beltarm_env.dynamics import LAGRANGIAN, LUMPED, Model, accelerations, driving_torque, driving_torque_rate
-from beltarm_env.params import (
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, state_space
+from beltarm_env.arm import (
     FIELDS,
     TRAIN_RANGES,
     fastest_arms,
@@ -24,10 +23,12 @@ from beltarm_env.params import (
     plant_of,
     range_bounds,
 )
-from beltarm_env.plant import ArmState, Plant
+from beltarm_env.physics import full_arm as lagrangian
+from beltarm_env.physics.models import LAGRANGIAN, LUMPED, Model, accelerations, driving_torque, driving_torque_rate
+from beltarm_env.physics.plant import ArmState, Plant
 from eval.convergence import convergence
-from eval.event_located import EventLocatedArm, tip
-from eval.symbolic_arm import derive
+from eval.verification.event_located import EventLocatedArm, tip
+from eval.verification.symbolic_arm import derive
 
 Floats = NDArray[np.float64]
 

@@ -6,14 +6,14 @@ from scipy.linalg import sqrtm
 from scipy.optimize import lsq_linear
 
 from baselines import PaperController
-from baselines.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
-from baselines.horizon import _set_up, horizon, plan
-from baselines.linear import ANGLES
-from baselines.mpc import MpcController, MpcGains
+from baselines.models.linear import ANGLES
+from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
+from baselines.optimal.horizon import _set_up, horizon, plan
+from baselines.optimal.mpc import MpcController, MpcGains
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
-from beltarm_env.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 
 SEED = 5_000_000
 

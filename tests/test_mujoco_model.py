@@ -15,11 +15,11 @@ from full_arms import full_arm, full_arm_at, some_params
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from eval.event_located import tip
+from eval.verification.event_located import tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 
-from beltarm_env._mujoco_model import load_model, place_hand, read_state, write_state  # noqa: E402
+from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
@@ -119,7 +119,7 @@ def test_energy_is_the_derived_one():
 
 
 def test_the_file_alone_is_the_nominal_arm():
-    file = mujoco.MjModel.from_xml_path(str(ROOT / "beltarm_env/assets/belt_arm.xml"))
+    file = mujoco.MjModel.from_xml_path(str(ROOT / "beltarm_env/mujoco/belt_arm.xml"))
     loaded = load_model(ArmParams())
     for field in (
         *("body_mass", "body_inertia", "body_pos", "body_ipos", "dof_armature", "dof_damping", "dof_frictionloss"),
@@ -242,7 +242,7 @@ except Exception as error:
     raise SystemExit
 import numpy as np
 from beltarm_env import ArmParams
-from beltarm_env._mujoco_model import load_model, place_hand, write_state
+from beltarm_env.mujoco.model import load_model, place_hand, write_state
 params = ArmParams()
 data = mujoco.MjData(load_model(params))
 renderer = mujoco.Renderer(data.model, 600, 800)
@@ -268,6 +268,6 @@ renderer.close()
 
 def test_missing_mujoco_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    monkeypatch.delitem(sys.modules, "beltarm_env._mujoco_model")
+    monkeypatch.delitem(sys.modules, "beltarm_env.mujoco.model")
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'beltarm-env\[mujoco\]'"):
-        import beltarm_env._mujoco_model  # noqa: F401
+        import beltarm_env.mujoco.model  # noqa: F401

@@ -10,15 +10,15 @@ import pytest
 from commands import mistake
 
 from baselines import PaperController
-from baselines.mpc import MpcController
-from baselines.oracle import FILE, METRICS, Scenario, main, read_file, replay
+from baselines.optimal.mpc import MpcController
+from baselines.yardsticks.oracle import FILE, METRICS, Scenario, main, read_file, replay
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.dynamics import LUMPED
-from beltarm_env.integrator import rk4_step
-from beltarm_env.params import FIELDS, plant_of
-from beltarm_env.plant import ArmState
-from beltarm_env.reference import MoveShape
+from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.physics.integrator import rk4_step
+from beltarm_env.physics.models import LUMPED
+from beltarm_env.physics.plant import ArmState
 from beltarm_env.rollout import rollout
+from beltarm_env.task.reference import MoveShape
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -61,12 +61,12 @@ def test_no_controller_costs_less(stored):
 
 def test_stored_file_is_small():
     assert FILE.stat().st_size < 200_000
-    assert "baselines/oracle.py" in json.loads(FILE.read_text())["command"]
+    assert "baselines/yardsticks/oracle.py" in json.loads(FILE.read_text())["command"]
 
 
 def test_traced_equations_are_the_compiled_ones():
     pytest.importorskip("casadi")
-    from baselines.clairvoyant import plain
+    from baselines.yardsticks.clairvoyant import plain
 
     plant = plant_of(np.array([getattr(ArmParams(), name) for name in FIELDS]))
     state = ArmState(50.0, 100.0, 0.01, 0.2)
@@ -76,7 +76,7 @@ def test_traced_equations_are_the_compiled_ones():
 
 def test_a_short_problem_is_solved_and_replayed():
     pytest.importorskip("casadi")
-    from baselines.clairvoyant import optimum
+    from baselines.yardsticks.clairvoyant import optimum
 
     steps, move = 120, MoveShape(0.8, 1.2, 0.6, 0.15)
     found = optimum(ArmParams(), move, steps)
@@ -92,7 +92,7 @@ def test_a_short_problem_is_solved_and_replayed():
 
 def test_an_arm_without_friction_is_refused():
     pytest.importorskip("casadi")
-    from baselines.clairvoyant import optimum
+    from baselines.yardsticks.clairvoyant import optimum
 
     with pytest.raises(ValueError, match="coulomb_friction must be positive"):
         optimum(ArmParams(coulomb_friction=0.0), MoveShape(0.8, 1.2, 0.6, 0.15))
@@ -100,14 +100,16 @@ def test_an_arm_without_friction_is_refused():
 
 def test_missing_casadi_is_one_line():
     start = "import runpy, sys; sys.modules['casadi'] = None; "
-    start += f"runpy.run_path({str(ROOT / 'baselines/oracle.py')!r}, run_name='__main__')"
+    start += f"runpy.run_path({str(ROOT / 'baselines/yardsticks/oracle.py')!r}, run_name='__main__')"
     command = [sys.executable, "-c", start]
     result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 2
-    assert result.stderr == "baselines/oracle.py: casadi is not installed; run `pip install -e '.[oracle]'`\n"
+    assert (
+        result.stderr == "baselines/yardsticks/oracle.py: casadi is not installed; run `pip install -e '.[oracle]'`\n"
+    )
 
 
 def test_unknown_scenario_is_one_line(tmp_path: Path):
     pytest.importorskip("casadi")
     line = mistake(main, ("--scenario", "test:3"), tmp_path)
-    assert line == "baselines/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'"
+    assert line == "baselines/yardsticks/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'"

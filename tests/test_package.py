@@ -150,7 +150,7 @@ def test_wheel_holds_the_environment_alone(wheel: Path):
     modules = {str(source.relative_to(ROOT)) for source in sources("beltarm_env")}
     extra = set(names) - distribution - modules
     assert modules <= set(names)
-    assert extra == {"beltarm_env/py.typed", "beltarm_env/assets/belt_arm.xml"}
+    assert extra == {"beltarm_env/py.typed", "beltarm_env/mujoco/belt_arm.xml"}
     assert any(name.endswith("LICENSE") for name in distribution)
     assert "\nLicense-Expression: MIT\n" in metadata
 

@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from commands import mistake, stopped
 
-from agents.actor import Actor
-from agents.bundle import BundleSpec, save_bundle
-from agents.residual import ResidualSettings
+from agents.policy.actor import Actor
+from agents.policy.bundle import BundleSpec, save_bundle
+from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS
-from eval import compare, pairs
-from eval.methods import classical_methods, learned_methods, shipped_policies
-from eval.pairs import LEFT, Pair, read_kept, run_and_keep
-from eval.schema import read_results
-from eval.splits import VERSION, load
+from eval import compare
+from eval.comparison import pairs
+from eval.comparison.methods import classical_methods, learned_methods, shipped_policies
+from eval.comparison.pairs import LEFT, Pair, read_kept, run_and_keep
+from eval.comparison.schema import read_results
+from eval.comparison.splits import VERSION, load
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -63,7 +64,7 @@ def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypat
 def test_gains_are_part_of_the_identity(monkeypatch: pytest.MonkeyPatch):
     identities = {method.name: method.identity for method in classical_methods()}
     changed = {"zvd": {"gains": {"angle": 1.0}, "provenance": {"steps": 1, "seconds": 1.0}}}
-    monkeypatch.setattr("eval.methods.read_file", lambda: changed)
+    monkeypatch.setattr("eval.comparison.methods.read_file", lambda: changed)
     assert {method.name: method.identity for method in classical_methods()}["zvd"] != identities["zvd"]
 
 

@@ -17,8 +17,8 @@ from commands import mistake, stopped
 
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
-from beltarm_env.reference import MoveShape
 from beltarm_env.rollout import rollout
+from beltarm_env.task.reference import MoveShape
 from eval.paper import Config, main
 from eval.reproduction.cases import USUAL_MOVE, open_questions, run_all
 from eval.reproduction.effects import Compared, compare, effect

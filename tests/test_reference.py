@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, observation
-from beltarm_env import reference as reference_module
-from beltarm_env.moves import (
+from beltarm_env.task import reference as reference_module
+from beltarm_env.task.moves import (
     DRAWS,
     LONGEST_TIME,
     MOST_TORQUE,
@@ -23,7 +23,7 @@ from beltarm_env.moves import (
     peak_torque,
     shortest_duration,
 )
-from beltarm_env.reference import PROFILES, QUINTIC, SCURVE, TRAPEZOID, MoveShape, reference_at
+from beltarm_env.task.reference import PROFILES, QUINTIC, SCURVE, TRAPEZOID, MoveShape, reference_at
 
 Floats = NDArray[np.float64]
 Profile = Literal["trapezoid", "scurve", "quintic"]

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
-from beltarm_env.rendering import Renderer
+from beltarm_env.rendering.renderer import Renderer
 
 pygame = pytest.importorskip("pygame")
 

@@ -13,23 +13,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.modes import held_mode
+from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
-from beltarm_env.params import FIELDS
+from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import Recording, rollout
-from eval.markdown import markdown
-from eval.methods import Kind, Method, classical_methods
-from eval.pairs import LEFT, Failure
-from eval.report.animation import EVERY, animation, encode
-from eval.report.maps import robustness_maps
-from eval.report.motions import spectrum
-from eval.report.page import render, without_paths
-from eval.report.scenes import Map, Recordings, Scene, challengers, record_scenes
-from eval.report.tables import effort_table, metric_tables
-from eval.report.verdict import verdict
-from eval.results import METRICS, Comparison, Outcome, make_comparison, make_outcome
-from eval.splits import load
-from eval.traces import seed_note, shown_seed
+from eval.comparison.methods import Kind, Method, classical_methods
+from eval.comparison.pairs import LEFT, Failure
+from eval.comparison.results import METRICS, Comparison, Outcome, make_comparison, make_outcome
+from eval.comparison.splits import load
+from eval.comparison.traces import seed_note, shown_seed
+from eval.views.markdown import markdown
+from eval.views.report.animation import EVERY, animation, encode
+from eval.views.report.maps import robustness_maps
+from eval.views.report.motions import spectrum
+from eval.views.report.page import render, without_paths
+from eval.views.report.scenes import Map, Recordings, Scene, challengers, record_scenes
+from eval.views.report.tables import effort_table, metric_tables
+from eval.views.report.verdict import verdict
 
 ROOT = Path(__file__).resolve().parent.parent
 ORIGIN = {
@@ -268,7 +268,7 @@ def test_encoded_numbers_come_back(values: list[float]):
 
 def test_maps_are_one_where_both_methods_are_the_same():
     pid = outcome("paper", "classical", 1.0)
-    twin = Method("twin", "added", ("baselines.paper:PaperController",), "")
+    twin = Method("twin", "added", ("baselines.servo.paper:PaperController",), "")
     comparison = made(pid, Outcome(twin, "nominal", pid.metrics, pid.estimates, (1.0, 1.0)))
     maps, failures = robustness_maps(comparison)
     assert len(maps) == 2 and not failures
@@ -285,7 +285,7 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
             raise RuntimeError("no such arm")
         return np.full((5, 5), cells[of.method.name]), np.full((3, 5), cells[of.method.name])
 
-    monkeypatch.setattr("eval.report.maps._costs", costs)
+    monkeypatch.setattr("eval.views.report.maps._costs", costs)
     classical = [outcome(name, "classical", cost) for name, cost in {"pid": 100.0, "lqg": 50.0, "bad": 1.0}.items()]
     maps, failures = robustness_maps(made(*classical, outcome("net", "learned", 60.0)))
     assert [(found.classical, found.ratio[0][0]) for found in maps] == [("lqg", 1.5)] * 2 + [("pid", 3.0)] * 2

@@ -10,14 +10,14 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.actor import Actor
-from agents.bases import make_base
-from agents.bundle import BundleSpec, load_controller, read_spec, save_bundle
-from agents.knowledge import ENTRIES, InformedBase, residual_observation_space, tip_errors
-from agents.residual import ResidualController, ResidualSettings, combine
-from agents.residual_env import ResidualEnv, ResidualVecEnv
+from agents.policy.actor import Actor
+from agents.policy.bundle import BundleSpec, load_controller, read_spec, save_bundle
+from agents.residual.bases import make_base
+from agents.residual.controller import ResidualController, ResidualSettings, combine
+from agents.residual.env import ResidualEnv, ResidualVecEnv
+from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space, tip_errors
 from baselines import CONTROLLERS
-from baselines.adaptive import tuned_identifier
+from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import index, size

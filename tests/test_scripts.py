@@ -16,9 +16,9 @@ import pytest
 from commands import mistake, stopped
 from PIL import Image
 
-from agents.runs import main
+from agents.runs.command_line import main
 from eval import bench, check_controller, compare, readme, scenarios
-from eval.splits import SPLITS
+from eval.comparison.splits import SPLITS
 from train import ppo
 
 ROOT = Path(__file__).resolve().parent.parent

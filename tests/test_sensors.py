@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
-from beltarm_env.sensors import ENCODER_COUNTS, speed_from_counts, to_counts
+from beltarm_env.task.sensors import ENCODER_COUNTS, speed_from_counts, to_counts
 
 Floats = NDArray[np.float64]
 

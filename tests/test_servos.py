@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from baselines.disturbance import DisturbanceController, DisturbanceGains
-from baselines.modes import Mode, held_mode
-from baselines.paper import PaperController
-from baselines.pid import PidGains
-from baselines.ramps import Ramps, motion_at
+from baselines.models.modes import Mode, held_mode
+from baselines.models.ramps import Ramps, motion_at
+from baselines.models.rigid_arm import FrictionGains, Motion, RigidArm, friction_direction
 from baselines.reading import read
-from baselines.retuned import RetunedController, RetunedGains
-from baselines.servo import FrictionGains, Motion, RigidArm, friction_direction
-from baselines.shaping import GAINS, ExtraInsensitiveGains, Kind, ShapingController, ShapingGains, shaper
-from baselines.smooth import SmoothController, SmoothGains
+from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
+from baselines.servo.paper import PaperController
+from baselines.servo.pid import PidGains
+from baselines.servo.retuned import RetunedController, RetunedGains
+from baselines.servo.shaping import GAINS, ExtraInsensitiveGains, Kind, ShapingController, ShapingGains, shaper
+from baselines.servo.smooth import SmoothController, SmoothGains
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
-from beltarm_env.reference import SCURVE, TRAPEZOID, MoveShape, reference_at
 from beltarm_env.rollout import Recording, rollout
+from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, reference_at
 
 NOMINAL = ArmParams()
 SERVOS: dict[str, Callable[[], Any]] = {

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.paper import PaperController
+from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
-from beltarm_env.params import FIELDS, TRAIN_RANGES
+from beltarm_env.arm import FIELDS, TRAIN_RANGES
 from beltarm_env.rollout import rollout
+from eval.comparison.splits import EPISODES, FILE, SPLITS, VERSION, Split, digest_of, draw, load
 from eval.scenarios import content_of, require_same_physics, text_of
-from eval.splits import EPISODES, FILE, SPLITS, VERSION, Split, digest_of, draw, load
 
 SHIFTED = {
     "payload": {"payload_mass": (0.2, 0.5)},

@@ -24,18 +24,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-import agents.bases
-import agents.monitor
-from agents.actor import actor_of
-from agents.bundle import ALGORITHMS, MAX_BYTES, load_controller, read_spec
-from agents.checkpoint import RunFolder
-from agents.monitor import Interrupted, News, StopRequest, TrainingMonitor
-from agents.off_policy import ClippedAdam
-from agents.reinforcement import ModelLearner, ReinforcementConfig, make_env
-from agents.runs import main, runs_of
-from agents.settings import MAX_SEED, SEED_SPACING, RunConfig, first_arm_seed
-from agents.training import train
-from beltarm_env.cost import MAX_COST
+import agents.residual.bases
+import agents.runs.monitor
+from agents.learners.off_policy import ClippedAdam
+from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, make_env
+from agents.policy.actor import actor_of
+from agents.policy.bundle import ALGORITHMS, MAX_BYTES, load_controller, read_spec
+from agents.runs.checkpoint import RunFolder
+from agents.runs.command_line import main, runs_of
+from agents.runs.monitor import Interrupted, News, StopRequest, TrainingMonitor
+from agents.runs.settings import MAX_SEED, SEED_SPACING, RunConfig, first_arm_seed
+from agents.runs.training import train
+from beltarm_env.task.cost import MAX_COST
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = tuple(name for name in ALGORITHMS if name != "student")  # which has tests of its own
@@ -340,7 +340,7 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
     controller, spec = load_controller(tmp_path / "last")
     assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
     assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
-    validated = agents.monitor.validate(controller, 4)
+    validated = agents.runs.monitor.validate(controller, 4)
     assert validated == spec.provenance["reached"]["validation"]
     card = (tmp_path / "last" / "README.md").read_text()
     for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
@@ -358,7 +358,7 @@ def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
 
 
 def test_no_base_is_no_torque():
-    action, memory = agents.bases.make_base("none").predict(np.ones((3, 22), np.float32))
+    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 22), np.float32))
     assert action.tolist() == [[0.0]] * 3 and action.dtype == np.float32 and memory is None
 
 

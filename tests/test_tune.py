@@ -18,7 +18,8 @@ import pytest
 
 from baselines import TUNABLE, PaperController, PaperGains
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
-from baselines.search import (
+from baselines.tune import Config, main
+from baselines.tuning.search import (
     CHOICE_SEED,
     MAX_CHOICE_ARMS,
     MIN_BUDGET,
@@ -30,8 +31,7 @@ from baselines.search import (
     search,
     split,
 )
-from baselines.study import rounded, space
-from baselines.tune import Config, main
+from baselines.tuning.study import rounded, space
 from beltarm_env import EPISODE_STEPS
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,7 +14,7 @@ from commands import mistake
 from PIL import Image, ImageSequence
 
 from eval import watch
-from eval.film import require_writer
+from eval.views.film import require_writer
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMAND = [sys.executable, str(ROOT / "eval/watch.py")]

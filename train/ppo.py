@@ -21,11 +21,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from stable_baselines3 import PPO
 
-from agents.on_policy import OnPolicyConfig
-from agents.reinforcement import ModelLearner
-from agents.residual_env import ResidualVecEnv
-from agents.runs import main
-from beltarm_env.cost import MAX_COST
+from agents.learners.on_policy import OnPolicyConfig
+from agents.learners.reinforcement import ModelLearner
+from agents.residual.env import ResidualVecEnv
+from agents.runs.command_line import main
+from beltarm_env.task.cost import MAX_COST
 
 
 @dataclass(frozen=True)

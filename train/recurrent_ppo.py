@@ -18,11 +18,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from sb3_contrib import RecurrentPPO
 
-from agents.knowledge import Knowledge
-from agents.on_policy import OnPolicyConfig
-from agents.reinforcement import ModelLearner
-from agents.residual_env import ResidualVecEnv
-from agents.runs import main
+from agents.learners.on_policy import OnPolicyConfig
+from agents.learners.reinforcement import ModelLearner
+from agents.residual.env import ResidualVecEnv
+from agents.residual.knowledge import Knowledge
+from agents.runs.command_line import main
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Train a residual policy with SAC, soft actor-critic: `python train/sac.py`.
 
-What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in `agents/off_policy.py`.
+What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in
+`agents/learners/off_policy.py`.
 
 T. Haarnoja et al.: Soft Actor-Critic Algorithms and Applications, 2018.
 """
@@ -16,10 +17,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from stable_baselines3 import SAC
 
-from agents.off_policy import ExploringFromTheBase, SoftConfig, begin_near_zero
-from agents.reinforcement import ModelLearner
-from agents.residual_env import ResidualVecEnv
-from agents.runs import main
+from agents.learners.off_policy import ExploringFromTheBase, SoftConfig, begin_near_zero
+from agents.learners.reinforcement import ModelLearner
+from agents.residual.env import ResidualVecEnv
+from agents.runs.command_line import main
 
 
 @dataclass(frozen=True)

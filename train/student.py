@@ -1,7 +1,7 @@
 """Train a residual policy by imitation: `python train/student.py`.
 
 A teacher practises every move on every arm; a student, who meets the arms for the first time, learns what the teacher
-would do in its place. How, and why it works, is said in `agents/imitation.py`. What a run writes is as in
+would do in its place. How, and why it works, is said in `agents/learners/imitation.py`. What a run writes is as in
 `train/ppo.py`; it validates, and saves a checkpoint, after every round.
 
 S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
@@ -17,8 +17,8 @@ from typing import ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.imitation import ImitationConfig, Student
-from agents.runs import main
+from agents.learners.imitation import ImitationConfig, Student
+from agents.runs.command_line import main
 
 
 @dataclass(frozen=True)

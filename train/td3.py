@@ -1,6 +1,7 @@
 """Train a residual policy with TD3, twin delayed deterministic policy gradient: `python train/td3.py`.
 
-What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in `agents/off_policy.py`.
+What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in
+`agents/learners/off_policy.py`.
 
 S. Fujimoto et al.: Addressing Function Approximation Error in Actor-Critic Methods, 2018.
 """
@@ -18,10 +19,10 @@ import torch
 from stable_baselines3 import TD3
 from torch import nn
 
-from agents.off_policy import ExploringFromTheBase, OffPolicyConfig, begin_near_zero
-from agents.reinforcement import ModelLearner
-from agents.residual_env import ResidualVecEnv
-from agents.runs import main
+from agents.learners.off_policy import ExploringFromTheBase, OffPolicyConfig, begin_near_zero
+from agents.learners.reinforcement import ModelLearner
+from agents.residual.env import ResidualVecEnv
+from agents.runs.command_line import main
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Train a residual policy with TQC, truncated quantile critics: `python train/tqc.py`.
 
-What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in `agents/off_policy.py`.
+What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in
+`agents/learners/off_policy.py`.
 
 A. Kuznetsov et al.: Controlling Overestimation Bias with Truncated Mixture of Continuous Distributional Quantile
 Critics, 2020.
@@ -17,10 +18,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from sb3_contrib import TQC
 
-from agents.off_policy import ExploringFromTheBase, SoftConfig, begin_near_zero
-from agents.reinforcement import ModelLearner
-from agents.residual_env import ResidualVecEnv
-from agents.runs import main
+from agents.learners.off_policy import ExploringFromTheBase, SoftConfig, begin_near_zero
+from agents.learners.reinforcement import ModelLearner
+from agents.residual.env import ResidualVecEnv
+from agents.runs.command_line import main
 
 
 @dataclass(frozen=True)

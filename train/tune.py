@@ -27,12 +27,12 @@ import optuna
 import tyro
 from optuna.trial import Trial, TrialState
 
-from agents.monitor import Interrupted, News, StopRequest
-from agents.reinforcement import ReinforcementConfig
-from agents.runs import ASKING, start_process, stoppable
-from agents.training import train
-from baselines.files import require_writable, write_text
-from train.spaces import SPACES, Algorithm
+from agents.learners.reinforcement import ReinforcementConfig
+from agents.learners.spaces import SPACES, Algorithm
+from agents.runs.command_line import ASKING, start_process, stoppable
+from agents.runs.monitor import Interrupted, News, StopRequest
+from agents.runs.training import train
+from baselines.tools.files import require_writable, write_text
 
 
 @dataclass(frozen=True)

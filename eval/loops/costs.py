@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS
-from baselines.oracle import METRICS, read_file
-from baselines.privileged import PrivilegedController
+from baselines.yardsticks.oracle import METRICS, read_file
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.params import FIELDS
-from beltarm_env.reference import MoveShape
+from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.reference import MoveShape
 
 Floats = NDArray[np.float64]
 

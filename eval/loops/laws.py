@@ -20,23 +20,23 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.adaptive import AdaptiveController
-from baselines.arm_filter import Doubt
-from baselines.disturbance import DisturbanceController
-from baselines.horizon import Horizon, horizon
-from baselines.horizon import plan as plan_horizon
-from baselines.linear import ANGLES, LinearArms, linear_arm
-from baselines.lqg import LqgController
-from baselines.mpc import MpcController
-from baselines.observer import QUANTUM, Noise, kalman_gains
-from baselines.paper import PaperController, TorsionSimulation
-from baselines.pid import PidServo
-from baselines.plan import LEAST_SLOPE, Weights
-from baselines.preview import PreviewController
-from baselines.retuned import RetunedController
-from baselines.servo import RigidArm
+from baselines.estimation.arm_ekf import Doubt
+from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.rigid_arm import RigidArm
+from baselines.optimal.adaptive import AdaptiveController
+from baselines.optimal.horizon import Horizon, horizon
+from baselines.optimal.horizon import plan as plan_horizon
+from baselines.optimal.lqg import LqgController
+from baselines.optimal.mpc import MpcController
+from baselines.optimal.plan import LEAST_SLOPE, Weights
+from baselines.optimal.preview import PreviewController
+from baselines.servo.disturbance import DisturbanceController
+from baselines.servo.paper import PaperController, TorsionSimulation
+from baselines.servo.pid import PidServo
+from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.cost import POSITION_SCALE, VELOCITY_SCALE
+from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 
 Floats = NDArray[np.float64]
 

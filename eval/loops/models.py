@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, root_scalar
 
-from baselines.linear import ANGLES, linear_arm
+from baselines.models.linear import ANGLES, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from eval.loops.laws import Law, law_of
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.estimates import Estimate, estimate
+from eval.comparison.estimates import Estimate, estimate
 from eval.loops.costs import CHANGES, PRIVILEGED, SEED
 from eval.loops.gains import gains_table
 from eval.loops.models import Margins, Poles
 from eval.loops.study import Study, at_angle, worst
-from eval.markdown_table import markdown_table
 from eval.reproduction.words import number
+from eval.style.markdown_table import markdown_table
 
 _SHOWN = (0, 45, 90)
 _METRICS = {"cost": ("cost", 0), "tip_rms_mm": ("tip RMS (mm)", 1), "residual_pp_mm": ("residual p-p (mm)", 1)}

@@ -16,12 +16,12 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from baselines.files import write_atomically
-from baselines.linear import ANGLES
-from eval.colours import BLUE, VERMILION
+from baselines.models.linear import ANGLES
+from baselines.tools.files import write_atomically
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.models import Scan
 from eval.loops.study import Study
+from eval.style.colours import BLUE, VERMILION
 
 _DEGREES = np.degrees(ANGLES)
 _MOST_DB, _MOST_DELAY = 45.0, 200.0

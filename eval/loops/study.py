@@ -10,10 +10,10 @@ from typing import TypeVar
 import numpy as np
 
 from baselines import CONTROLLERS
-from baselines.linear import ANGLES
+from baselines.models.linear import ANGLES
+from eval.comparison.timing import Times, measure_times
 from eval.loops.costs import SEED, Costs, Oracle, makers, measure, oracle
 from eval.loops.models import Margins, Scan, scan
-from eval.timing import Times, measure_times
 
 Result = TypeVar("Result")
 

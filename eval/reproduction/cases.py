@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from beltarm_env import ArmParams
-from beltarm_env.reference import MoveShape
+from beltarm_env.task.reference import MoveShape
 from eval.reproduction.effects import Compared, compare
 from eval.reproduction.loop import ServoGains
 from eval.reproduction.runs import Assumptions, is_allowed

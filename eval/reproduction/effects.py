@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.reference import MoveShape
+from beltarm_env.task.reference import MoveShape
 from eval.reproduction.loop import ServoGains
 from eval.reproduction.runs import Assumptions, Ringing, ringing_of, run_moves, run_random_moves
 from eval.reproduction.words import LEFT, number, percent

@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.colours import VERMILION
 from eval.reproduction.loop import (
     GAIN_RANGES,
     PAPER_ARM,
@@ -21,6 +20,7 @@ from eval.reproduction.loop import (
     poles,
 )
 from eval.reproduction.study import nominal_m2
+from eval.style.colours import VERMILION
 
 _POINTS = 241
 _LAST_LABEL = 0.5  # contours of higher damping are too close together for labels

@@ -15,7 +15,7 @@ import numpy as np
 from control.pzmap import PoleZeroData
 from numpy.typing import NDArray
 
-from baselines.paper import PaperGains, TorsionSimulation
+from baselines.servo.paper import PaperGains, TorsionSimulation
 from beltarm_env import CONTROL_PERIOD, ArmParams, state_space
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from beltarm_env import ArmParams
-from eval.markdown_table import markdown_table
 from eval.reproduction.effects import without_and_with
 from eval.reproduction.loop import (
     GAIN_RANGES,
@@ -25,6 +24,7 @@ from eval.reproduction.loop import (
 from eval.reproduction.runs import END_WINDOW
 from eval.reproduction.study import AS_ANALYSED, MEASURED, TO_0, Study, nominal_m2
 from eval.reproduction.words import number
+from eval.style.markdown_table import markdown_table
 
 _ANGLES = {"0°": 0.0, "90°": np.pi / 2}
 _FREQUENCY_FACTORS = (0.5, 1.0, 2.0, 3.0)

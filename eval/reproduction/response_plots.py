@@ -15,14 +15,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from baselines.files import write_atomically
-from eval.colours import BLUE, GREEN, ORANGE, PINK
+from baselines.tools.files import write_atomically
 from eval.reproduction.effects import CLEAR, GONE, Compared
 from eval.reproduction.locus_plots import damping_picture, locus_picture
 from eval.reproduction.loop import PAPER_ARM, k4_locus
 from eval.reproduction.runs import PHASES, Response
 from eval.reproduction.study import AS_ANALYSED, MAIN, RANDOM_MOVES, REAL, STANDARD, TO_0, Scene, Study
 from eval.reproduction.words import degrees
+from eval.style.colours import BLUE, GREEN, ORANGE, PINK
 
 WITHOUT, SUPPRESSED = ORANGE, BLUE
 """Colours of K4 = 0 and of the gain given."""

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines import PaperController
-from baselines.paper import PaperGains, PaperMemory
+from baselines.servo.paper import PaperGains, PaperMemory
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
-from beltarm_env.dynamics import ArmState
-from beltarm_env.kinematics import reference_tip, tip_motion
-from beltarm_env.moves import check_moves
-from beltarm_env.params import plant_of
-from beltarm_env.reference import TRAPEZOID, MoveShape, reference_at
+from beltarm_env.arm import plant_of
+from beltarm_env.physics.kinematics import reference_tip, tip_motion
+from beltarm_env.physics.models import ArmState
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.sensors import ENCODER_COUNTS
+from beltarm_env.task.moves import check_moves
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.reproduction.loop import PAPER_ARM, ServoGains
 
 Floats = NDArray[np.float64]

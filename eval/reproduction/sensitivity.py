@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from eval.markdown_table import markdown_table
 from eval.reproduction.cases import Variant
 from eval.reproduction.effects import CLEAR, GONE, Compared
 from eval.reproduction.runs import PHASES
 from eval.reproduction.study import AS_ANALYSED, MAIN, REAL, STANDARD, Study
 from eval.reproduction.words import among, number, percent
+from eval.style.markdown_table import markdown_table
 
 _ANSWERS = ("yes", "in part", "no", "not comparable")
 

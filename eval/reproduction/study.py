@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
-from beltarm_env.reference import MoveShape
+from beltarm_env.task.reference import MoveShape
 from eval.reproduction.cases import Open, Variant, open_questions, run_all
 from eval.reproduction.effects import CLEAR, GONE, Compared, compare, compare_random, without_and_with
 from eval.reproduction.loop import ServoGains

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.provenance import command_line, commit
+from baselines.tools.provenance import command_line, commit
 from beltarm_env import CONTROL_PERIOD, __version__
-from eval.markdown_table import markdown_table
 from eval.reproduction.effects import CLEAR, without_and_with
 from eval.reproduction.loop import PAPER_ARM, ServoGains, best_gain, closed_loop, dominant_damping, poles
 from eval.reproduction.pole_tables import pole_remarks, pole_table
@@ -29,6 +28,7 @@ from eval.reproduction.study import (
     nominal_m2,
 )
 from eval.reproduction.words import LEFT, degrees, number, percent
+from eval.style.markdown_table import markdown_table
 
 _LAST = round(END_WINDOW / CONTROL_PERIOD)
 _CAPTIONS = {

@@ -1,0 +1,67 @@
+"""What the training scripts of on-policy algorithms share: PPO, with and without memory of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from agents.learners.reinforcement import ReinforcementConfig
+from agents.policy.actor import ACTIVATIONS
+
+
+@dataclass(frozen=True)
+class OnPolicyConfig(ReinforcementConfig):
+    """Options of PPO and its kind."""
+
+    rollout_steps: int = 64
+    """Agent steps per arm between two updates."""
+    batch_size: int = 2048
+    """Samples per gradient step."""
+    epochs: int = 3
+    """Passes over each rollout."""
+    gae_lambda: float = 0.95
+    """Bias against variance of the advantage estimate."""
+    clip_range: float = 0.2
+    """PPO's clipping range."""
+    entropy: float = 0.008
+    """Weight of the entropy bonus, which keeps exploration from dying early."""
+    initial_log_std: float = -1.0
+    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
+
+    def check(self) -> None:
+        """Check the options, see `RunConfig.check`."""
+        super().check()
+        self.at_least(1, "rollout_steps", "batch_size", "epochs")
+        self.at_least(0, "entropy", "gae_lambda")
+        self.positive("clip_range")
+        if self.arms * self.rollout_steps < 2:
+            raise ValueError("--arms times --rollout-steps must be at least 2")
+
+    def learning_rate_left(self, remaining: float) -> float:
+        """Learning rate while a share `remaining` of the run is left; the last rollout takes that below 0."""
+        return self.learning_rate * max(remaining, 0.0)
+
+    def arguments(self, **policy: Any) -> dict[str, Any]:
+        """Arguments that the algorithms have in common; the learning rate falls linearly to zero.
+
+        Args:
+            **policy: What the algorithm's policy takes besides layers and exploration noise.
+        """
+        return {
+            "learning_rate": self.learning_rate_left,
+            "n_steps": self.rollout_steps,
+            "batch_size": self.batch_size,
+            "n_epochs": self.epochs,
+            "gamma": self.gamma,
+            "gae_lambda": self.gae_lambda,
+            "clip_range": self.clip_range,
+            "ent_coef": self.entropy,
+            "policy_kwargs": {
+                "net_arch": list(self.hidden),
+                "activation_fn": ACTIVATIONS[self.activation],
+                "log_std_init": self.initial_log_std,
+                **policy,
+            },
+            "seed": self.seed,
+            "device": self.device,
+        }

@@ -1,0 +1,181 @@
+"""What training scripts of reinforcement learning share: options, arms, and a Stable-Baselines3 model as learner."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from agents.policy.actor import Actor, actor_of
+from agents.residual.bases import make_base
+from agents.residual.env import ResidualVecEnv
+from agents.runs.monitor import TrainingMonitor
+from agents.runs.settings import RunConfig, first_arm_seed
+from beltarm_env import BeltArmVectorEnv
+
+
+@dataclass(frozen=True)
+class ReinforcementConfig(RunConfig):
+    """Options of all scripts that learn by trial and error; each adds its algorithm's own."""
+
+    log_interval: ClassVar[int] = 10  # iterations, or episodes off-policy, between rows of the training log
+
+    total_steps: int = 4_000_000
+    """Agent steps, each of `hold` samples. A learning rate that falls does so over all of them."""
+    gamma: float = 0.97
+    """Discount per agent step."""
+    reward_scale: float = 0.08
+    """Factor on the mean reward over a hold, so that values are of order 1."""
+    validation_every: int = 500_000
+    """Agent steps between validations, each of which saves a checkpoint."""
+
+    @property
+    def length(self) -> int:
+        """Agent steps of the whole run."""
+        return self.total_steps
+
+    @property
+    def worst_reward(self) -> float:
+        """What rewards are cut to, see `agents.residual.env.ResidualVecEnv`."""
+        return math.inf
+
+    def check(self) -> None:
+        """Check the options, see `RunConfig.check`."""
+        self.at_least(1, "total_steps", "validation_every")
+        self.positive("gamma", "reward_scale")
+        if self.gamma > 1:
+            raise ValueError(f"--gamma must be at most 1, got {self.gamma}")
+        super().check()
+
+
+def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
+    """The training arms."""
+    arms = BeltArmVectorEnv(config.arms, sensors=config.sensors, randomization="train", autoreset_mode="SameStep")
+    return ResidualVecEnv(
+        arms,
+        make_base(config.base),
+        config.residual,
+        reward_scale=config.reward_scale / config.hold,
+        worst_reward=config.worst_reward,
+    )
+
+
+class ModelLearner:
+    """A Stable-Baselines3 model with its arms, as `agents.runs.monitor.Learner`.
+
+    Args:
+        config: Options of the run.
+        make_model: Makes the untrained model from them and the arms.
+    """
+
+    def __init__(self, config: ReinforcementConfig, make_model: Callable[[Any, ResidualVecEnv], BaseAlgorithm]) -> None:
+        self.config = config
+        self.env = make_env(config)
+        self.model = make_model(config, self.env)
+        self.env.seed(first_arm_seed(config.seed))
+
+    @property
+    def steps(self) -> int:
+        """Agent steps so far."""
+        return self.model.num_timesteps
+
+    def actor(self) -> Actor:
+        """The policy as it acts now, a copy."""
+        return actor_of(self.model.policy, self.config.spec().shape())
+
+    def learn(self, monitor: TrainingMonitor) -> None:
+        """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`."""
+        config, model = self.config, self.model
+        model.set_logger(monitor.logger)
+        remaining = config.total_steps - model.num_timesteps
+        try:
+            model.learn(remaining, _Pauses(monitor), config.log_interval, reset_num_timesteps=not config.resume)
+        except ValueError as error:
+            if any(word in str(error) for word in ("nan", "inf", "finite")):
+                message = f"diverged at {model.num_timesteps} steps: begin anew with a smaller --learning-rate"
+                raise ValueError(message) from None
+            raise
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that the next step depends on, between an update and the next rollout."""
+        model = self.model
+        _, variables = model._get_torch_save_params()
+        return {
+            "parameters": model.get_parameters(),
+            "variables": {name: getattr(model, name).detach() for name in variables},
+            "attributes": {name: getattr(model, name) for name in _ATTRIBUTES if hasattr(model, name)},
+            "replay": _replay(model),
+            "env": self.env.snapshot(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Bring a new model of the same settings to where a snapshot was taken."""
+        model = self.model
+        model.set_parameters(state["parameters"], exact_match=True, device=model.device)
+        for name, value in state["variables"].items():
+            getattr(model, name).data = value.to(model.device)
+        for name, value in state["attributes"].items():
+            setattr(model, name, value)
+        if state["replay"] is not None:
+            buffer = model.replay_buffer  # pyright: ignore[reportAttributeAccessIssue]
+            buffer.pos, buffer.full = state["replay"]["pos"], state["replay"]["full"]
+            for name in _BUFFERS:
+                kept = state["replay"][name]
+                getattr(buffer, name)[: len(kept)] = kept
+        self.env.restore(state["env"])
+
+    def close(self) -> None:
+        """Close the arms."""
+        self.env.close()
+
+
+_ATTRIBUTES = (
+    *("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining", "action_noise"),
+    *("_last_obs", "_last_episode_starts", "_last_original_obs", "_last_lstm_states"),
+    *("ep_info_buffer", "ep_success_buffer"),
+)
+_BUFFERS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def _replay(model: BaseAlgorithm) -> dict[str, Any] | None:
+    """The filled part of a replay buffer."""
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return None
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    kept = {name: getattr(buffer, name)[:filled] for name in _BUFFERS}
+    return {"pos": buffer.pos, "full": buffer.full, **kept}
+
+
+class _Pauses(BaseCallback):
+    """Lets the monitor act between update and rollout."""
+
+    def __init__(self, monitor: TrainingMonitor) -> None:
+        super().__init__()
+        self.monitor = monitor
+        config = monitor.config
+        assert isinstance(config, ReinforcementConfig)
+        self._every = config.validation_every
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_training_start(self) -> None:
+        self.monitor.begin()
+
+    def _on_rollout_start(self) -> None:
+        self.monitor.stop_if_asked()
+        progress = self.monitor.progress
+        if self.num_timesteps >= progress.setdefault("next", self._every):
+            progress["next"] = self.num_timesteps + self._every
+            self.monitor.evaluate()
+
+    def _on_rollout_end(self) -> None:
+        self.monitor.tell(self.num_timesteps)
+
+    def _on_training_end(self) -> None:
+        self.monitor.evaluate()

@@ -1,0 +1,99 @@
+"""A practised teacher beside its student: what `agents.learners.imitation` learns from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agents.residual.controller import ResidualController, ResidualMemory
+from baselines.iterative.controller import IterativeController
+from baselines.iterative.lesson import Lesson, Notes
+from beltarm_env.rollout import Controller, Recording
+
+Singles = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Trial = Callable[[Controller], Recording]
+"""Runs a controller for an episode: every time on the same arms, with the same moves."""
+
+
+class Pairs(NamedTuple):
+    """What a student observed, and the residuals that its teacher would have liked."""
+
+    inputs: torch.Tensor  # shape (pairs, inputs)
+    labels: torch.Tensor  # shape (pairs, 1)
+
+
+def practise(trial: Trial, repetitions: int) -> tuple[Lesson, Recording]:
+    """Let a teacher practise: what it has learnt after so many trials, one at least, and the last of them."""
+    lesson, recording = None, None
+    for _ in range(repetitions):
+        teacher = IterativeController(lesson)
+        notes = Notes(teacher)
+        recording = trial(notes)
+        lesson = teacher.learned(notes)
+    assert lesson is not None and recording is not None, "a lesson takes a repetition"
+    return lesson, recording
+
+
+def ask(trial: Trial, student: ResidualController, lesson: Lesson) -> tuple[Pairs, Recording]:
+    """Let a student make the moves of a lesson, and ask the teacher about all that it meets.
+
+    Returns:
+        The pairs, of arms that have not left their workspace, and the student's trial.
+    """
+    advised = Advised(student, lesson)
+    recording = trial(advised)
+    return advised.pairs(), recording
+
+
+class Advised:
+    """A student at work with its teacher beside it, for one trial; as `Controller` it is the student.
+
+    Args:
+        student: Whose torques are applied.
+        lesson: Of the teacher, about the student's arms and moves.
+    """
+
+    def __init__(self, student: ResidualController, lesson: Lesson) -> None:
+        self.student = student
+        assert lesson.law is not None, "a teacher that learns the torque"
+        self._teacher = IterativeController(lesson)
+        self._holds = lesson.law.holds
+        self._left = np.zeros(len(lesson.moves), np.bool_)
+        self._inputs: list[Singles] = []
+        self._running: list[Flags] = []
+        self._advice: list[Singles] = []
+
+    def predict(
+        self,
+        observation: Singles,
+        state: tuple[ResidualMemory, Any] | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Singles, tuple[ResidualMemory, Any]]:
+        """As the student's own."""
+        before, taught = state or (None, None)
+        action, own = self.student.predict(observation, before, episode_start, deterministic)
+        advice, taught = self._teacher.predict(observation, taught, episode_start)
+        assert own.informed is not None
+        step = len(self._advice)
+        if step > 0 and episode_start is not None:
+            self._left |= episode_start
+        if step % self.student.settings.hold == 0:
+            self._inputs.append(self.student.informed.seen(observation, own.informed))
+        self._running.append(~self._left)
+        self._advice.append((advice - own.informed.action) * self._holds[:, step, None])
+        return action, (own, taught)
+
+    def pairs(self) -> Pairs:
+        """Inputs and labels of the trial, in the order in which they came up."""
+        hold, limit = self.student.settings.hold, self.student.settings.limit
+        spans = [slice(k, k + hold) for k in range(0, len(self._advice), hold)]
+        running = np.concatenate([np.all(self._running[span], axis=0) for span in spans])
+        advice = np.concatenate([np.mean(self._advice[span], axis=0) for span in spans])
+        labels = (advice / limit).clip(-1, 1).astype(np.float32)
+        return Pairs(torch.from_numpy(np.concatenate(self._inputs)[running]), torch.from_numpy(labels[running]))

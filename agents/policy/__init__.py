@@ -1,0 +1,1 @@
+"""Policies that act: network, bundle of files, card."""

@@ -1,0 +1,235 @@
+"""Policy bundles: a trained residual policy as a folder of three files, loaded without executing anything.
+
+    policy.json                what the policy is and how it came about; names the weights and their SHA-256
+    weights-XXXX.safetensors   of the actor alone: numbers, no code
+    README.md                  the same as a card to read, see `agents.policy.card`
+
+`policy.json` carries a hash of its own content, so that a bundle is either what was saved or refused. Weights are
+written first, under a name of their own; replacing `policy.json` is the instant at which a bundle is replaced.
+
+A residual is worth something only on the base, and with the knowledge, that it was trained with: gains of the base and
+doubts of the identification are part of a bundle, and where the checkout has others, it is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as load_weights
+from safetensors.torch import save as save_weights
+
+from agents.policy.actor import Actor, ActorShape
+from agents.policy.card import card
+from agents.residual.bases import BASES, base_settings, changed_settings, make_base, settings_hash
+from agents.residual.controller import ResidualController, ResidualSettings
+from agents.residual.knowledge import ENTRIES as TOLD
+from baselines.tools.files import write_atomically, write_text
+from beltarm_env.observation import ENTRIES
+
+FORMAT = "beltarm-policy"
+VERSION = 2
+LAYOUT = 1
+"""Version of what the policy's inputs mean; raise it where that changes but their names, scales and bounds do not."""
+MANIFEST = "policy.json"
+CARD = "README.md"
+MAX_BYTES = 1_000_000
+"""Of each file of a bundle; larger ones are neither written nor read."""
+ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "td3": True, "tqc": True, "student": False}
+"""Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
+
+
+class BundleError(ValueError):
+    """A policy bundle that is missing, damaged, or not one of this project's."""
+
+
+@dataclass(frozen=True, slots=True)
+class BundleSpec:
+    """What a policy is, besides its weights."""
+
+    algorithm: str  # see `ALGORITHMS`
+    base: str  # name of the base controller, see `agents.residual.bases.BASES`
+    residual: ResidualSettings
+    hidden: tuple[int, ...]  # width of the hidden layers
+    activation: str = "tanh"
+    sensors: str = "encoder"
+    lstm: int = 0  # width of the LSTM, 0 for none
+    provenance: dict[str, Any] = field(default_factory=dict)  # how it was trained
+
+    def entries(self) -> list[list[Any]]:
+        """Name, unit, scale and bound of the policy's inputs, in order."""
+        return [list(entry) for entry in (*ENTRIES[self.sensors], *TOLD[self.residual.knowledge])]
+
+    def shape(self) -> ActorShape:
+        """Layers of the policy's actor.
+
+        Raises:
+            ValueError: If they are not of a size that is allowed.
+        """
+        squashed = ALGORITHMS[self.algorithm]
+        return ActorShape(len(self.entries()), tuple(self.hidden), self.activation, squashed, self.lstm)
+
+
+def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
+    """Write a bundle, replacing one that is there.
+
+    Returns:
+        Its content hash.
+
+    Raises:
+        ValueError: If the weights are not finite, not those of the spec, or take more than `MAX_BYTES`.
+        OSError: If the folder cannot be written; an older bundle in it stays valid.
+    """
+    if actor.shape != spec.shape():
+        raise ValueError(f"the actor's layers are {actor.shape}, the bundle's are {spec.shape()}")
+    _require_finite(actor, "the policy")
+    weights = save_weights({name: value.contiguous() for name, value in actor.state_dict().items()})
+    if len(weights) > MAX_BYTES:
+        raise ValueError(f"a bundle's weights take at most {MAX_BYTES} bytes, these {len(weights)}: use smaller layers")
+    digest = hashlib.sha256(weights).hexdigest()
+    name = f"weights-{digest[:12]}.safetensors"
+    settings = base_settings(spec.base, spec.residual.knowledge)
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "layout": LAYOUT,
+        **asdict(spec),
+        "hidden": list(spec.hidden),
+        "base_settings": settings,
+        "base_hash": settings_hash(settings),
+        "entries": spec.entries(),
+        "weights": {"file": name, "sha256": digest},
+    }
+    write_atomically(folder / name, lambda path: path.write_bytes(weights))
+    _write_manifest(folder, content)
+    for other in folder.glob("weights-*.safetensors"):
+        if other.name != name:
+            other.unlink()
+    return content["content_hash"]
+
+
+def annotate(folder: Path, **provenance: Any) -> None:
+    """Add to the provenance of a bundle, once more is known of the run that it came from.
+
+    Raises:
+        BundleError: If there is no sound bundle.
+    """
+    _, content = read_spec(folder)
+    content["provenance"].update(provenance)
+    _write_manifest(folder, content)
+
+
+def _write_manifest(folder: Path, content: dict[str, Any]) -> None:
+    content["content_hash"] = _content_hash(content)
+    write_text(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
+    write_text(folder / CARD, card(content))
+
+
+def _content_hash(content: dict[str, Any]) -> str:
+    rest = {key: value for key, value in content.items() if key != "content_hash"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def read_spec(folder: Path) -> tuple[BundleSpec, dict[str, Any]]:
+    """What a bundle says it is, and its whole manifest, without loading weights.
+
+    Raises:
+        BundleError: If it is missing, damaged, foreign, or made for other gains than the checkout's.
+    """
+    manifest = folder / MANIFEST
+    content = _read_manifest(manifest)
+    try:
+        spec = _spec_of(content)
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError(f"{manifest} does not fit this release: {error}") from None
+    settings = base_settings(spec.base, spec.residual.knowledge)
+    if content.get("base_hash") != settings_hash(settings):
+        before = content.get("base_settings")
+        known = isinstance(before, dict) and all(isinstance(value, dict) for value in before.values())
+        changes = changed_settings(before, settings) if isinstance(before, dict) and known else "unknown gains"
+        raise BundleError(f"{manifest} was trained on another {spec.base!r} ({changes}): train it again")
+    return spec, content
+
+
+def _read_manifest(manifest: Path) -> dict[str, Any]:
+    """The content of a manifest that is whole and in this release's format."""
+    try:
+        content = json.loads(_read(manifest).decode("utf-8"))
+    except FileNotFoundError:
+        raise BundleError(f"no policy bundle at {manifest.parent}: {MANIFEST} is missing") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise BundleError(f"{manifest} cannot be read ({error}); save the policy again") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise BundleError(f"{manifest} is not a {FORMAT} bundle")
+    if content.get("version") != VERSION:
+        version = content.get("version")
+        raise BundleError(f"{manifest} has version {version!r}, this release reads {VERSION}: train it again")
+    if content.get("content_hash") != _content_hash(content):
+        raise BundleError(f"{manifest} was changed after it was saved: its content hash does not match")
+    return content
+
+
+def _spec_of(content: dict[str, Any]) -> BundleSpec:
+    """The spec in a manifest's content; errors of any kind if it has none that this release knows."""
+    spec = BundleSpec(
+        algorithm=content["algorithm"],
+        base=content["base"],
+        residual=ResidualSettings(**content["residual"]),
+        hidden=tuple(content["hidden"]),
+        activation=content["activation"],
+        sensors=content["sensors"],
+        lstm=content["lstm"],
+        provenance=content["provenance"],
+    )
+    if spec.algorithm not in ALGORITHMS or spec.base not in BASES:
+        raise ValueError(f"it has no algorithm {spec.algorithm!r} or no base controller {spec.base!r}")
+    if (content["layout"], content["entries"]) != (LAYOUT, spec.entries()):
+        raise ValueError("it was made for another observation layout")
+    if not isinstance(spec.provenance, dict):
+        raise ValueError("its provenance is no mapping")
+    spec.shape()
+    file, digest = content["weights"]["file"], content["weights"]["sha256"]
+    if not (isinstance(file, str) and isinstance(digest, str) and re.fullmatch(r"weights-\w+\.safetensors", file)):
+        raise ValueError(f"its weights must be a file weights-XXXX.safetensors beside it, got {file!r}")
+    return spec
+
+
+def load_controller(folder: Path) -> tuple[ResidualController, BundleSpec]:
+    """Load a bundle as a controller on the environment's observation.
+
+    Raises:
+        BundleError: If it is missing, damaged, or foreign.
+    """
+    spec, content = read_spec(folder)
+    path = folder / content["weights"]["file"]
+    try:
+        data = _read(path)
+    except OSError as error:
+        raise BundleError(f"the weights of {folder} cannot be read ({error.strerror or error}): {path.name}") from None
+    if hashlib.sha256(data).hexdigest() != content["weights"]["sha256"]:
+        raise BundleError(f"{path} is damaged: its SHA-256 is not the one in {MANIFEST}; copy it again")
+    actor = Actor(spec.shape()).requires_grad_(False)
+    try:
+        actor.load_state_dict(load_weights(data))
+    except (SafetensorError, RuntimeError) as error:
+        raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {error}") from None
+    _require_finite(actor, str(path))
+    return ResidualController(make_base(spec.base), actor, spec.residual), spec
+
+
+def _read(path: Path) -> bytes:
+    if path.stat().st_size > MAX_BYTES:
+        raise OSError(f"{path.name} has more than {MAX_BYTES} bytes")
+    return path.read_bytes()
+
+
+def _require_finite(actor: Actor, owner: str) -> None:
+    for name, value in actor.state_dict().items():
+        if not torch.isfinite(value).all():
+            raise BundleError(f"{owner} has weights that are not finite numbers, in {name}")

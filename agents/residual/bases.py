@@ -1,0 +1,76 @@
+"""What a residual is added to: a classical controller, or nothing."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.residual.knowledge import Knowledge
+from baselines import CONTROLLERS
+from baselines.gains import tuned
+from baselines.optimal.adaptive import AdaptiveGains
+from beltarm_env.rollout import Controller
+
+
+class NoController:
+    """No torque at all: what an agent that learns from scratch starts from."""
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], None]:
+        """Zeros of shape (n, 1)."""
+        return np.zeros((len(observation), 1), np.float32), None
+
+
+BASES: dict[str, Callable[[], Any]] = {**CONTROLLERS, "none": NoController}
+"""Base controllers by name: all of `baselines.CONTROLLERS`, and none."""
+
+
+def make_base(name: str) -> Controller:
+    """The base controller called `name`.
+
+    Raises:
+        ValueError: If there is none, naming the nearest one.
+    """
+    if name not in BASES:
+        near = difflib.get_close_matches(str(name), BASES, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(BASES)}"
+        raise ValueError(f"no base controller {name!r}; {hint}")
+    return BASES[name]()
+
+
+def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]]:
+    """Gains of the base and, if the agent is told a belief, doubts of the identification: what a residual relies on.
+
+    Raises:
+        ValueError: If there is no such base, or the file of gains is damaged.
+    """
+    gains = getattr(make_base(name), "gains", None)
+    doubts = asdict(tuned("adaptive", AdaptiveGains).doubt()) if knowledge == "belief" else {}
+    return {"gains": asdict(gains) if gains is not None else {}, "doubts": doubts}
+
+
+def settings_hash(settings: dict[str, dict[str, float]]) -> str:
+    """SHA-256 of settings, whatever their order."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+
+
+def changed_settings(before: dict[str, dict[str, float]], now: dict[str, dict[str, float]]) -> str:
+    """Names and values of the settings that are not as they were."""
+    changes = []
+    for kind in now:
+        old, new = before.get(kind, {}), now[kind]
+        names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+        changes += [f"{kind}.{name} was {old.get(name)}, is {new.get(name)}" for name in names]
+    return "; ".join(changes)

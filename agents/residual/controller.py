@@ -1,0 +1,124 @@
+"""Residual torque: an agent's correction on top of a base controller.
+
+    action = clip(base + limit * residual, -1, 1)
+
+The base acts every sample; the residual is held for `hold` samples. What the agent observes is in
+`agents.residual.knowledge`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.residual.knowledge import KNOWLEDGE, InformedBase, InformedMemory, Knowledge
+from beltarm_env.rollout import Controller
+
+Singles = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSettings:
+    """How a residual acts.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    limit: float = 0.5  # largest residual, as a share of the torque limit
+    hold: int = 4  # samples per residual: 6 ms
+    knowledge: Knowledge = "belief"  # what the agent is told besides the observation
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        number = isinstance(self.limit, int | float) and not isinstance(self.limit, bool)
+        if not (number and 0 < self.limit <= 2):
+            raise ValueError(f"residual limit must lie in (0, 2] of the torque limit, got {self.limit!r}")
+        whole = isinstance(self.hold, int) and not isinstance(self.hold, bool)
+        if not (whole and 1 <= self.hold <= 100):
+            raise ValueError(f"residual hold must be a whole number of samples from 1 to 100, got {self.hold!r}")
+        if self.knowledge not in KNOWLEDGE:
+            raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {self.knowledge!r}")
+
+
+def combine(base_action: Singles, residual: Singles, limit: float) -> Singles:
+    """The action applied; a zero residual gives the base's, bit for bit."""
+    return (base_action + np.float32(limit) * residual).clip(-1, 1)
+
+
+def checked_residual(residual: object, count: int) -> Singles:
+    """Residuals of shape (count, 1).
+
+    Raises:
+        ValueError: If they have another shape or are not finite numbers.
+    """
+    array = np.asarray(residual)
+    if array.shape != (count, 1) or array.dtype.kind not in "fiu":
+        raise ValueError(f"residuals must be numbers of shape ({count}, 1), got {array.dtype} of shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"residuals must be finite, got {array[~np.isfinite(array)][0]}")
+    return array.astype(np.float32, copy=False)
+
+
+class Policy(Protocol):
+    """The part of a Stable-Baselines3 policy that is used here."""
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Residuals of shape (n, 1) for what a residual agent observes, a row each."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualMemory:
+    """Memory of a `ResidualController`."""
+
+    informed: InformedMemory | None
+    policy: Any
+    residual: Singles  # held, (n, 1)
+    age: NDArray[np.int64]  # samples since the episode's start, (n,)
+
+
+class ResidualController:
+    """A base controller with a learned residual, as one controller on the environment's own observation."""
+
+    def __init__(self, base: Controller, policy: Policy, settings: ResidualSettings) -> None:
+        self.informed = InformedBase(base, settings.knowledge)
+        self.policy = policy
+        self.settings = settings
+
+    def predict(
+        self,
+        observation: Singles,
+        state: ResidualMemory | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Singles, ResidualMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        count = len(observation)
+        if state is None:
+            state = ResidualMemory(None, None, np.zeros((count, 1), np.float32), np.zeros(count, np.int64))
+            episode_start = np.ones(count, np.bool_)
+        informed = self.informed.advance(observation, state.informed, episode_start)
+        age = state.age if episode_start is None else np.where(episode_start, 0, state.age)
+        residual, policy = state.residual, state.policy
+        due = age % self.settings.hold == 0
+        if due.any():
+            seen = self.informed.seen(observation, informed)
+            fresh, following = self.policy.predict(seen, policy, episode_start, deterministic)
+            residual = np.where(due[:, None], fresh, residual)
+            policy = _remembered(policy, following, due)
+        action = combine(informed.action, residual, self.settings.limit)
+        return action, ResidualMemory(informed, policy, residual, age + 1)
+
+
+def _remembered(before: Any, following: Any, due: Flags) -> Any:
+    """A policy's memory, row by row: what it has become where the policy was due, what it was elsewhere."""
+    if not isinstance(before, np.ndarray):
+        return following
+    return np.where(due.reshape(-1, *[1] * (before.ndim - 1)), following, before)

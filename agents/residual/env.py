@@ -1,0 +1,217 @@
+"""The residual task as environments: for one arm (Gymnasium) and for a batch (Stable-Baselines3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from agents.residual.controller import ResidualSettings, checked_residual, combine
+from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
+from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.rollout import Controller
+
+Singles = NDArray[np.float32]
+
+
+class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
+    """One arm whose action is a residual on a base controller; a step is `hold` samples, its reward their sum."""
+
+    def __init__(self, env: gym.Env[Singles, Singles], base: Controller, settings: ResidualSettings) -> None:
+        super().__init__(env)
+        if not isinstance(env.unwrapped, BeltArmEnv):
+            raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
+        self.informed = InformedBase(base, settings.knowledge)
+        self.settings = settings
+        self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space: spaces.Space[Any] = residual_observation_space(
+            env.unwrapped.sensors, settings.knowledge
+        )
+        self._memory: InformedMemory | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Singles, dict[str, Any]]:
+        """Begin an episode, see `BeltArmEnv.reset`."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._memory = self.informed.advance(observation[None], None, None)
+        return self.informed.seen(observation[None], self._memory)[0], info
+
+    def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
+        """Hold a residual for `hold` samples, or until the episode ends."""
+        if self._memory is None:
+            raise ResetNeeded("no episode is running: call reset() before step()")
+        residual = checked_residual(np.asarray(action)[None], 1)
+        total, samples = 0.0, 0
+        while True:
+            command = combine(self._memory.action, residual, self.settings.limit)
+            observation, reward, terminated, truncated, info = self.env.step(command[0])
+            total += float(reward)
+            samples += 1
+            self._memory = self.informed.advance(observation[None], self._memory, None)
+            if terminated or truncated or samples == self.settings.hold:
+                seen = self.informed.seen(observation[None], self._memory)[0]
+                return seen, total, terminated, truncated, info
+
+
+class ResidualVecEnv(VecEnv):
+    """A batch of arms for Stable-Baselines3, whose actions are residuals on a base controller.
+
+    Same-step reset with `terminal_observation` and `TimeLimit.truncated`. An arm that ends within a hold goes on in its
+    new episode under the base alone until the hold is over.
+
+    Args:
+        env: The arms, with same-step autoreset.
+        base: The base controller.
+        settings: How the residual acts.
+        reward_scale: Factor on the reward, the sum over the samples of a hold.
+        worst_reward: Scaled rewards are cut to at least minus this, for learners that a rare huge charge throws off.
+        stagger: Spread the arms over the phases of the episode, so that a rollout sees all of them.
+    """
+
+    def __init__(
+        self,
+        env: BeltArmVectorEnv,
+        base: Controller,
+        settings: ResidualSettings,
+        *,
+        reward_scale: float = 1.0,
+        worst_reward: float = np.inf,
+        stagger: bool = True,
+    ) -> None:
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"ResidualVecEnv needs autoreset_mode='SameStep', got {env.autoreset_mode.value!r}")
+        self.env = env
+        self.informed = InformedBase(base, settings.knowledge)
+        self.settings = settings
+        self.reward_scale = reward_scale
+        self.worst_reward = worst_reward
+        self.stagger = stagger
+        self.render_mode = env.render_mode
+        self._memory: InformedMemory | None = None
+        self._residual = np.zeros((env.num_envs, 1), np.float32)
+        space = residual_observation_space(env.sensors, settings.knowledge)
+        super().__init__(env.num_envs, space, spaces.Box(-1.0, 1.0, (1,), np.float32))
+
+    def reset(self) -> Singles:
+        """Begin new episodes in all arms."""
+        seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
+        observation, _ = self.env.reset(seed=seeds)
+        self._reset_seeds()
+        self._reset_options()
+        self._memory = None
+        start = np.ones(self.num_envs, np.bool_)
+        if self.stagger:
+            observation, start = self._spread(observation, start)
+        self._memory = self.informed.advance(observation, self._memory, start)
+        return self.informed.seen(observation, self._memory)
+
+    def _spread(self, observation: Singles, start: NDArray[np.bool_]) -> tuple[Singles, NDArray[np.bool_]]:
+        """Run the arms under the base for one episode, restarting one group after another."""
+        hold = self.settings.hold
+        turn = (np.arange(self.num_envs) * (EPISODE_STEPS // hold) // self.num_envs + 1) * hold
+        for step in range(1, EPISODE_STEPS + 1):
+            self._memory = self.informed.advance(observation, self._memory, start)
+            observation, _, terminated, truncated, _ = self.env.step(self._memory.action)
+            start = terminated | truncated
+            if (mask := turn == step).any():
+                observation, _ = self.env.reset(options={"reset_mask": mask})
+                start |= mask
+        return observation, start
+
+    def snapshot(self) -> dict[str, Any]:
+        """Arms, moves, random generators, sensors' history and the base's memory: all that a step depends on."""
+        return {"arms": self.env, "memory": self._memory}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on from a snapshot of a batch with the same settings, whose arms then belong to this one."""
+        self.env, self._memory = snapshot["arms"], snapshot["memory"]
+        self._reset_seeds()
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Refused unless empty: arms and moves are drawn at random here."""
+        if options:
+            raise NotImplementedError(f"ResidualVecEnv draws its episodes at random; options {options!r} are not used")
+
+    def step_async(self, actions: Singles) -> None:
+        """Take the residuals, shape (n, 1)."""
+        self._residual = checked_residual(actions, self.num_envs)
+
+    def step_wait(self) -> tuple[Singles, Singles, NDArray[np.bool_], list[dict[str, Any]]]:
+        """Hold the residuals for `hold` samples."""
+        rewards = np.zeros(self.num_envs)
+        done = np.zeros(self.num_envs, np.bool_)
+        infos: list[dict[str, Any]] = [_NOTHING] * self.num_envs
+        residual, observation = self._residual, np.empty(0, np.float32)
+        assert self._memory is not None, "Stable-Baselines3 resets before it steps"
+        for _ in range(self.settings.hold):
+            observation, reward, terminated, truncated, info = self.env.step(
+                combine(self._memory.action, residual, self.settings.limit)
+            )
+            rewards += reward if not done.any() else np.where(done, 0.0, reward)
+            ended = terminated | truncated
+            if ended.any():
+                last = observation.copy()
+                last[ended] = np.stack(info["final_obs"][ended])
+                final, self._memory = self.informed.ended(last, observation, self._memory, ended)
+                self._report(infos, self.informed.seen(last, final), ended & ~done, truncated, info)
+                done |= ended
+                residual = np.where(done[:, None], np.float32(0), residual)
+            else:
+                self._memory = self.informed.advance(observation, self._memory, None)
+        seen = self.informed.seen(observation, self._memory)
+        scaled = np.maximum(self.reward_scale * rewards, -self.worst_reward)
+        return seen, scaled.astype(np.float32), done, infos
+
+    def _report(
+        self,
+        infos: list[dict[str, Any]],
+        terminal: Singles,
+        ended: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+        info: dict[str, Any],
+    ) -> None:
+        """Info of the arms that ended: what they last observed, and what the episode came to."""
+        arms = np.flatnonzero(ended)
+        totals = info["final_info"]["total_cost"]
+        for arm in arms:
+            infos[arm] = {
+                "terminal_observation": terminal[arm],
+                "TimeLimit.truncated": bool(truncated[arm]),
+                "episode": {"r": -float(totals[arm]), "l": int(info["final_info"]["episode_steps"][arm]), "t": 0.0},
+            }
+
+    def close(self) -> None:
+        """Close the arms."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, once per arm asked for."""
+        value = getattr(self.env if hasattr(self.env, attr_name) else self, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the arms of a batch share their settings."""
+        raise NotImplementedError(f"the arms of a batch share their settings; cannot set {attr_name!r} for some")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refused: the arms of a batch are not environments of their own."""
+        raise NotImplementedError(f"the arms of a batch are not environments of their own; cannot call {method_name!r}")
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
+        """No arm is wrapped in anything."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Frames of all arms."""
+        return list(self.env.render() or ())
+
+
+_NOTHING: dict[str, Any] = {}  # shared by all arms with nothing to tell: one dict per arm and step would cost more

@@ -1,0 +1,155 @@
+"""What a residual agent is told besides the environment's observation.
+
+An encoder hides payload, stiffness and friction, and, while the motor sticks, the ringing too. A network of a few
+thousand weights does not find them in a history of counts, so it is told what an extended Kalman filter makes of that
+history (`baselines.estimation.identification`): the state of the arm, what the tip's errors are if that is so, and how
+far the arm's constants are from the nominal ones. The filter knows nothing but the observation, as the agent does.
+
+Errors are scaled to order 1 at the precision wanted, not at the size of what the base leaves: what is 0.01 of the unit
+of a network's input is learned late or never.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from baselines.estimation.arm_ekf import IDENTIFIED
+from baselines.estimation.identification import Belief
+from baselines.optimal.adaptive import tuned_identifier
+from baselines.reading import Reading, beginning, read
+from beltarm_env import ArmParams
+from beltarm_env import observation as layout
+from beltarm_env.observation import Entry
+from beltarm_env.rollout import Controller
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Knowledge = Literal["belief", "none"]
+
+_BASE_TORQUE = Entry("base_torque", "of limit", 1.0, 1.0)
+_STATE = (
+    Entry("believed_motor_speed", "rad/s", 8.0, 320.0),
+    Entry("believed_torsion", "rad", 0.05, 2.0),
+    Entry("believed_torsion_speed", "rad/s", 1.0, 40.0),
+)
+_TIP = (
+    Entry("believed_tip_error_x", "m", 0.003, 0.12),
+    Entry("believed_tip_error_y", "m", 0.003, 0.12),
+    Entry("believed_tip_speed_error_x", "m/s", 0.06, 2.4),
+    Entry("believed_tip_speed_error_y", "m/s", 0.06, 2.4),
+)
+_SPREADS = (0.35, 0.12, 0.06, 0.17, 0.17, 0.12)  # of the constants' logarithms over the training ranges
+_CONSTANTS = tuple(
+    Entry(f"believed_{name}", "ln", spread, 2.0) for name, spread in zip(IDENTIFIED, _SPREADS, strict=True)
+)
+_DOUBTED = ("arm_inertia_swing", "belt_stiffness")
+_DOUBTS = tuple(Entry(f"doubt_of_{name}", "ln", _SPREADS[IDENTIFIED.index(name)], 2.0) for name in _DOUBTED)
+ENTRIES: dict[Knowledge, tuple[Entry, ...]] = {
+    "belief": (_BASE_TORQUE, *_STATE, *_TIP, *_CONSTANTS, *_DOUBTS),
+    "none": (_BASE_TORQUE,),
+}
+"""What is appended to the observation, in order; scaled and bounded as the observation's own entries."""
+KNOWLEDGE: tuple[Knowledge, ...] = ("belief", "none")
+
+
+def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = "belief") -> spaces.Box:
+    """What a residual agent observes."""
+    told = [entry.bound / entry.scale for entry in ENTRIES[knowledge]]
+    bounds = np.concatenate([layout.bounds(sensors), told]).astype(np.float32)
+    return spaces.Box(-bounds, bounds, dtype=np.float32)
+
+
+def tip_errors(state: Floats, reading: Reading, params: ArmParams) -> Floats:
+    """Errors of the tip in x, y [m] and their rates [m/s] if the arm is in this state, shape (n, 4).
+
+    Equations as in `beltarm_env.physics.kinematics`, on arrays: the same tip, for states that are believed, not
+    simulated.
+    """
+    link, hand = 2 * params.link_length, params.hand_length
+    phi, torsion = state[:, 0] / params.gear_ratio - state[:, 2], state[:, 2]
+    reach = link * np.cos(phi) + hand
+    reach_speed = -link * np.sin(phi) * (state[:, 1] / params.gear_ratio - state[:, 3])
+    cosine, sine, turning = np.cos(torsion), np.sin(torsion), reach * state[:, 3]
+    wanted = link * np.cos(reading.reference_angle) + hand
+    wanted_speed = -link * np.sin(reading.reference_angle) * reading.reference_speed
+    speed_x, speed_y = reach_speed * cosine - turning * sine, reach_speed * sine + turning * cosine
+    return np.stack([reach * cosine - wanted, reach * sine, speed_x - wanted_speed, speed_y], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class InformedMemory:
+    """Memory of an `InformedBase`."""
+
+    base: Any  # the base controller's own
+    action: Singles  # of the base, for this sample, shape (n, 1)
+    belief: Belief | None
+
+
+class InformedBase:
+    """A base controller, and beside it what the agent is told.
+
+    Args:
+        base: The base controller.
+        knowledge: "belief" for the identified arm, "none" for the base's torque alone.
+    """
+
+    def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:
+        if knowledge not in ENTRIES:
+            raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {knowledge!r}")
+        self.base = base
+        self.knowledge: Knowledge = knowledge
+        self._params = ArmParams()
+        self._identifier = tuned_identifier() if knowledge == "belief" else None
+        entries = ENTRIES[knowledge]
+        self._scales = np.array([entry.scale for entry in entries])
+        self._bounds = np.array([entry.bound for entry in entries])
+
+    def advance(self, observation: Singles, memory: InformedMemory | None, start: Flags | None) -> InformedMemory:
+        """The base's action for this sample, and what is known by now; observations of shape (n, size)."""
+        action, base = self.base.predict(observation, memory.base if memory else None, start)
+        if self._identifier is None:
+            return InformedMemory(base, action, None)
+        belief = getattr(base, "belief", None)  # of a base that identifies the arm itself
+        if not isinstance(belief, Belief):
+            reading = read(observation, self._params)
+            before = memory.belief if memory else None
+            belief = self._identifier.update(before, reading, beginning(before, start, len(observation)))
+        return InformedMemory(base, action, belief)
+
+    def ended(
+        self, last: Singles, observation: Singles, memory: InformedMemory, ended: Flags
+    ) -> tuple[InformedMemory, InformedMemory]:
+        """Where some arms' episodes end: what is known at their last sample, and at the first of their next episode.
+
+        Args:
+            last: Observations, of arms that ended those of their last sample.
+            observation: The same, but of arms that ended those of their next episode's first sample.
+            memory: Of the sample before.
+            ended: Which arms, shape (n,).
+        """
+        final = self.advance(last, memory, None)
+        if self._identifier is None or final.belief is None or final.belief is getattr(final.base, "belief", None):
+            return final, self.advance(observation, memory, ended)
+        action, base = self.base.predict(observation, memory.base, ended)
+        belief = self._identifier.begun(final.belief, read(observation, self._params).motor_angle, ended)
+        return final, InformedMemory(base, action, belief)
+
+    def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
+        """What the agent observes, shape (n, size + told), of the sample that `memory` has advanced to."""
+        told = memory.action.astype(np.float64)
+        if memory.belief is not None:
+            told = np.concatenate([told, self._believed(memory.belief, read(observation, self._params))], axis=1)
+        scaled = np.clip(told, -self._bounds, self._bounds) / self._scales
+        return np.concatenate([observation, scaled.astype(np.float32)], axis=1)
+
+    def _believed(self, belief: Belief, reading: Reading) -> Floats:
+        doubted = [4 + IDENTIFIED.index(name) for name in _DOUBTED]
+        doubts = np.sqrt(np.maximum(belief.variance[:, doubted], 0.0))
+        errors = tip_errors(belief.state, reading, self._params)
+        return np.concatenate([belief.state[:, 1:], errors, belief.logs, doubts], axis=1)

@@ -1,0 +1,1 @@
+"""Training runs: options, folder and checkpoints, validation, command line."""

@@ -1,0 +1,183 @@
+"""The folder of a run, and checkpoints from which a run goes on bit for bit as if it had not been interrupted.
+
+    config.json       every option, and what makes the run this one
+    checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
+                      and data), random generators, and the run's progress
+    validation.csv    the learning curve
+    best/, last/      policy bundles: lowest validation cost, and end of the run
+    progress*.csv, events*   training log, as CSV and for TensorBoard
+
+A checkpoint is a pickle: loading it executes what it says. It is for the machine that wrote it; what is passed on to
+others are bundles (`agents.policy.bundle`), which hold numbers alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import pickle
+import random
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from agents.runs.settings import RunConfig
+from baselines.tools.files import require_writable, write_atomically, write_text
+
+VERSION = 3
+
+
+class RunFolder:
+    """The folder of a run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.config = folder / "config.json"
+        self.checkpoint = folder / "checkpoint.pkl"
+        self.curve = folder / "validation.csv"
+        self.best = folder / "best"
+        self.last = folder / "last"
+
+    def begin(self, config: RunConfig) -> None:
+        """Make the folder ready for a new run, or for going on with the one that it holds.
+
+        Raises:
+            FileNotFoundError: If there is nothing to resume.
+            ValueError: If it holds a run that is neither to be resumed nor to be overwritten, or another run.
+            OSError: If it cannot be written.
+        """
+        self.check(config)
+        if config.overwrite:
+            self._delete_run()
+        require_writable(self.folder)
+        for path in (self.checkpoint, self.curve, self.config):
+            for half_written in self.folder.glob(f".{path.stem}-*"):  # by a process that was killed
+                half_written.unlink(missing_ok=True)
+        content = {"config": asdict(config), "identity": config.identity()}
+        write_text(self.config, json.dumps(content, indent=2, default=str) + "\n")
+
+    def check(self, config: RunConfig) -> None:
+        """Check that the folder holds no run, or the one to be resumed, or one to be overwritten; raises as `begin`."""
+        if config.resume:
+            self._require_same(config)
+        elif config.overwrite and self.best.exists() and not self.config.exists():
+            raise ValueError(f"{self.folder} is not the folder of a run, so nothing is deleted: choose another --out")
+        elif not config.overwrite and any(path.exists() for path in (self.checkpoint, self.best, self.last)):
+            raise ValueError(
+                f"{self.folder} holds a run already: go on with it by --resume, choose another --out, "
+                "or delete it by --overwrite"
+            )
+
+    def _require_same(self, config: RunConfig) -> None:
+        if not (self.checkpoint.exists() and self.config.exists()):
+            raise FileNotFoundError(f"nothing to resume in {self.folder}: run once without --resume")
+        remedy = "choose another --out, or begin anew with --overwrite"
+        try:
+            before = json.loads(self.config.read_text(encoding="utf-8"))["identity"]
+            options = dict(before["options"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{self.config} is damaged ({error!r}): {remedy}") from None
+        now = json.loads(json.dumps(config.identity(), default=str))
+        for name, value in now["options"].items():
+            if options.get(name) != value:
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(f"the run in {self.folder} has {option} {options.get(name)}, not {value}: {remedy}")
+        for name in ("algorithm", "base_hash", "layout", "entries"):
+            if before.get(name) != now[name]:
+                what = {"algorithm": "another algorithm", "base_hash": "other gains of the base"}
+                known = what.get(name, "another observation layout")
+                raise ValueError(f"the run in {self.folder} began with {known}: {remedy}")
+
+    def _delete_run(self) -> None:
+        """Delete what runs write, and nothing else."""
+        for folder in (self.best, self.last):
+            if folder.exists():
+                shutil.rmtree(folder)
+        for pattern in ("config.json", "checkpoint.pkl", "validation.csv", "progress*.csv", "events.out.tfevents.*"):
+            for path in self.folder.glob(pattern):
+                path.unlink()
+
+    def save(self, learner: dict[str, Any], progress: dict[str, Any]) -> None:
+        """Write a checkpoint and the learning curve, each atomically.
+
+        Args:
+            learner: Its snapshot.
+            progress: Of the run.
+
+        Raises:
+            OSError: If they cannot be written; the last checkpoint stays.
+        """
+        content = {"version": VERSION, "progress": progress, "learner": learner, "generators": _generators()}
+        try:
+            write_atomically(self.checkpoint, lambda path: _dump(content, path))
+            write_text(self.curve, _table(progress["curve"]))
+        except OSError as error:
+            kept = "the last good checkpoint stays, to go on from with --resume" if self.checkpoint.exists() else ""
+            message = f"cannot save to {self.folder}: {error.strerror or error}; {kept or 'free some space'}"
+            raise OSError(message) from None
+
+    def load(self, restore: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """Go back to the last checkpoint.
+
+        Args:
+            restore: Brings a new learner to its snapshot.
+
+        Returns:
+            The run's progress.
+
+        Raises:
+            ValueError: If the checkpoint is damaged, or of another version.
+        """
+        try:
+            with self.checkpoint.open("rb") as file:
+                content = pickle.load(file)
+            if content["version"] != VERSION:
+                raise ValueError(f"version {content['version']}, this release reads {VERSION}")
+            restore(content["learner"])
+            _set_generators(content["generators"])
+            return content["progress"]
+        except _DAMAGES as error:
+            message = str(error).splitlines()[0] if str(error) else repr(error)
+            raise ValueError(f"{self.checkpoint} cannot be read ({message}): begin anew with --overwrite") from None
+
+
+_DAMAGES = (
+    *(pickle.UnpicklingError, EOFError, ImportError, AttributeError),
+    *(RuntimeError, ValueError, KeyError, TypeError, IndexError),
+)
+
+
+def _generators() -> tuple[Any, ...]:
+    """States of the random generators of Python, NumPy, PyTorch, and of PyTorch on GPUs if it uses any."""
+    cuda = torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else []
+    return random.getstate(), np.random.get_state(), torch.get_rng_state(), cuda  # noqa: NPY002
+
+
+def _set_generators(states: tuple[Any, ...]) -> None:
+    python, numpy, pytorch, cuda = states
+    random.setstate(python)
+    np.random.set_state(numpy)  # noqa: NPY002
+    torch.set_rng_state(pytorch)
+    if cuda:
+        torch.cuda.set_rng_state_all(cuda)
+
+
+def _dump(content: dict[str, Any], path: Path) -> None:
+    with path.open("wb") as file:
+        pickle.dump(content, file, pickle.HIGHEST_PROTOCOL)
+
+
+def _table(curve: list[dict[str, float]]) -> str:
+    """Rows as CSV."""
+    text = io.StringIO(newline="")
+    if curve:
+        writer = csv.DictWriter(text, fieldnames=list(curve[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(curve)
+    return text.getvalue()

@@ -1,0 +1,198 @@
+"""What goes on beside a training run: validation, keeping the best policy, checkpoints, telling how far it has come."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from stable_baselines3.common.logger import Logger
+
+from agents.policy.actor import Actor
+from agents.policy.bundle import BundleSpec, save_bundle
+from agents.residual.bases import make_base
+from agents.residual.controller import ResidualController
+from agents.runs.checkpoint import RunFolder
+from agents.runs.settings import RunConfig
+from beltarm_env.rollout import Controller, rollout
+
+VALIDATION_SEED = 7_000_000
+"""Seed of the arms on which checkpoints are compared: training seeds lie below, the comparison's seeds above."""
+SCORES = ("cost", "tip_rms_mm", "residual_pp_mm")
+_WORDS = ("cost", "tip", "ringing")
+_NEWS_EVERY = 0.5  # [s]
+
+
+def validate(controller: Controller, arms: int, sensors: Any = "encoder") -> dict[str, float]:
+    """Mean scores over arms drawn from the training ranges with the validation seed."""
+    metrics = rollout(controller, arms, seed=VALIDATION_SEED, randomization="train", sensors=sensors).metrics()
+    return {name: float(np.mean(metrics[name])) for name in SCORES}
+
+
+class News(NamedTuple):
+    """How far a run has come."""
+
+    steps: int
+    scores: str  # of the last validation, in words
+    cost: float | None = None  # of a validation just made
+
+
+class StopRequest:
+    """Asks a run to stop between two updates, where it loses nothing."""
+
+    def __init__(self) -> None:
+        self.made = False
+
+
+class Interrupted(Exception):  # noqa: N818
+    """A run stopped because it was asked to, and is saved."""
+
+
+class Learner(Protocol):
+    """What a run trains: an actor, and all that its training depends on."""
+
+    @property
+    def steps(self) -> int:
+        """Agent steps learnt from so far, each of `hold` simulated samples."""
+        ...
+
+    def actor(self) -> Actor:
+        """The policy as it acts now, a copy."""
+        ...
+
+    def learn(self, monitor: TrainingMonitor) -> None:
+        """Learn to the end of the run, and let the monitor know.
+
+        Raises:
+            Interrupted: If the monitor was asked to stop.
+            ValueError: If the training diverges, naming the remedy.
+        """
+        ...
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that the next step depends on, but for the random generators of Python, NumPy and PyTorch."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Bring a new learner of the same settings to where a snapshot was taken."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what it holds."""
+        ...
+
+
+class TrainingMonitor:
+    """Validates when told to, keeps the best policy and a checkpoint, tells about progress, and stops when asked.
+
+    A learner calls it between two updates, where everything that a run consists of is at rest.
+
+    Args:
+        config: Options of the run.
+        folder: Where to save.
+        learner: What is trained.
+        spec: What the policy is; its provenance is completed with what was reached.
+        logger: The training log.
+        report: Called with news, twice a second at most, and after every validation.
+        stop: Whether to stop.
+        progress: What an interrupted run had reached.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        folder: RunFolder,
+        learner: Learner,
+        spec: BundleSpec,
+        logger: Logger,
+        report: Callable[[News], object],
+        stop: StopRequest,
+        progress: dict[str, Any] | None = None,
+    ) -> None:
+        self.config = config
+        self.folder = folder
+        self.learner = learner
+        self.spec = spec
+        self.logger = logger
+        self.report = report
+        self.stop = stop
+        base = validate(make_base(config.base), config.validation_arms, config.sensors)
+        self.progress: dict[str, Any] = progress or {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
+        self.base_scores = base
+        self._before = self.progress["seconds"]
+        self._began = self._told = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock of the run so far, earlier parts included [s]."""
+        return self._before + time.perf_counter() - self._began
+
+    @property
+    def curve(self) -> list[tuple[int, float, float]]:
+        """Agent steps, seconds and validation cost of all validations."""
+        return [(row["steps"], row["seconds"], row["cost"]) for row in self.progress["curve"]]
+
+    def begin(self) -> None:
+        """Validate what is untrained: where the curve begins, and what a run can be resumed from at the least."""
+        if not self.folder.checkpoint.exists():
+            self.evaluate()
+
+    def stop_if_asked(self, save: bool = True) -> None:
+        """Raise Interrupted if the run is to stop, having saved a checkpoint unless the last one is to be gone on from.
+
+        Raises:
+            Interrupted: If it was asked to.
+            OSError: If the checkpoint cannot be written.
+        """
+        if self.stop.made:
+            if save:
+                self.save()
+            raise Interrupted(f"interrupted at {self.learner.steps} steps, saved in {self.config.out}")
+
+    def tell(self, steps: int) -> None:
+        """Report so many steps, unless something was reported just now."""
+        if time.perf_counter() - self._told >= _NEWS_EVERY:
+            self._told = time.perf_counter()
+            self.report(News(steps, self.progress["scores"]))
+
+    def evaluate(self) -> None:
+        """Validate, log, keep the policy if it is the best so far, and save a checkpoint; once for every state."""
+        steps = self.learner.steps
+        if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
+            return
+        actor = self.learner.actor()
+        controller = ResidualController(make_base(self.config.base), actor, self.spec.residual)
+        scores = validate(controller, self.config.validation_arms, self.config.sensors)
+        ratios = {name: scores[name] / self.base_scores[name] for name in SCORES}
+        for name in SCORES:
+            self.logger.record(f"validation/{name}", scores[name])
+            self.logger.record(f"validation/{name}_over_base", ratios[name])
+        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in zip(SCORES, _WORDS, strict=True))
+        self.progress["scores"] = f"{words} of the base"
+        self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
+        if scores["cost"] < self.progress["best_cost"]:
+            self.progress["best_cost"] = scores["cost"]
+            save_bundle(self.folder.best, self._completed_spec(scores), actor)
+        self.save()
+        self.report(News(steps, self.progress["scores"], scores["cost"]))
+
+    def save(self) -> None:
+        """Save a checkpoint."""
+        self.progress["seconds"] = self.seconds
+        self.folder.save(self.learner.snapshot(), self.progress)
+
+    def provenance(self) -> dict[str, Any]:
+        """What is known of the run by now, for the provenance of its policies."""
+        run = {"steps": self.learner.steps, "seconds": round(self.seconds, 1)}
+        return {"run": run, "curve": [list(point) for point in self.curve]}
+
+    def _completed_spec(self, scores: dict[str, float]) -> BundleSpec:
+        reached = {"steps": self.learner.steps, "seconds": round(self.seconds, 1), "validation": scores}
+        known = {**self.spec.provenance, **self.provenance(), "reached": reached}
+        return replace(self.spec, provenance={**known, "validation_of_base": self.base_scores})
+
+
+Maker = Callable[[Any], Learner]
+"""Makes an untrained learner from a script's options."""

@@ -1,0 +1,164 @@
+"""What every training script can be told, and how training arms are seeded.
+
+**Seeds.** Arm i of training seed s is seeded with `SEED_SPACING` s + i: no two training seeds share an arm, and all lie
+below 4 000 000. Above are those of the cross-check (4), the tuner (5), the paper's reproduction (6), validation
+(7 000 000 on) and the comparison (8 000 000 on).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import torch
+
+from agents.policy.bundle import LAYOUT, BundleSpec
+from agents.residual.bases import base_settings, make_base, settings_hash
+from agents.residual.controller import ResidualSettings
+from agents.residual.knowledge import Knowledge
+
+SEED_SPACING = 4096
+"""Seeds between the first arms of two training seeds, and so the most arms that a run can have."""
+MAX_SEED = 4_000_000 // SEED_SPACING - 1
+MAY_CHANGE = (
+    *("out", "seeds", "jobs", "threads", "device", "resume", "overwrite"),
+    *("total_steps", "validation_every", "rounds"),
+)
+"""Options that may differ when a run is resumed; with other values of the others it would be another run."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Options of all training scripts; each script adds its algorithm's own."""
+
+    algorithm: ClassVar[str]
+
+    out: Path
+    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    seed: int = 0
+    """Seed of everything: arms, moves, weights, exploration. At most 975."""
+    seeds: int = 1
+    """Train so many runs, with this and the following seeds, each in a process of its own."""
+    jobs: int = 2
+    """Runs side by side, with --seeds."""
+    base: str = "paper"
+    """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
+    knowledge: Knowledge = "belief"
+    """What the agent is told besides the observation: what is identified of the arm, or nothing."""
+    sensors: Literal["encoder", "tip", "full"] = "encoder"
+    """Sensors of the arm; "full" is the true torsion, an upper bound and no equal to compare with."""
+    arms: int = 512
+    """Arms simulated side by side."""
+    learning_rate: float = 5e-4
+    """Learning rate of the optimiser."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Hidden layers of all networks."""
+    activation: Literal["relu", "tanh", "elu"] = "relu"
+    """Activation function; tanh takes twice as long."""
+    residual_limit: float = 1.0
+    """Largest residual, as a share of the torque limit."""
+    hold: int = 12
+    """Samples for which a residual is held: 18 ms, a slow enough exploration to move the arm."""
+    validation_arms: int = 128
+    """Arms per validation."""
+    threads: int = 1
+    """Threads of PyTorch; more than one slows networks of this size down."""
+    device: str = "cpu"
+    """Where the networks live: cpu, cuda, cuda:1, ..."""
+    resume: bool = False
+    """Go on with the run in `out` exactly where its last checkpoint was."""
+    overwrite: bool = False
+    """Delete the run that is in `out` and begin anew."""
+
+    @property
+    def length(self) -> int:
+        """Agent steps of the whole run."""
+        raise NotImplementedError
+
+    @property
+    def residual(self) -> ResidualSettings:
+        """How the residual acts."""
+        return ResidualSettings(self.residual_limit, self.hold, self.knowledge)
+
+    @property
+    def lstm(self) -> int:
+        """Width of the actor's LSTM, 0 for none."""
+        return 0
+
+    def check(self) -> None:
+        """Check what the algorithm itself does not.
+
+        Raises:
+            ValueError: Naming the option, its value and what is allowed.
+        """
+        self.at_least(1, "arms", "validation_arms", "threads", "seeds", "jobs")
+        self.positive("learning_rate")
+        if not 0 <= self.seed <= self.seed + self.seeds - 1 <= MAX_SEED:
+            raise ValueError(f"--seed must lie within 0 and {MAX_SEED}, with --seeds more too, got {self.seed}")
+        if self.arms > SEED_SPACING:
+            raise ValueError(f"--arms must be at most {SEED_SPACING}, got {self.arms}")
+        if self.resume and self.overwrite:
+            raise ValueError("--resume goes on with a run, --overwrite deletes it: give one of them")
+        make_base(self.base)
+        self.spec().shape()
+        _check_device(self.device)
+
+    def at_least(self, least: float, *names: str) -> None:
+        """Raise ValueError unless these options are at least so much."""
+        for name in names:
+            if not getattr(self, name) >= least:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}")
+
+    def positive(self, *names: str) -> None:
+        """Raise ValueError unless these options are finite and above 0."""
+        for name in names:
+            if not 0 < getattr(self, name) < math.inf:
+                option = name.replace("_", "-")
+                raise ValueError(f"--{option} must be finite and above 0, got {getattr(self, name)}")
+
+    def spec(self, **provenance: Any) -> BundleSpec:
+        """What the trained policy will be."""
+        return BundleSpec(
+            self.algorithm,
+            self.base,
+            self.residual,
+            self.hidden,
+            self.activation,
+            self.sensors,
+            self.lstm,
+            provenance,
+        )
+
+    def identity(self) -> dict[str, Any]:
+        """What makes a run this one and no other: options, and what is under them."""
+        options = {name: value for name, value in asdict(self).items() if name not in MAY_CHANGE}
+        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
+        settings = base_settings(self.base, self.knowledge)
+        return {
+            "algorithm": self.algorithm,
+            "options": plain,
+            "base_hash": settings_hash(settings),
+            "layout": LAYOUT,
+            "entries": self.spec().entries(),
+        }
+
+
+def first_arm_seed(seed: int) -> int:
+    """Seed of the first training arm."""
+    return SEED_SPACING * seed
+
+
+def _check_device(name: str) -> None:
+    """Raise ValueError unless PyTorch can compute there."""
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ValueError(f"--device must be cpu, cuda or cuda:NUMBER, got {name!r}") from None
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f"--device must be cpu, cuda or cuda:NUMBER, got {name!r}")
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"--device {name}: PyTorch finds no CUDA GPU on this machine; use --device cpu")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise ValueError(f"--device {name}: this machine has {torch.cuda.device_count()} GPU(s), numbered from 0")

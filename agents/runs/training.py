@@ -1,0 +1,84 @@
+"""A training run, from its options to its policies; `agents.runs.command_line` is the command line around it."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from importlib.metadata import version
+
+import torch
+from stable_baselines3.common.logger import Logger, make_output_format
+
+from agents.policy.bundle import BundleSpec, annotate, save_bundle
+from agents.runs.checkpoint import RunFolder
+from agents.runs.monitor import Maker, News, StopRequest, TrainingMonitor
+from agents.runs.settings import RunConfig
+from baselines.tools.provenance import command_line, commit
+from beltarm_env import __version__
+
+_PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
+
+
+def train(
+    config: RunConfig,
+    make_learner: Maker,
+    report: Callable[[News], object] = lambda _: None,
+    stop: StopRequest | None = None,
+) -> TrainingMonitor:
+    """Run a training, from the beginning or from its checkpoint, to its end.
+
+    Args:
+        config: Options.
+        make_learner: Makes the untrained learner.
+        report: Called with news.
+        stop: Whether to stop early, saving what there is.
+
+    Returns:
+        The monitor, which knows what came out.
+
+    Raises:
+        Interrupted: If it was asked to stop; it can be resumed.
+        ValueError: If an option is not allowed, the folder holds another run, or the training diverges.
+        OSError: If files cannot be written; the last checkpoint stays.
+    """
+    config.check()
+    torch.set_num_threads(config.threads)
+    folder = RunFolder(config.out)
+    folder.begin(config)
+    learner = make_learner(config)
+    progress = folder.load(learner.restore) if config.resume else None
+    suffix = f"_from_{learner.steps}" if config.resume else ""
+    formats = [make_output_format(kind, str(config.out), suffix) for kind in ("csv", "tensorboard")]
+    logger, spec = Logger(str(config.out), formats), config.spec(**_origin(config))
+    monitor = TrainingMonitor(config, folder, learner, spec, logger, report, stop or StopRequest(), progress)
+    try:
+        if learner.steps < config.length:
+            learner.learn(monitor)
+            _finish(monitor, spec)
+    finally:
+        logger.close()
+        learner.close()
+    return monitor
+
+
+def _finish(monitor: TrainingMonitor, spec: BundleSpec) -> None:
+    """Leave the last policy, and in the best one what has become of the run since."""
+    folder, known = monitor.folder, monitor.provenance()
+    scores = {name: value for name, value in monitor.progress["curve"][-1].items() if name not in ("steps", "seconds")}
+    reached = {**known["run"], "validation": scores}
+    provenance = {**spec.provenance, **known, "reached": reached, "validation_of_base": monitor.base_scores}
+    save_bundle(folder.last, replace(spec, provenance=provenance), monitor.learner.actor())
+    annotate(folder.best, **known)
+
+
+def _origin(config: RunConfig) -> dict[str, object]:
+    """Where a policy comes from."""
+    return {
+        "command": command_line(),
+        "version": __version__,
+        "commit": commit(),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "config": json.loads(json.dumps(asdict(config), default=str)),
+    }

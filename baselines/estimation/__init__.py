@@ -1,0 +1,1 @@
+"""State observer and identification of the arm, from encoder and torque."""

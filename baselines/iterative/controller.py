@@ -1,0 +1,167 @@
+"""Iterative learning: the same move on the same arm, again and again. It is not ranked among the controllers.
+
+    first trial      tau = tau_plan                                  as `baselines.optimal.adaptive`, bit for bit
+    trial j + 1      tau[k] = tau_j[k] + c_j[k] - K_j[k] z[k]        where the motor of trial j yields to torque
+                     tau[k] = tau_plan[k]                            where it sticks
+
+with z = [x - x_j; tau[k-1] - tau_j[k-1]], and two things learnt between trials, from encoder and torque alone:
+
+1. The arm. The logarithms of its constants, and how well they are known, begin where the trial before has ended. The
+   plan of `baselines.optimal.plan` is then made for that arm from the move's beginning on.
+2. The torque. The whole trial is filtered once more with the constants that were known at its end, which gives its
+   states x_j. About them the norm-optimal change c_j, K_j of `baselines.iterative.norm_optimal` is computed, with the
+   tip's estimated errors: the encoder does not see the tip, the identified arm does.
+
+So it learns more than the plan knows: the exact kinematics, the inertia along the motion, the stops of the motor and
+the norms of the cost, all of which the plan replaces by something linear or quadratic. While the motor sticks, torque
+changes nothing; there the plan's law stands by, in case the motor is not where it was.
+
+What is learnt is a `Lesson`, for arms in a given order, each with its move; nothing passes from trial to trial in any
+other way. An arm that begins another move than the lesson's is new, and moved as in a first trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimation.identification import Belief
+from baselines.estimation.observer import QUANTUM
+from baselines.gains import tuned
+from baselines.iterative.lesson import Law, Lesson, Notes
+from baselines.iterative.norm_optimal import Linearisation, norm_weights, optimal_change
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
+from baselines.reading import Reading, as_action, beginning, read
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env.task.reference import TRAPEZOID, sample_references
+
+Floats = NDArray[np.float64]
+
+_YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below which it counts as stuck [rad/s / (N m)]
+
+
+@dataclass(frozen=True, slots=True)
+class Learning:
+    """How the torque is learnt; chosen on arms with seeds 5 000 000 to 5 000 015, as the gains were."""
+
+    effort: float = 1.0  # R [1/(N m)^2]
+    softness: float = 0.01  # errors below this share of their scale in the cost weigh no more
+    change_softness: float = 0.05  # the same for the torque's change over its limit
+
+    def __post_init__(self) -> None:
+        """Refuse what leaves the problem without a unique solution.
+
+        Raises:
+            ValueError: If a value is not positive and finite, naming it.
+        """
+        for name in self.__slots__:
+            if not (np.isfinite(value := getattr(self, name)) and value > 0):
+                raise ValueError(f"Learning.{name} must be positive and finite, got {value!r}")
+
+
+class IterativeController(AdaptiveController):
+    """The controller of one trial.
+
+    Args:
+        lesson: What was learnt before; None in the first trial.
+        gains: Of the plan and of the identification; those of `adaptive` if not given.
+        params: The nominal arm.
+        learning: How the torque is learnt; None to learn the arm alone.
+    """
+
+    def __init__(
+        self,
+        lesson: Lesson | None = None,
+        gains: AdaptiveGains | None = None,
+        params: ArmParams | None = None,
+        learning: Learning | None = Learning(),
+    ) -> None:
+        super().__init__(gains or tuned("adaptive", AdaptiveGains), params)
+        self.lesson = lesson
+        self.learning = learning
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
+
+        Raises:
+            ValueError: If there are not as many arms as in the lesson.
+        """
+        reading = read(observation, self.params)
+        begins = beginning(state, episode_start, len(observation))
+        belief = self._believed(state.belief if state else None, reading, begins)
+        torque, memory = self._planned(belief, reading, begins, state)
+        if self.lesson:
+            torque = self.lesson.torque(torque, belief, reading)
+        return as_action(torque, self.params), memory
+
+    def _believed(self, belief: Belief | None, reading: Reading, begins: NDArray[np.bool_]) -> Belief:
+        new = self._identifier.update(belief, reading, begins)
+        if self.lesson is None:
+            return new
+        if len(begins) != len(self.lesson.moves):
+            raise ValueError(f"the lesson is about {len(self.lesson.moves)} arms, got observations of {len(begins)}")
+        return self.lesson.recalled(new, begins & self.lesson.knows(reading))
+
+    def learned(self, notes: Notes) -> Lesson:
+        """What a trial of this controller has taught, with what was known before.
+
+        Arms that did not finish the trial keep what they knew.
+
+        Raises:
+            ValueError: If the notes are not of one whole trial.
+        """
+        readings = notes.readings(self.params)
+        begins = np.zeros((EPISODE_STEPS, len(readings[0].step)), np.bool_)
+        begins[0] = True
+        belief = None
+        for reading, start in zip(readings, begins, strict=True):
+            belief = self._believed(belief, reading, start)
+        assert belief is not None
+        moves = readings[0].move.copy()
+        new = Lesson(moves, belief.logs, belief.covariance[:, 4:, 4:].copy(), None)
+        if self.learning:
+            table = self._identifier.table(belief)
+            law = self._law(table, self._states(new, readings), notes.torques(self.params), moves)
+            new = Lesson(moves, new.logs, new.covariance, law)
+        left = np.any([reading.step != k for k, reading in enumerate(readings)], axis=0)
+        return (self.lesson or self._nothing(moves)).kept(left, new) if left.any() else new
+
+    def _nothing(self, moves: Floats) -> Lesson:
+        doubt = self._identifier.doubt.covariance(QUANTUM)[4:, 4:]
+        return Lesson(moves, np.zeros((len(moves), len(doubt))), np.repeat(doubt[None], len(moves), axis=0), None)
+
+    def _states(self, lesson: Lesson, readings: list[Reading]) -> Floats:
+        """The trial's states by the filter that knows the lesson from the first sample on, shape (n, T, 4)."""
+        everyone = np.ones(len(lesson.moves), np.bool_)
+        belief = lesson.recalled(self._identifier.update(None, readings[0], everyone), everyone)
+        states = [belief.state]
+        for reading in readings[1:]:
+            belief = self._identifier.update(belief, reading, ~everyone)
+            states.append(belief.state)
+        return np.stack(states, axis=1)
+
+    def _law(self, table: Floats, states: Floats, torques: Floats, moves: Floats) -> Law:
+        """The next trial's law, by constants (n, 12), states (n, T, 4) and torques (n, T) of the last one."""
+        learning = self.learning or Learning()
+        before = np.column_stack([np.zeros(len(torques)), torques[:, :-1]])
+        path = np.concatenate([states, before[:, :, None]], axis=2)
+        law = Law(torques.copy(), np.empty(path.shape), path, np.empty(torques.shape, np.bool_))
+        tasks = np.empty((len(torques), EPISODE_STEPS + 1, 3))
+        sample_references(TRAPEZOID, moves, CONTROL_PERIOD, tasks)
+        linearisation = Linearisation(self.params, EPISODE_STEPS)
+        soft = learning.softness, learning.change_softness
+        for i, change in enumerate(torques - before):
+            trial = linearisation.about(states[i], torques[i], tasks[i, 1:, :2], table[i])
+            weights = norm_weights(trial.errors, change, self.params.torque_limit, learning.effort, soft)
+            added, law.gain[i] = optimal_change(trial, weights, change)
+            law.torque[i] += added
+            law.holds[i] = np.abs(trial.by_torque[:, 1]) > _YIELDS
+        return law

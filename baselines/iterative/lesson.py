@@ -1,0 +1,106 @@
+"""What an iterative controller has learnt about n arms, and the notes of a trial that it learns from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimation.identification import Belief
+from baselines.reading import Reading, read
+from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env.rollout import Controller
+
+Floats = NDArray[np.float64]
+
+
+class Law(NamedTuple):
+    """tau = torque - gain (z - path) of n arms over T samples, with z = [x; last torque]."""
+
+    torque: Floats  # tau_j + c_j [N m], shape (n, T)
+    gain: Floats  # K_j, shape (n, T, 5)
+    path: Floats  # x_j and the torque before, shape (n, T, 5)
+    holds: NDArray[np.bool_]  # where the law holds, and not the plan, shape (n, T)
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What trials have taught about n arms, each with its move."""
+
+    moves: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
+    logs: Floats  # ln of the identified constants over their nominal values, shape (n, 6)
+    covariance: Floats  # of these, shape (n, 6, 6)
+    law: Law | None  # None: only the arm was learnt
+
+    def recalled(self, belief: Belief, which: NDArray[np.bool_]) -> Belief:
+        """The belief, with the constants of some arms as learnt; shape of `which`: (n,)."""
+        return belief.recalling(which, self.logs, self.covariance)
+
+    def torque(self, planned: Floats, belief: Belief, reading: Reading) -> Floats:
+        """Torque [N m], shape (n,): that of the law where it holds, or else the one planned."""
+        if self.law is None:
+            return planned
+        arms, k = np.arange(len(planned)), np.minimum(reading.step, EPISODE_STEPS - 1)
+        z = np.column_stack([belief.state, reading.last_torque]) - self.law.path[arms, k]
+        torque = self.law.torque[arms, k]
+        for feedback in (self.law.gain[arms, k] * z).T:
+            torque = torque - feedback
+        return np.where(self.law.holds[arms, k] & self.knows(reading), torque, planned)
+
+    def kept(self, which: NDArray[np.bool_], new: Lesson) -> Lesson:
+        """The new lesson, of the same arms and moves, but with this one for some arms; shape of `which`: (n,)."""
+        law = new.law
+        if law:
+            idle = law._replace(holds=np.zeros_like(law.holds))
+            law = Law(*(_chosen(which, old, now) for old, now in zip(self.law or idle, law, strict=True)))
+        logs, covariance = _chosen(which, self.logs, new.logs), _chosen(which, self.covariance, new.covariance)
+        return Lesson(new.moves, logs, covariance, law)
+
+    def knows(self, reading: Reading) -> NDArray[np.bool_]:
+        """Which arms are at their lesson's move, shape (n,)."""
+        return (reading.move == self.moves).all(axis=1)
+
+
+def _chosen(which: NDArray[np.bool_], of_these: NDArray[Any], of_others: NDArray[Any]) -> NDArray[Any]:
+    return np.where(which.reshape(-1, *[1] * (of_these.ndim - 1)), of_these, of_others)
+
+
+class Notes:
+    """A controller that takes down what it sees and does, for one trial; `Controller` in all else."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        self._observations: list[NDArray[np.float32]] = []
+        self._actions: list[NDArray[np.float32]] = []
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """As the controller's own."""
+        action, state = self.controller.predict(observation, state, episode_start, deterministic)
+        self._observations.append(observation.copy())
+        self._actions.append(action.copy())
+        return action, state
+
+    def readings(self, params: ArmParams) -> list[Reading]:
+        """What was seen, sample by sample, by arms that are nominally `params`.
+
+        Raises:
+            ValueError: If it is not one whole trial.
+        """
+        if len(self._observations) != EPISODE_STEPS:
+            raise ValueError(
+                f"a trial must have {EPISODE_STEPS} samples, got {len(self._observations)}: note one trial"
+            )
+        return [read(observation, params) for observation in self._observations]
+
+    def torques(self, params: ArmParams) -> Floats:
+        """What was done [N m], shape (n, T)."""
+        actions = np.stack([action[:, 0] for action in self._actions], axis=1)
+        return np.clip(actions.astype(np.float64), -1, 1) * params.torque_limit

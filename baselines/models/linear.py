@@ -1,0 +1,56 @@
+"""The linear model of the arm from one sample to the next, tabulated over the joint angle."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.jit import compiled
+from beltarm_env.physics.linear import sample_models
+from beltarm_env.simulation import params_table
+
+Floats = NDArray[np.float64]
+
+ANGLES = np.linspace(0.0, np.pi / 2, 46)
+"""Joint angles of the tables [rad], every two degrees; beyond its ends a table goes on as it ends."""
+
+
+class LinearArms(NamedTuple):
+    """Linear models x[k+1] = A x[k] + b tau_m + e alpha of n arms at each of `ANGLES`, Coulomb friction left out.
+
+    See `beltarm_env.physics.linear.sample_models`.
+    """
+
+    transition: Floats  # A, shape (n, 46, 4, 4)
+    by_torque: Floats  # b, shape (n, 46, 4)
+    by_acceleration: Floats  # e, shape (n, 46, 4): of a torsional acceleration alpha [rad/s^2], held
+
+
+def linear_arms(table: Floats) -> LinearArms:
+    """Models of n arms without Coulomb friction; columns of `table` as `ArmParams`, shape (n, 12)."""
+    return LinearArms(*sample_models(table, ANGLES, CONTROL_PERIOD))
+
+
+def linear_arm(params: ArmParams) -> LinearArms:
+    """The model of one arm: n = 1."""
+    return linear_arms(params_table([params]))
+
+
+def at_angle(table: Floats, angle: Floats) -> Floats:
+    """Linear interpolation of one arm's table over `ANGLES` at joint angles [rad] of shape (n,): shape (n, ...)."""
+    return _interpolated(table.reshape(len(table), -1), angle).reshape(len(angle), *table.shape[1:])
+
+
+@compiled
+def _interpolated(table: Floats, angle: Floats) -> Floats:
+    result = np.empty((len(angle), table.shape[1]))
+    for n in range(len(angle)):
+        position = min(max(0.0, angle[n] / ANGLES[1]), len(ANGLES) - 1.0)  # 0 of an angle that is not a number
+        below = min(int(position), len(ANGLES) - 2)
+        weight = position - below
+        for k in range(table.shape[1]):
+            result[n, k] = table[below, k] * (1.0 - weight) + table[below + 1, k] * weight
+    return result

@@ -1,0 +1,51 @@
+"""Motions of the joint whose speed is a sum of ramps: references other than the task's own.
+
+A ramp gains `speed` between `onset` and `onset + time`, linearly or as 3u^2 - 2u^3, and keeps it. The task's trapezoid
+is one ramp up and one down; an S-curve is the same with smooth ramps, and a shaped move has several of each.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.models.rigid_arm import Motion
+
+Floats = NDArray[np.float64]
+
+
+class Ramps(NamedTuple):
+    """k ramps for each of n arms; arrays of shape (n, k)."""
+
+    onset: Floats  # [s] from the move's start
+    time: Floats  # [s]
+    speed: Floats  # gained [rad/s]
+
+
+def motion_at(ramps: Ramps, start: Floats, time: Floats, smooth: bool = False) -> Motion:
+    """Where arms that set out from `start` [rad] at rest are at `time` [s], both of shape (n,).
+
+    Accelerations that jump take the value that holds from this instant on.
+    """
+    u = (time[:, None] - ramps.onset) / ramps.time
+    c = np.minimum(np.maximum(u, 0.0), 1.0)
+    if smooth:
+        area, height, slope = c * c * c * (1.0 - 0.5 * c), c * c * (3.0 - 2.0 * c), 6.0 * c * (1.0 - c)
+    else:
+        area, height, slope = 0.5 * c * c, c, (u >= 0.0) & (u < 1.0)
+    beyond = np.maximum(u - 1.0, 0.0)
+    return Motion(
+        start + _total(ramps.speed * ramps.time * (area + beyond)),
+        _total(ramps.speed * height),
+        _total(ramps.speed / ramps.time * slope),
+    )
+
+
+def _total(columns: Floats) -> Floats:
+    """Sum over the ramps, in the same order however many arms there are."""
+    total = columns[:, 0]
+    for k in range(1, columns.shape[1]):
+        total = total + columns[:, k]
+    return total

@@ -1,0 +1,1 @@
+"""Controllers from linear-quadratic optimisation: LQG, preview, predictive, adaptive."""

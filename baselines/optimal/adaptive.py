@@ -1,0 +1,156 @@
+"""Adaptive preview LQG: the arm is identified while it moves, and the plan made anew for the arm believed in.
+
+    tau_m = tau_ff[k] - K[k] (x - x_ref[k]) + tau_c dir
+
+as `baselines.optimal.preview`, but state, tau_c, and the arm that feed-forward and gains are computed for, come from
+the identification of `baselines.estimation.identification`, which also finds out how late and how coarse the encoder
+is. The plan of the rest of the move is computed again every 30 ms for arms whose constants have changed by more than 2
+% since (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995). At an episode's start the arm is
+nominal: nothing is carried over from one to the next.
+
+Where that plan asks for more than four times the torque limit, an optimal plan for a hundred times dearer torque takes
+over: a feedback that is cut that much is another one than was planned, and beyond the halving that every LQ regulator
+bears it may pump the ringing instead of damping it, for good (after G. F. Wredenhagen, P. R. Belanger: Piecewise-linear
+LQ control for systems with input constraints, Automatica 30, 1994). It is made when it is needed, for few arms need it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimation.arm_ekf import IDENTIFIED, Doubt
+from baselines.estimation.identification import ArmIdentifier, Belief
+from baselines.gains import Gains, tunable, tuned
+from baselines.optimal.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
+from baselines.reading import Reading, as_action, beginning, read
+from beltarm_env import ArmParams
+
+Floats = NDArray[np.float64]
+
+_EVERY = 20  # samples between plans
+_NEWS = 0.02  # change of a constant that makes a new plan worth while
+_BEYOND = 4.0  # torque over its limit from which the careful plan is asked
+_DEARER = 100.0  # its weight of the torque over that of the other
+_FRICTION = IDENTIFIED.index("coulomb_friction")
+
+
+@dataclass(frozen=True)
+class AdaptiveGains(Gains):
+    """Weights of the plan and doubts of the identification."""
+
+    velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
+    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    swing_doubt: float = tunable(0.35, 0.03, 1.0, log=True)  # [-]      of ln S before anything is known
+    stiffness_doubt: float = tunable(0.12, 0.01, 0.5, log=True)  # [-]      of ln K_s
+    friction_doubt: float = tunable(0.17, 0.01, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
+    torque_noise: float = tunable(1e-3, 1e-5, 0.1, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(1.0, 0.03, 100.0, log=True)  # [rad/s^2]  process noise of the torsion
+    friction_share: float = tunable(1.0, 0.5, 1.3)  # [-]        of tau_c that is compensated
+    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
+
+    def doubt(self) -> Doubt:
+        """What the identification does not know at first."""
+        return Doubt(
+            swing=self.swing_doubt,
+            stiffness=self.stiffness_doubt,
+            friction=self.friction_doubt,
+            torque=self.torque_noise,
+            acceleration=self.acceleration_noise,
+        )
+
+
+@dataclass(frozen=True)
+class Made:
+    """Plans of n arms, and what arms they were made for."""
+
+    plans: Plans
+    logs: Floats  # as believed at the time, shape (n, 6); NaN where there is no plan
+
+    def old(self, belief: Belief, reading: Reading) -> NDArray[np.bool_]:
+        """Which arms need a new plan: those without, and at times those of which there is news; shape (n,)."""
+        news = np.abs(belief.logs - self.logs).max(axis=1) > _NEWS
+        return np.isnan(self.logs[:, 0]) | (news & (reading.step % _EVERY == 0))
+
+    def without(self, which: NDArray[np.bool_]) -> Made:
+        """The same, but some arms' plans are not to be used any more."""
+        return Made(self.plans, np.where(which[:, None], np.nan, self.logs)) if which.any() else self
+
+    def renewed(
+        self, which: NDArray[np.bool_], reading: Reading, belief: Belief, identifier: ArmIdentifier, weights: Weights
+    ) -> Made:
+        """The same, but with those of some arms made anew, for the arms as the identifier believes them to be."""
+        if not which.any():
+            return self
+        plans = replanned(self.plans, which, reading.move, identifier.table(belief), weights)
+        return Made(plans, np.where(which[:, None], belief.logs, self.logs))
+
+
+@dataclass(frozen=True)
+class AdaptiveMemory:
+    """Belief about n arms, and plans for the arms once believed in."""
+
+    belief: Belief
+    bold: Made
+    careful: Made  # for dearer torque, of the arms that needed it
+
+
+class AdaptiveController:
+    """Adaptive preview LQG on encoder observations.
+
+    Args:
+        gains: Weights, doubts and noise.
+        params: The nominal arm.
+    """
+
+    def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
+        self.gains = gains or AdaptiveGains()
+        self.params = params or ArmParams()
+        self._bold = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._careful = Weights(self.gains.velocity_weight, self.gains.torque_weight * _DEARER)
+        self._identifier = ArmIdentifier(self.params, self.gains.doubt())
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        reading = read(observation, self.params)
+        begins = beginning(state, episode_start, len(observation))
+        belief = self._identifier.update(state.belief if state else None, reading, begins)
+        torque, memory = self._planned(belief, reading, begins, state)
+        return as_action(torque, self.params), memory
+
+    def _planned(
+        self, belief: Belief, reading: Reading, begins: NDArray[np.bool_], state: AdaptiveMemory | None
+    ) -> tuple[Floats, AdaptiveMemory]:
+        """Torque [N m] of shape (n,) for the arms as believed in, with a new plan for those of which there is news."""
+        if state:
+            bold, careful = state.bold.without(begins), state.careful.without(begins)
+        else:
+            bold = careful = Made([np.empty(0)] * len(begins), np.full_like(belief.logs, np.nan))
+        bold = bold.renewed(bold.old(belief, reading), reading, belief, self._identifier, self._bold)
+        torque = planned_torque(bold.plans, reading.step, belief.state)
+        beyond = np.abs(torque) > _BEYOND * self.params.torque_limit
+        due = beyond & careful.old(belief, reading)
+        careful = careful.renewed(due, reading, belief, self._identifier, self._careful)
+        for arm in np.flatnonzero(beyond):
+            only = slice(arm, arm + 1)
+            torque[only] = planned_torque(careful.plans[only], reading.step[only], belief.state[only])
+        direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
+        friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
+        return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)
+
+
+def tuned_identifier() -> ArmIdentifier:
+    """The identification with the doubts that this controller was tuned to, for others to use.
+
+    Raises:
+        ValueError: If the file of gains is damaged or out of date.
+    """
+    return ArmIdentifier(ArmParams(), tuned("adaptive", AdaptiveGains).doubt())

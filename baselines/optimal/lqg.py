@@ -1,0 +1,138 @@
+"""Flatness feed-forward and gain-scheduled LQG: the link along a smoothed move, and feedback about it.
+
+    tau_m = tau_flat(t + h/2) - K(theta_1,ref) (x - x_flat(t)) - d + tau_c dir
+
+State and torque of the smoothed move come from the flat output, see `baselines.optimal.flatness`; the torque is the one
+in the middle of the sample over which it is held. Estimates x and d are those of `baselines.estimation.observer`, a
+Kalman filter on the encoder that knows that the motor sticks. The gain is the steady-state optimum (python-control's
+`dlqr`) of the linear arm at each of 46 joint angles, interpolated at the angle of the reference. It minimises
+
+    sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
+
+with the tip's errors, linear in z = x - x_flat about an arm at rest at the angle:
+
+    radial    -2 l sin(theta) (z_1 / G - z_3),    lateral    (2 l cos(theta) + l_3) z_3,    and their rates.
+
+`baselines.optimal.preview` weighs the same errors, but over the whole move at once: its gains vary with time, and its
+feed-forward is the optimum for the trapezoid itself. Here the move is first made one that the arm can follow; how
+smooth it is, in periods of the belt's mode, is tuned. Friction is compensated in the direction in which the flat motor
+moves, and where it rests in that of the torque asked of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.gains import Gains, tunable
+from baselines.models.linear import ANGLES, at_angle, linear_arm
+from baselines.optimal.flatness import Corners, flat_motion, smoothed
+from baselines.optimal.plan import LEAST_SLOPE, Weights, breakaway_direction
+from baselines.reading import as_action, beginning, read
+from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LqgGains(Gains):
+    """Smoothness of the move, weights of the feedback and noise of the filter."""
+
+    first_spread: float = tunable(0.3, 0.02, 2.0, log=True)  # [periods]  of the first corner of the trapezoid
+    spread: float = tunable(0.6, 0.02, 4.0, log=True)  # [periods]  of the others
+    velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
+    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    torque_noise: float = tunable(3e-3, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(5.0, 0.1, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
+    disturbance_noise: float = tunable(0.1, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]  growth of d
+    friction_share: float = tunable(1.0, 0.0, 1.3)  # [-]        of tau_c that is compensated
+    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the torque decides
+
+
+@dataclass(frozen=True)
+class LqgMemory:
+    """Smoothed move and estimate of n arms."""
+
+    corners: Corners
+    estimate: Estimate
+
+
+@lru_cache(maxsize=64)
+def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
+    """Steady-state gains K of the torque on x - x_ref at each of `ANGLES`, shape (46, 4)."""
+    tables = linear_arm(params)
+    gains = np.empty((len(ANGLES), 4))
+    scales = np.repeat([1 / POSITION_SCALE, weights.velocity**0.5 / VELOCITY_SCALE], 2)
+    for k, angle in enumerate(ANGLES):
+        scaled = scales[:, None] * tip_errors(params, float(angle))
+        state_cost = scaled.T @ scaled
+        transition, by_torque = tables.transition[0, k], tables.by_torque[0, k][:, None]
+        gain, _, _ = control.dlqr(transition, by_torque, state_cost, np.array([[weights.torque]]))
+        gains[k] = np.asarray(gain)[0]
+    return gains
+
+
+def tip_errors(params: ArmParams, angle: float) -> Floats:
+    """C of the tip's radial and lateral position and velocity errors C z, for an arm at rest: shape (4, 4)."""
+    radial = 2 * params.link_length * max(np.sin(angle), LEAST_SLOPE)
+    lateral = 2 * params.link_length * np.cos(angle) + params.hand_length
+    position = np.array([[-radial / params.gear_ratio, 0, radial, 0], [0, 0, lateral, 0]])
+    return np.vstack([position, np.roll(position, 1, axis=1)])
+
+
+class LqgController:
+    """Flatness feed-forward and gain-scheduled LQG on encoder observations.
+
+    Args:
+        gains: Smoothness, weights and noise.
+        params: The nominal arm.
+    """
+
+    def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
+        self.gains = gains or LqgGains()
+        self.params = params or ArmParams()
+        g = self.gains
+        self._feedback = feedback_gains(self.params, Weights(g.velocity_weight, g.torque_weight))
+        self._observer = StickSlipObserver(
+            self.params, Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
+        )
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: LqgMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], LqgMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        reading = read(observation, self.params)
+        begins = beginning(state, episode_start, len(observation))
+        estimate = self._observer.update(state.estimate if state else None, reading, begins)
+        corners = self._resmoothed(state.corners if state else None, begins, reading.move)
+        time = CONTROL_PERIOD * reading.step.astype(np.float64)
+        wanted = flat_motion(corners, time, self.params).state
+        ahead = flat_motion(corners, time + 0.5 * CONTROL_PERIOD, self.params)
+        gain = at_angle(self._feedback, wanted[:, 0] / self.params.gear_ratio)
+        feedback = gain * (estimate.state - wanted)
+        torque = ahead.torque - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
+        direction = breakaway_direction(ahead.state[:, 1], torque, self.gains.friction_speed)
+        friction = self.gains.friction_share * self.params.coulomb_friction * direction
+        return as_action(torque - estimate.disturbance + friction, self.params), LqgMemory(corners, estimate)
+
+    def _resmoothed(self, corners: Corners | None, begins: NDArray[np.bool_], moves: Floats) -> Corners:
+        """The smoothed moves, with those of arms that begin an episode made anew."""
+        if corners is not None and not begins.any():
+            return corners
+        new = smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)
+        if corners is None:
+            return new
+        which = begins[:, None]
+        start = np.where(begins, new.start, corners.start)
+        rest = (np.where(which, fresh, old) for fresh, old in zip(new[1:], corners[1:], strict=True))
+        return Corners(start, *rest)

@@ -1,0 +1,83 @@
+"""Preview LQG: an optimal plan for the move, and a Kalman filter that knows that the motor sticks.
+
+    tau_m = tau_ff[k] - K[k] (x - x_ref[k]) - d + tau_c dir                 plan and gains: `baselines.optimal.plan`
+
+with the estimates x and d of `baselines.estimation.observer`. Friction is compensated where the motor moves, and where
+it rests in the direction in which the plan wants it to move: dir = sign(omega_a) above a small speed, and the sign of
+the torque asked for below. Everything the controller knows of the arm is nominal. Separation of estimation and control
+holds for the linear arm only; friction and parameters that differ break it, which is why the noise of the filter and
+the weight of the torque are tuned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.gains import Gains, tunable
+from baselines.optimal.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
+from baselines.reading import as_action, beginning, read
+from beltarm_env import ArmParams
+from beltarm_env.simulation import params_table
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PreviewGains(Gains):
+    """Weights of the plan and noise of the filter."""
+
+    velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
+    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    torque_noise: float = tunable(3e-3, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(5.0, 0.1, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
+    disturbance_noise: float = tunable(0.1, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]  growth of d
+    friction_share: float = tunable(1.0, 0.0, 1.3)  # [-]        of tau_c that is compensated
+    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
+
+
+@dataclass(frozen=True)
+class PreviewMemory:
+    """Plan and estimate of n arms."""
+
+    plans: Plans
+    estimate: Estimate
+
+
+class PreviewController:
+    """Preview LQG on encoder observations.
+
+    Args:
+        gains: Weights and noise.
+        params: The nominal arm.
+    """
+
+    def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
+        self.gains = gains or PreviewGains()
+        self.params = params or ArmParams()
+        g = self.gains
+        self._table = params_table([self.params])
+        self._weights = Weights(g.velocity_weight, g.torque_weight)
+        self._observer = StickSlipObserver(
+            self.params, Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
+        )
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: PreviewMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], PreviewMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        reading = read(observation, self.params)
+        begins = beginning(state, episode_start, len(observation))
+        estimate = self._observer.update(state.estimate if state else None, reading, begins)
+        plans = replanned(state.plans if state else None, begins, reading.move, self._table, self._weights)
+        torque = planned_torque(plans, reading.step, estimate.state)
+        direction = breakaway_direction(estimate.state[:, 1], torque, self.gains.friction_speed)
+        friction = self.gains.friction_share * self.params.coulomb_friction * direction
+        return as_action(torque - estimate.disturbance + friction, self.params), PreviewMemory(plans, estimate)

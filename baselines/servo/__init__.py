@@ -1,0 +1,1 @@
+"""Servo controllers: the paper's, the same retuned, PID along shaped or smooth motions, disturbance observer."""

@@ -1,0 +1,104 @@
+"""A motor servo along a motion planned at the move's start: computed torque, friction compensation and PID.
+
+    tau_m = M(theta_r) theta_r'' G + 1/2 M2' theta_r'^2 / G + V_a1 G theta_r' + tau_f + push
+    push = M(theta_r) (K_p (e + K_i integral of e dt) + K_v e'),    e = G theta_r - theta_a
+
+with the planned joint angle theta_r [rad], the inertia M = M_a1 + M2 / G^2 at the motor shaft, and tau_f as in
+`baselines.models.rigid_arm`. The derivative acts on the measured speed; differenced over a sample, that is the filtered
+derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it further
+(conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
+
+The PID knows nothing of the belt: `SmoothController` and `ShapingController` plan motions that do not make it ring.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.gains import tunable
+from baselines.models.ramps import Ramps, motion_at
+from baselines.models.rigid_arm import FrictionGains, Motion, RigidArm, friction_direction, motor_errors
+from baselines.reading import Reading, as_action, beginning, read
+from beltarm_env import CONTROL_PERIOD, ArmParams
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PidGains(FrictionGains):
+    """Gains of the motor's servo."""
+
+    angle: float = tunable(1600.0, 10.0, 100_000.0, log=True)  # K_p  [1/s^2]
+    speed: float = tunable(120.0, 5.0, 1000.0, log=True)  # K_v  [1/s]
+    integral: float = tunable(2.0, 0.01, 100.0, log=True)  # K_i  [1/s]
+
+
+@dataclass(frozen=True, slots=True)
+class PidMemory:
+    """What the controller remembers from sample to sample: integral of the error and the plan."""
+
+    integral: Floats  # of the motor's angle error [rad s], shape (n,)
+    onset: Floats  # of the k ramps that the plan consists of, see `Ramps`; shape (n, k)
+    time: Floats
+    speed: Floats
+
+
+class PidServo(ABC):
+    """PID along planned ramps; a controller is one that says how to plan.
+
+    Args:
+        gains: Of the servo.
+        params: The nominal arm, all that the controller knows of the plant.
+        smooth: Whether ramps are smooth rather than linear.
+    """
+
+    def __init__(self, gains: PidGains, params: ArmParams, smooth: bool) -> None:
+        self._gains, self.params, self._smooth = gains, params, smooth
+        self._arm = RigidArm(params)
+
+    @abstractmethod
+    def plan(self, moves: Floats) -> Ramps:
+        """Ramps for moves of shape (n, 4): start, goal [rad], duration, ramp time [s]."""
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: PidMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], PidMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        now = read(observation, self.params)
+        integral, ramps = self._recall(state, beginning(state, episode_start, len(observation)), now)
+        wanted = motion_at(ramps, now.move[:, 0], CONTROL_PERIOD * now.step.astype(np.float64), self._smooth)
+        error, speed_error = motor_errors(now, wanted, self.params)
+        torque = self._torque(wanted, error, speed_error, integral)
+        winding = (np.abs(torque) > self.params.torque_limit) & (torque * error > 0)
+        memory = PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), *ramps)
+        return as_action(torque, self.params), memory
+
+    def _recall(self, memory: PidMemory | None, starting: NDArray[np.bool_], now: Reading) -> tuple[Floats, Ramps]:
+        """The integral and the plan, begun anew where an episode starts."""
+        if memory is None:
+            return np.zeros(len(starting)), self.plan(now.move)
+        ramps = Ramps(memory.onset, memory.time, memory.speed)
+        if not starting.any():
+            return memory.integral, ramps
+        anew = zip(self.plan(now.move), ramps, strict=True)
+        return (
+            np.where(starting, 0.0, memory.integral),
+            Ramps(*(np.where(starting[:, None], fresh, old) for fresh, old in anew)),
+        )
+
+    def _torque(self, wanted: Motion, error: Floats, speed_error: Floats, integral: Floats) -> Floats:
+        """Torque before it is cut at the limit [N m]."""
+        p, gains = self.params, self._gains
+        inertia = self._arm.inertia(wanted.angle)
+        push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
+        viscous = p.motor_viscous_friction * p.gear_ratio * wanted.speed
+        friction = gains.friction * p.coulomb_friction * friction_direction(wanted, push, gains.rest_width)
+        return self._arm.torque(wanted) + viscous + friction + push

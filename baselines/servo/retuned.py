@@ -1,0 +1,79 @@
+"""The paper's controller with what its text leaves open settled, and its gains tuned.
+
+The structure is that of (11): computed torque, PD and torsional-velocity feedback,
+
+    tau_m = M(theta_ref) u_1 + 1/2 M2' theta_ref'^2 / G + V_a1 theta_a' + tau_f - K_4 theta_s'
+    u_1 = theta_a_ref'' + K_v (theta_a_ref' - theta_a') + K_p (theta_a_ref - theta_a)                       (9)
+
+with nominal parameters and theta_s' from the paper's simulation of the arm on encoder data (`TorsionSimulation`).
+Different from `PaperController`:
+
+- M(theta) = M_a1 + M2(theta) / G^2 is the inertia of motor and links, as in (4), where (11) has the motor's alone. With
+  the term of M2' this is the exact inverse dynamics of a rigid arm; see `baselines.models.rigid_arm`.
+- tau_f has a law at rest. It follows the push of the feedback, M (K_v ... + K_p ...) - K_4 theta_s', so that neither
+  the PD nor the vibration feedback is swallowed by stiction. With Table 2's gains and no such law the motor can rest
+  up to tau_c / (M_a1 K_p) = 20 rad away, 13 degrees at the joint.
+- All gains are tuned.
+
+What they trade: K_4 damps by accelerating the motor against theta_s', which it can as long as the PD is slower than the
+mode. A PD that is stiff enough to hold the motor on its reference despite friction holds it against K_4 as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.gains import tunable
+from baselines.models.rigid_arm import FrictionGains, RigidArm, friction_direction, motor_errors, task_motion
+from baselines.reading import as_action, beginning, read
+from baselines.servo.paper import PaperMemory, TorsionSimulation
+from beltarm_env import ArmParams
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RetunedGains(FrictionGains):
+    """Gains of (11)."""
+
+    torsion_speed: float = tunable(0.1, 0.0, 2.0)  # K_4  [N m s/rad]
+    angle: float = tunable(50.0, 1.0, 10_000.0, log=True)  # K_p  [1/s^2]
+    speed: float = tunable(20.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
+
+
+class RetunedController:
+    """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own.
+
+    Args:
+        gains: Feedback gains.
+        params: The nominal arm, all that the controller knows of the plant.
+    """
+
+    def __init__(self, gains: RetunedGains | None = None, params: ArmParams | None = None) -> None:
+        self.gains = gains or RetunedGains()
+        self.params = params or ArmParams()
+        self._arm = RigidArm(self.params)
+        self._simulation = TorsionSimulation(self.params)
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: PaperMemory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], PaperMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        p, gains = self.params, self.gains
+        now = read(observation, p)
+        begins = beginning(state, episode_start, len(observation))
+        memory = self._simulation.follow(state, begins, now.motor_speed / p.gear_ratio, now.motor_angle / p.gear_ratio)
+        wanted = task_motion(now)
+        error, speed_error = motor_errors(now, wanted, p)
+        servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
+        push = servo - gains.torsion_speed * memory.torsion_rate
+        friction = gains.friction * p.coulomb_friction * friction_direction(wanted, push, gains.rest_width)
+        torque = self._arm.torque(wanted) + p.motor_viscous_friction * now.motor_speed + friction + push
+        return as_action(torque, p), memory

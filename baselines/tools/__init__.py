@@ -1,0 +1,1 @@
+"""Files, provenance, command lines, and running things side by side: nothing of control."""

@@ -1,0 +1,1 @@
+"""The search for gains, the same for all controllers."""

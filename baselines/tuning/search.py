@@ -1,0 +1,253 @@
+"""The search for a controller's gains: one optimiser, one set of arms, one objective and one budget for all of them.
+
+**Objective.** The mean episode cost (`beltarm_env.task.cost`) over arms of the training ranges with random moves. An
+arm that leaves its workspace is charged as everywhere; a controller that fails counts as the highest cost there is.
+
+**Search.** A tree-structured Parzen estimator [1] proposes gains, the untuned ones first. Every trial meets the same
+arms in the same order, so that trials are compared arm by arm. On n arms, with differences d_i in cost to the best,
+
+    estimated cost = mean cost of the best trial on all its arms + mean(d)
+
+is what the estimator learns from, and a trial is pruned (it has lost the race [2]) where
+
+    mean(d) > MARGIN std(d) / sqrt(n),
+
+which is looked at after each of `RUNGS` arms.
+
+**Choice.** The best of a search is partly lucky with its arms. So a fifth of the budget is kept to run the best few,
+and the untuned gains, on other arms; the best of these is the result, and its cost there is what is reported.
+
+The budget counts simulated control periods of single arms, those of pruned and failed trials too. It is never exceeded.
+
+[1] Bergstra, Bardenet, Bengio, Kégl: Algorithms for Hyper-Parameter Optimization, NeurIPS 2011.
+[2] Maron, Moore: Hoeffding Races: Accelerating Model Selection Search, NeurIPS 1993.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+from optuna.trial import FrozenTrial, TrialState
+
+from baselines.gains import Tunable
+from baselines.tuning.study import open_study, rounded, space
+from beltarm_env import EPISODE_STEPS
+from beltarm_env.rollout import rollout
+from beltarm_env.task.cost import MAX_COST
+
+SEARCH_SEED = 5_000_000
+"""Arm i of the search is seeded with this + i: tuning has the seeds up to 5 999 999 to itself."""
+CHOICE_SEED = 5_500_000
+"""Arm i of the choice is seeded with this + i."""
+RUNGS = (32, 64, 128)
+"""Arms that a trial has run on when it is compared with the best; after the last it is complete."""
+MARGIN = 1.0
+"""Standard errors by which a trial must be worse than the best to be pruned."""
+FINALISTS = 7
+MAX_CHOICE_ARMS = 1000
+MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
+"""Steps for one trial and a choice."""
+WORST = MAX_COST * EPISODE_STEPS
+"""Bound of an episode's cost, and the cost of a controller that fails."""
+
+Floats = NDArray[np.float64]
+
+
+class State(NamedTuple):
+    """How far a search has come."""
+
+    steps: int  # simulated
+    trials: int
+    best: float  # mean cost of the best trial, infinite before the first
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a search found, and what it took."""
+
+    gains: dict[str, float]
+    cost: float  # mean episode cost over the arms of the choice
+    cost_untuned: float  # of the untuned gains on the same arms
+    arms: int  # of the choice
+    steps: int  # simulated, of all trials and the choice
+    trials: int
+    pruned: int
+    failed: int  # trials in which the controller raised an error or returned NaN
+    seconds: float  # of trials and choice
+
+
+class Split(NamedTuple):
+    """How a budget of simulated steps is spent."""
+
+    search: int  # steps
+    arms: int  # of the choice, for each finalist and for the untuned gains
+
+
+def split(budget: int) -> Split:
+    """Keep a fifth of the budget for the choice, or what `MAX_CHOICE_ARMS` take.
+
+    Raises:
+        ValueError: If the budget is too small.
+    """
+    if budget < MIN_BUDGET:
+        raise ValueError(f"--budget must be at least {MIN_BUDGET} steps, enough for one trial, got {budget}")
+    each = (FINALISTS + 1) * EPISODE_STEPS
+    arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
+    return Split(budget - arms * each, arms)
+
+
+def estimate(costs: Floats, best: Floats) -> float:
+    """Mean cost on all arms of a trial that has run on some, from its differences to the best trial so far.
+
+    Args:
+        costs: Of the trial, shape (n,).
+        best: Of the best trial, shape (at least n,); empty if there is none.
+    """
+    if len(costs) == RUNGS[-1] or not len(best):
+        return float(costs.mean())
+    return float(best.mean() + (costs - best[: len(costs)]).mean())
+
+
+def hopeless(costs: Floats, best: Floats) -> bool:
+    """Whether a trial has lost against the best one; arguments as those of `estimate`."""
+    if not len(best):
+        return False
+    difference = costs - best[: len(costs)]
+    return bool(difference.mean() > MARGIN * difference.std(ddof=1) / np.sqrt(len(difference)))
+
+
+def search(
+    tunable: Tunable, budget: int, seed: int, journal: Path, report: Callable[[State], object] = lambda _: None
+) -> Found:
+    """Find gains, going on with what the journal holds.
+
+    Args:
+        tunable: What to tune.
+        budget: Simulated steps, those in the journal included.
+        seed: Of the optimiser.
+        journal: File in which every trial is noted as it runs.
+        report: Called after every batch of arms.
+
+    Raises:
+        ValueError: If the budget is too small, the controller fails with its untuned gains, or the journal belongs to
+            another search.
+    """
+    parts = split(budget)
+    study = open_study(tunable.gains, seed, journal)
+    if study.user_attrs.get("budget") == budget:
+        return Found(**study.user_attrs["found"])
+    run = _Search(tunable, study, report)
+    if run.steps > parts.search:
+        raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
+    while run.steps + RUNGS[0] * EPISODE_STEPS <= parts.search:
+        run.trial(parts.search)
+    found = run.choose(parts.arms)
+    study.set_user_attr("found", asdict(found))
+    study.set_user_attr("budget", budget)
+    return found
+
+
+class _FailureError(Exception):
+    """A controller raised an error or returned what is no torque."""
+
+
+class _Search:
+    """Trials and choice of one search.
+
+    Args:
+        tunable: What to tune.
+        study: Where trials are kept; a complete one has the `costs` of its arms, a failed one its `failure`.
+        report: Called after every batch of arms.
+    """
+
+    def __init__(self, tunable: Tunable, study: optuna.Study, report: Callable[[State], object]) -> None:
+        self._tunable = tunable
+        self._untuned = asdict(tunable.gains())
+        self._study = study
+        self._report = report
+        self._space = space(tunable.gains)
+        self.steps = EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
+
+    def trial(self, limit: int) -> None:
+        """Run one trial, for as long as it may win and stays within the limit of steps."""
+        complete = self._complete()
+        best = np.array(complete[0].user_attrs["costs"] if complete else [])
+        trial = self._study.ask(self._space)
+        costs, value = np.empty(0), WORST
+        for arms in RUNGS:
+            if self.steps + (arms - len(costs)) * EPISODE_STEPS > limit:
+                break
+            try:
+                batch = self._costs(trial.params, SEARCH_SEED + len(costs), arms - len(costs))
+                costs = np.concatenate([costs, batch])
+                value = estimate(costs, best)
+            except _FailureError as failure:
+                trial.set_user_attr("failure", str(failure))
+                value = WORST
+            trial.report(value, arms)
+            if value == WORST or hopeless(costs, best):
+                break
+        if len(costs) == RUNGS[-1]:
+            trial.set_user_attr("costs", costs.tolist())
+        self._study.tell(trial, value)
+
+    def choose(self, arms: int) -> Found:
+        """Run the finalists and the untuned gains on other arms and take the best."""
+        began = time.perf_counter()
+        candidates = [self._untuned, *(trial.params for trial in self._complete()[:FINALISTS])]
+        costs = [self._mean_cost(params, arms) for params in candidates]
+        best = int(np.argmin(costs))
+        trials = [trial for trial in self._trials() if trial.state is TrialState.COMPLETE]
+        failed = sum("failure" in trial.user_attrs for trial in trials)
+        return Found(
+            gains=asdict(rounded(candidates[best], self._tunable.gains)),
+            cost=costs[best],
+            cost_untuned=costs[0],
+            arms=arms,
+            steps=self.steps,
+            trials=len(trials),
+            pruned=len(trials) - len(self._complete()) - failed,
+            failed=failed,
+            seconds=sum(_seconds(trial) for trial in trials) + time.perf_counter() - began,
+        )
+
+    def _mean_cost(self, params: dict[str, float], arms: int) -> float:
+        """Mean cost on the arms of the choice."""
+        try:
+            return float(self._costs(params, CHOICE_SEED, arms).mean())
+        except _FailureError:
+            return WORST
+
+    def _costs(self, params: dict[str, float], seed: int, arms: int) -> Floats:
+        """Episode costs of arms with consecutive seeds."""
+        self.steps += arms * EPISODE_STEPS
+        try:
+            controller = self._tunable.controller(rounded(params, self._tunable.gains))
+            with np.errstate(all="ignore"):  # what comes of an overflow is judged by its cost
+                costs = rollout(controller, arms, seed=seed, randomization="train").cost
+        except Exception as error:  # whatever it is, these gains are no good
+            if params == self._untuned:
+                raise ValueError(f"the controller fails with its untuned gains: {error}") from error
+            raise _FailureError(f"{type(error).__name__}: {error}") from error
+        complete = self._complete()
+        self._report(State(self.steps, len(self._trials()), (complete[0].value if complete else None) or np.inf))
+        return costs
+
+    def _trials(self) -> list[FrozenTrial]:
+        return self._study.get_trials(deepcopy=False)
+
+    def _complete(self) -> list[FrozenTrial]:
+        """Trials that ran on all arms, the best first."""
+        complete = [trial for trial in self._trials() if "costs" in trial.user_attrs and trial.value is not None]
+        return sorted(complete, key=lambda trial: trial.value or 0.0)
+
+
+def _seconds(trial: FrozenTrial) -> float:
+    return trial.duration.total_seconds() if trial.duration else 0.0

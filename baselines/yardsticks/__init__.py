@@ -1,0 +1,1 @@
+"""Yardsticks that know what no controller does; never ranked."""

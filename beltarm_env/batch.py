@@ -1,0 +1,291 @@
+"""N arms with their parameters, moves and sensors: what the single and the vector environment have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from beltarm_env import observation
+from beltarm_env.arm import (
+    FIELDS,
+    MAX_SUBSTEPS,
+    ArmParams,
+    Ranges,
+    check_integrable,
+    check_ranges_integrable,
+    range_bounds,
+    resolve_ranges,
+)
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.step import begin_episodes, episode_totals, new_scratch, observe_arms, tip_errors
+from beltarm_env.physics.kinematics import HIGHEST, LOWEST
+from beltarm_env.physics.models import ELSEWHERE, MODELS, Model
+from beltarm_env.task.moves import DRAWS as MOVE_DRAWS
+from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
+from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
+from beltarm_env.timing import CONTROL_PERIOD
+
+if TYPE_CHECKING:
+    from beltarm_env.mujoco.renderer import MuJoCoRenderer
+    from beltarm_env.rendering.renderer import Renderer
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
+
+DRAWS = len(FIELDS) + MOVE_DRAWS
+"""Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
+TOTALS = (
+    "total_cost",
+    "total_cost_position",
+    "total_cost_velocity",
+    "total_cost_torque_rate",
+    "episode_steps",
+    "tip_error_rms",
+    "tip_error_max",
+)
+"""What is told of an episode at its end: costs with the charge for steps not taken, and tip errors [m]."""
+
+
+class Engine(Protocol):
+    """A physics engine beside the kernels."""
+
+    def begin(self, arms: Indices, table: Floats, states: Floats) -> None:
+        """Begin new episodes for arms with parameters (n, len(FIELDS)) from states (n, 4)."""
+        ...
+
+    def move(self, actions: Floats) -> Floats:
+        """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
+        ...
+
+
+def new_renderer(model: Model, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
+    """What draws an arm of this model."""
+    if model is ELSEWHERE:
+        from beltarm_env.mujoco.renderer import MuJoCoRenderer
+
+        return MuJoCoRenderer(render_mode, fps)
+    from beltarm_env.rendering.renderer import Renderer
+
+    return Renderer(render_mode, fps)
+
+
+def _engine(model: str, num_arms: int) -> Engine | None:
+    if model != "mujoco":
+        return None
+    from beltarm_env.mujoco.engine import MuJoCoArms
+
+    return MuJoCoArms(num_arms)
+
+
+def _choice(name: str, value: object, allowed: tuple[str, ...]) -> int:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return allowed.index(str(value))
+
+
+def _whole(name: str, value: object, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
+        raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
+    return int(value)
+
+
+class ArmBatch:
+    """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
+
+    def __init__(
+        self,
+        num_arms: int,
+        *,
+        sensors: str,
+        profile: str,
+        model: str,
+        randomization: Literal["off", "train"] | Ranges,
+        encoder_counts: int,
+        delay: int,
+    ) -> None:
+        self.num_arms = num_arms
+        self.tier = _choice("sensors", sensors, observation.SENSORS)
+        self.profile = _choice("profile", profile, PROFILES)
+        self.model = MODELS[tuple(MODELS)[_choice("model", model, tuple(MODELS))]]
+        self._bounds = range_bounds(resolve_ranges(randomization))
+        self._spans = self._bounds[1] - self._bounds[0]
+        check_ranges_integrable(self._bounds, self.model)
+        self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
+        self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
+        self.blocks = at.empty_blocks(num_arms)
+        self.scratch, self.tile = new_scratch()
+        self.engine = _engine(model, num_arms)
+        self._nothing = np.full((num_arms, 4), np.nan)  # no value given: of a move, of a state
+        self.table = np.tile(self._bounds[0], (num_arms, 1))
+        bounds = observation.bounds(sensors)
+        self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, arms: Indices, uniforms: Floats, options: Mapping[str, Any] | None) -> None:
+        """Begin a new episode for some arms.
+
+        Args:
+            arms: Indices of the arms.
+            uniforms: Draws in [0, 1), shape (len(arms), DRAWS).
+            options: `params`, `move` and `state`, each a scalar or one value per arm; see `BeltArmEnv.reset`.
+
+        Raises:
+            ValueError: On an unknown name or a value that is not allowed; the arms are then left as they were.
+            TypeError: If a value is not numeric.
+        """
+        options = _checked("options", options, ("params", "move", "state"))
+        given_params = _checked("options['params']", options.get("params"), FIELDS)
+        given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
+        count = len(arms)
+
+        table = self._bounds[0] + uniforms[:, : len(FIELDS)] * self._spans
+        for name, value in given_params.items():
+            column = _column(f"params[{name!r}]", value, count)
+            for extreme in (column.min(), column.max()):
+                ArmParams(**{name: float(extreme)})
+            table[:, FIELDS.index(name)] = column
+        if given_params:
+            check_integrable(table, self.model)
+
+        given = self._nothing[:count].copy() if given_move else self._nothing[:count]
+        for name, value in given_move.items():
+            given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
+            if not np.isfinite(column).all():
+                raise ValueError(f"move[{name!r}] must be finite, got {value!r}")
+        moves = draw_moves(self.profile, uniforms[:, len(FIELDS) :], given)
+        if given_move:
+            check_moves(self.profile, moves)
+
+        states = self._nothing[:count]
+        if options.get("state") is not None:
+            states = _states(options["state"], table[:, FIELDS.index("gear_ratio")])
+        self.table[arms] = table
+        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
+        if self.engine is not None:
+            self.engine.begin(arms, table, self.states[arms])
+
+    def move(self, actions: Floats) -> None:
+        """Move all arms by one control period in `engine`, when it is not the kernels that do.
+
+        Args:
+            actions: Torque over the torque limit, shape (num_arms,), cut to [-1, 1].
+        """
+        assert self.engine is not None, "the kernels move these arms"
+        at.put_rows(self.blocks, at.STATE, self.engine.move(np.clip(actions, -1.0, 1.0)))
+
+    def set_substeps(self, substeps: int) -> None:
+        """Replace the number of integration steps per sample that the arms need by another, until they are reset.
+
+        Raises:
+            ValueError: If it is not a whole number from 1 to `MAX_SUBSTEPS`, or another engine moves the arms.
+        """
+        if self.engine is not None:
+            raise ValueError('model="mujoco" takes steps of its own: choose their number with "lumped" or "lagrangian"')
+        count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
+        at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
+
+    def observe(self, observations: NDArray[np.float32], arms: Indices) -> None:
+        """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""
+        chosen = np.zeros(len(self.blocks), dtype=np.bool_)
+        chosen[arms // at.LANES] = True
+        observe_arms(self.blocks, self.tile, observations, chosen, self.profile, self.tier)
+
+    @property
+    def all_arms(self) -> Indices:
+        """Indices of all arms."""
+        return np.arange(self.num_arms)
+
+    @property
+    def states(self) -> Floats:
+        """Copy of the states, shape (num_arms, 4)."""
+        return at.rows(self.blocks, at.STATE, 4, self.all_arms)
+
+    @property
+    def moves(self) -> Floats:
+        """Copy of the moves, shape (num_arms, 4), columns as `MOVE_FIELDS`."""
+        return at.rows(self.blocks, at.MOVE, 4, self.all_arms)
+
+    @property
+    def times(self) -> Floats:
+        """Time since each episode's start [s], shape (num_arms,)."""
+        return at.rows(self.blocks, at.STEP, 1, self.all_arms)[:, 0] * CONTROL_PERIOD
+
+    def tip_errors(self) -> Floats:
+        """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""
+        errors = np.empty((self.num_arms, 4))
+        tip_errors(self.blocks, errors, self.profile)
+        return errors
+
+    def params(self, arm: int) -> ArmParams:
+        """Parameters of one arm."""
+        return ArmParams(*self.table[arm])
+
+    def reference(self, arm: int, time: float) -> Reference:
+        """Reference of one arm at its joint, `time` seconds into its move."""
+        return Reference(*reference_at(self.profile, MoveShape(*self.moves[arm].tolist()), float(time)))
+
+    def totals(self, arms: Indices, terminated: NDArray[np.bool_]) -> Floats:
+        """What the episodes of some arms came to: shape (len(TOTALS), num_arms), zero for the other arms."""
+        totals = np.zeros((len(TOTALS), self.num_arms))
+        episode_totals(self.blocks, arms, terminated, totals)
+        return totals
+
+
+def _checked(what: str, given: object, allowed: tuple[str, ...]) -> Mapping[str, Any]:
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{what} must be a mapping, got {given!r}")
+    unknown = [name for name in given if name not in allowed]
+    if unknown:
+        raise ValueError(f"{what} has unknown name {unknown[0]!r}; known: {', '.join(allowed)}")
+    return given
+
+
+def _column(name: str, value: object, count: int) -> Floats:
+    """A scalar or one value per arm, as an array of shape (count,)."""
+    array = _numbers(name, value)
+    if array.shape not in ((), (count,)):
+        raise ValueError(f"{name} must be one number or have shape ({count},), got shape {array.shape}")
+    return np.broadcast_to(array, (count,)).copy()
+
+
+def _numbers(name: str, value: object) -> Floats:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must consist of numbers, got {value!r}")
+    return array.astype(np.float64)
+
+
+def _states(given: object, gear: Floats) -> Floats:
+    """Initial states as given, shape (n, 4), for arms with gear ratios of shape (n,)."""
+    states = np.empty((len(gear), 4))
+    array = _numbers("state", given)
+    if array.shape not in ((4,), states.shape):
+        raise ValueError(f"state must have shape (4,) or {states.shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"state must be finite, got {array.tolist()}")
+    states[:] = array
+    joint, arm = states[:, 0] / gear, states[:, 0] / gear - states[:, 2]
+    inside = np.all([joint >= LOWEST, joint <= HIGHEST, arm >= LOWEST, arm <= HIGHEST], axis=0)
+    if not inside.all():
+        raise ValueError(
+            f"state must have joint and arm angle within {LOWEST:.3f} and {HIGHEST:.3f} rad, "
+            f"got {states[int(np.argmin(inside))].tolist()}"
+        )
+    slow = np.all(np.abs(states[:, [1, 3]]) <= _FASTEST, axis=1)
+    if not slow.all():
+        raise ValueError(
+            f"state must have speeds of at most {_FASTEST[0]:.0f} rad/s (motor) and {_FASTEST[1]:.0f} rad/s (torsion), "
+            f"got {states[int(np.argmin(slow))].tolist()}"
+        )
+    return states

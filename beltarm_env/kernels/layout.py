@@ -1,0 +1,115 @@
+"""Memory layout of a batch of arms: blocks of `LANES` arms, one row per quantity.
+
+A block is a flat float64 array in which quantity `row` of lane `j` sits at `row * LANES + j`. The constant distance
+between rows lets LLVM prove that they do not overlap, and hence vectorise a loop over lanes that reads and writes
+dozens of them; it also keeps a block's working set together in the cache. A single arm is lane 0 of one block.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env.jit import inlined
+from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.task.reference import MoveShape
+
+LANES = 136
+
+STATE = 0
+PLANT = STATE + len(ArmState._fields)
+KINEMATICS = PLANT + Plant._fields.index("double_link")  # the rest of the plant: not in the equations of motion
+MOVE = PLANT + len(Plant._fields)
+SUBSTEPS = MOVE + len(MoveShape._fields)  # integration steps per sample
+RESOLUTION = SUBSTEPS + 1  # encoder [rad per count]
+DELAY = RESOLUTION + 1  # of the measurements [samples]
+STEP = DELAY + 1  # samples since the episode's start
+ACTION = STEP + 1  # last torque applied, over its limit
+COUNTS = ACTION + 1  # encoder counts now, 1, 2 and 3 samples ago
+TIP_SPEEDS = COUNTS + 4  # tachometer now, 1 and 2 samples ago [m/s]
+TOTALS = TIP_SPEEDS + 3  # over the episode: the three cost terms, squared tip error, largest tip error
+ROWS = TOTALS + 5
+
+MAX_DELAY = 2
+
+
+def empty_blocks(num_arms: int) -> NDArray[np.float64]:
+    """Zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
+    return np.zeros((-(-num_arms // LANES), ROWS * LANES))
+
+
+def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Copy of `count` rows from row `first` on, for some arms: shape (len(arms), count)."""
+    table = blocks.reshape(len(blocks), ROWS, LANES)
+    return table[arms // LANES, first : first + count, arms % LANES]
+
+
+def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64]) -> None:
+    """Write rows from row `first` on, for all arms, from values of shape (arms, rows)."""
+    arms = np.arange(len(values))
+    table = blocks.reshape(len(blocks), ROWS, LANES)
+    table[arms // LANES, first : first + values.shape[1], arms % LANES] = values
+
+
+@inlined
+def load_state(block: NDArray[np.float64], row: int, lane: int) -> ArmState:
+    """State of one lane, from four rows starting at `row`."""
+    at = row * LANES + lane
+    return ArmState(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
+
+
+@inlined
+def store_state(block: NDArray[np.float64], row: int, lane: int, x: ArmState) -> None:
+    """Write a lane's state to four rows starting at `row`."""
+    at = row * LANES + lane
+    block[at] = x.motor_angle
+    block[at + LANES] = x.motor_speed
+    block[at + 2 * LANES] = x.torsion
+    block[at + 3 * LANES] = x.torsion_speed
+
+
+@inlined
+def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
+    """Plant coefficients of one lane."""
+    at = PLANT * LANES + lane
+    return Plant(
+        block[at],
+        block[at + LANES],
+        block[at + 2 * LANES],
+        block[at + 3 * LANES],
+        block[at + 4 * LANES],
+        block[at + 5 * LANES],
+        block[at + 6 * LANES],
+        block[at + 7 * LANES],
+        block[at + 8 * LANES],
+        block[at + 9 * LANES],
+        block[at + 10 * LANES],
+        block[at + 11 * LANES],
+        block[at + 12 * LANES],
+    )
+
+
+@inlined
+def load_move(block: NDArray[np.float64], lane: int) -> MoveShape:
+    """Move of one lane."""
+    at = MOVE * LANES + lane
+    return MoveShape(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
+
+
+@inlined
+def store_plant(block: NDArray[np.float64], lane: int, plant: Plant) -> None:
+    """Write a lane's plant coefficients."""
+    at = PLANT * LANES + lane
+    block[at] = plant.inverse_gear
+    block[at + LANES] = plant.inverse_motor_inertia
+    block[at + 2 * LANES] = plant.viscous_friction
+    block[at + 3 * LANES] = plant.coulomb_friction
+    block[at + 4 * LANES] = plant.inertia
+    block[at + 5 * LANES] = plant.inertia_swing
+    block[at + 6 * LANES] = plant.link_inertia
+    block[at + 7 * LANES] = plant.stiffness
+    block[at + 8 * LANES] = plant.damping
+    block[at + 9 * LANES] = plant.gear
+    block[at + 10 * LANES] = plant.double_link
+    block[at + 11 * LANES] = plant.hand
+    block[at + 12 * LANES] = plant.torque_limit

@@ -1,0 +1,1 @@
+"""The full arm in MuJoCo: model, physics engine and pictures. Needs the extra `mujoco`."""

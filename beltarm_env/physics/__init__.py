@@ -1,0 +1,1 @@
+"""Equations of the arm: friction, motion, kinematics, integration, linear models; scalar, without sensors or task."""

@@ -1,0 +1,85 @@
+"""Equations of motion of the full two-link arm, from its Lagrangian, as scalar functions.
+
+Link 1 points along theta_1 = theta_a / G and link 2 along theta_1 - 2 phi, both of length l; the payload m_p is a point
+at joint 3; the belt's torsion is theta_s = theta_1 - phi. With C = cos^2(phi) the kinetic energy is
+
+    T = 1/2 (M11 theta_1'^2 + 2 M12 theta_1' phi' + M22 phi'^2)
+    M11 = G^2 M_a1 + M2(0) + S C,     M12 = m_2 l^2 - 2 M2(0) - S C,     M22 = 4 M2(0) + S - 2 m_2 l^2
+
+and Lagrange's equations, with S the swing of the inertia, payload included, and tau_b = K_s theta_s + D_s omega_s:
+
+    M11 theta_1'' + M12 phi'' - S sin(2 phi) phi' omega_s = G (tau_m - V_a1 omega_a - tau_f) - tau_b
+    M12 theta_1'' + M22 phi'' + 1/2 S sin(2 phi) theta_1'^2 = tau_b
+
+A rigid belt (phi = theta_1) gives M11 + 2 M12 + M22 = G^2 M_a1 + M2(0) + S sin^2(phi): the inertia of the lumped arm,
+at every angle. What the lumped arm does not have is M12, and an M22 that does not depend on the angle: behind a motor
+at rest, torsion turns link 2 about joint 2, by twice as much, and not the whole arm about joint 1.
+"""
+
+from __future__ import annotations
+
+from beltarm_env.jit import inlined
+from beltarm_env.physics.plant import ArmState, Plant, belt_torque, sin_cos
+
+
+@inlined
+def _inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
+    """M11, M12, M22 [kg m^2]."""
+    swing = plant.inertia_swing * cos_phi * cos_phi
+    return (
+        plant.gear * plant.gear / plant.inverse_motor_inertia + plant.inertia + swing,
+        plant.link_inertia - 2 * plant.inertia - swing,
+        4 * plant.inertia + plant.inertia_swing - 2 * plant.link_inertia,
+    )
+
+
+@inlined
+def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
+    """The entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
+    m11, m12, m22 = _inertia(cos_phi, plant)
+    determinant = m11 * m22 - m12 * m12
+    return m22 / determinant, -m12 / determinant, m11 / determinant
+
+
+@inlined
+def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) -> tuple[float, float]:
+    """Motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `dynamics`."""
+    joint_speed = x.motor_speed * plant.inverse_gear
+    phi = x.motor_angle * plant.inverse_gear - x.torsion
+    phi_dot = joint_speed - x.torsion_speed
+    sin_phi, cos_phi = sin_cos(phi)
+    swing_rate = 2 * plant.inertia_swing * sin_phi * cos_phi
+    m11, m12, m22 = _inertia(cos_phi, plant)
+    tau_b = belt_torque(x, plant)
+    tau_f = direction * plant.coulomb_friction
+    at_motor = torque - plant.viscous_friction * x.motor_speed - tau_f
+    on_joint = plant.gear * at_motor - tau_b + swing_rate * phi_dot * x.torsion_speed
+    on_arm = tau_b - 0.5 * swing_rate * joint_speed * joint_speed
+    joint = direction * direction * (m22 * on_joint - m12 * on_arm) / (m11 * m22 - m12 * m12)
+    return plant.gear * joint, joint - (on_arm - m12 * joint) / m22
+
+
+@inlined
+def driving_torque(x: ArmState, torque: float, plant: Plant) -> float:
+    """Torque on the motor at standstill [N m]: what friction has to balance for it to stay there.
+
+    tau_m - (tau_b (1 + M12 / M22) + S sin(2 phi) phi'^2) / G, since the belt alone moves link 2: phi'' = tau_b / M22.
+    """
+    sin_phi, cos_phi = sin_cos(x.motor_angle * plant.inverse_gear - x.torsion)
+    _, m12, m22 = _inertia(cos_phi, plant)
+    centrifugal = 2 * plant.inertia_swing * sin_phi * cos_phi * x.torsion_speed * x.torsion_speed
+    return torque - (belt_torque(x, plant) * (1 + m12 / m22) + centrifugal) * plant.inverse_gear
+
+
+@inlined
+def driving_torque_rate(x: ArmState, torsional: float, plant: Plant) -> float:
+    """Time derivative of `driving_torque` [N m/s], at a torsional acceleration [rad/s^2] and constant tau_m."""
+    sin_phi, cos_phi = sin_cos(x.motor_angle * plant.inverse_gear - x.torsion)
+    phi_dot, phi_acceleration = -x.torsion_speed, -torsional
+    _, m12, m22 = _inertia(cos_phi, plant)
+    swing_rate = 2 * plant.inertia_swing * sin_phi * cos_phi  # dM12 / dphi
+    swing_curvature = 2 * plant.inertia_swing * (2 * cos_phi * cos_phi - 1)
+    belt_rate = plant.stiffness * x.torsion_speed + plant.damping * torsional
+    by_belt = belt_rate * (1 + m12 / m22) + belt_torque(x, plant) * swing_rate * phi_dot / m22
+    by_turning = phi_dot * (swing_curvature * phi_dot * phi_dot + 2 * swing_rate * phi_acceleration)
+    return -(by_belt + by_turning) * plant.inverse_gear

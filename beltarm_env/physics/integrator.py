@@ -1,0 +1,123 @@
+"""Integration of the arm: RK4 steps that end exactly where the motor stops or breaks away.
+
+Within one friction mode the arm is smooth and slow against the 1.5 ms sample, so a single RK4 step per sample is
+already accurate; what costs accuracy is stepping across the instant of sticking or breaking away. The step is therefore
+taken in full first, `mode_margin` tells whether the mode survived it, and only if not does `step_to_mode_change` locate
+the instant, where the sample is split.
+"""
+
+from __future__ import annotations
+
+from beltarm_env.jit import inlined
+from beltarm_env.physics.models import Model, accelerations, driving_torque, driving_torque_rate, sliding_direction
+from beltarm_env.physics.plant import ArmState, Plant
+
+_ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
+
+
+@inlined
+def _moved(x: ArmState, dt: float, slope: ArmState) -> ArmState:
+    return ArmState(
+        x.motor_angle + dt * slope.motor_angle,
+        x.motor_speed + dt * slope.motor_speed,
+        x.torsion + dt * slope.torsion,
+        x.torsion_speed + dt * slope.torsion_speed,
+    )
+
+
+@inlined
+def _slope(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> ArmState:
+    motor, torsional = accelerations(x, torque, direction, plant, model)
+    return ArmState(x.motor_speed, motor, x.torsion_speed, torsional)
+
+
+@inlined
+def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Plant, model: Model) -> ArmState:
+    """Classical fourth-order Runge-Kutta step of `dt` seconds within one friction mode, torque held."""
+    k1 = _slope(x, torque, direction, plant, model)
+    k2 = _slope(_moved(x, 0.5 * dt, k1), torque, direction, plant, model)
+    k3 = _slope(_moved(x, 0.5 * dt, k2), torque, direction, plant, model)
+    k4 = _slope(_moved(x, dt, k3), torque, direction, plant, model)
+    weighted = ArmState(
+        k1.motor_angle + 2 * (k2.motor_angle + k3.motor_angle) + k4.motor_angle,
+        k1.motor_speed + 2 * (k2.motor_speed + k3.motor_speed) + k4.motor_speed,
+        k1.torsion + 2 * (k2.torsion + k3.torsion) + k4.torsion,
+        k1.torsion_speed + 2 * (k2.torsion_speed + k3.torsion_speed) + k4.torsion_speed,
+    )
+    return _moved(x, dt * (1 / 6), weighted)
+
+
+@inlined
+def mode_margin(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> float:
+    """How far the state is inside its friction mode: negative once the mode has been left.
+
+    Sliding: the speed in the direction of sliding. Sticking: tau_c minus the torque that pulls at the motor.
+    """
+    sticking = plant.coulomb_friction - abs(driving_torque(x, torque, plant, model))
+    return direction * x.motor_speed if direction != 0.0 else sticking
+
+
+@inlined
+def _distance(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
+    """`mode_margin` towards one side, which makes it smooth: a motor that sticks breaks away to `exit_side`."""
+    sticking = plant.coulomb_friction - exit_side * driving_torque(x, torque, plant, model)
+    return direction * x.motor_speed if direction != 0.0 else sticking
+
+
+@inlined
+def _distance_rate(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
+    """Time derivative of `_distance`."""
+    motor, torsional = accelerations(x, torque, direction, plant, model)
+    sticking = -exit_side * driving_torque_rate(x, torsional, plant, model)
+    return direction * motor if direction != 0.0 else sticking
+
+
+@inlined
+def _hermite_root(start: float, start_slope: float, end: float, end_slope: float) -> float:
+    """Where on (0, 1) the cubic through both ends changes from positive to negative: bracketed Newton iteration.
+
+    The number of iterations is fixed, without an early exit, so that many roots are found side by side.
+    """
+    c3 = 2 * start + start_slope - 2 * end + end_slope
+    c2 = 3 * (end - start) - 2 * start_slope - end_slope
+    low, high = 0.0, 1.0
+    u = start / (start - end) if start > 0.0 else 0.5  # a motor breaking away starts at zero speed
+    for _ in range(_ROOT_ITERATIONS):
+        value = start + u * (start_slope + u * (c2 + u * c3))
+        slope = start_slope + u * (2 * c2 + u * 3 * c3)
+        low = u if value > 0.0 else low
+        high = high if value > 0.0 else u
+        newton = u - value / (slope if slope != 0.0 else 1.0)
+        u = newton if (newton >= low) & (newton <= high) else 0.5 * (low + high)
+    return u
+
+
+@inlined
+def step_to_mode_change(
+    x: ArmState, torque: float, direction: float, dt: float, y: ArmState, plant: Plant, model: Model
+) -> tuple[ArmState, float, float]:
+    """Step only as far as the motor stops or breaks away, given that it does within `dt`.
+
+    Args:
+        x: State at the beginning.
+        torque: Motor torque [N m].
+        direction: Friction mode at the beginning.
+        dt: Length of the step in which the mode is left [s].
+        y: State after that whole step, taken in the old mode.
+        plant: Coefficients of the arm.
+        model: Whose equations of motion.
+
+    Returns:
+        State at that instant, the mode from then on, and the time that is left of `dt`.
+    """
+    exit_side = 1.0 if driving_torque(y, torque, plant, model) > 0.0 else -1.0
+    fraction = _hermite_root(
+        _distance(x, torque, direction, exit_side, plant, model),
+        dt * _distance_rate(x, torque, direction, exit_side, plant, model),
+        _distance(y, torque, direction, exit_side, plant, model),
+        dt * _distance_rate(y, torque, direction, exit_side, plant, model),
+    )
+    z = rk4_step(x, torque, direction, fraction * dt, plant, model)
+    at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
+    following = sliding_direction(at_rest, torque, plant, model) if direction != 0.0 else exit_side
+    return at_rest, following, dt - fraction * dt

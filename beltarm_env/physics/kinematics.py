@@ -1,0 +1,85 @@
+"""Where the arm's end is: the exact planar kinematics of the two-link arm with its hand.
+
+Link 2 turns by twice the joint angle against link 1 (both of length l), so an unloaded belt moves the tip along the x
+axis; belt torsion theta_s turns the whole line from joint 1 to the tip:
+
+    p = (2 l cos(phi) + l_3) (cos(theta_s), sin(theta_s)),     phi = theta_a / G - theta_s
+
+The paper's end position is r = 2 l + l_3 - x.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from beltarm_env.jit import inlined
+from beltarm_env.physics.plant import ArmState, Plant, sin_cos
+
+
+class TipMotion(NamedTuple):
+    """Position [m] and velocity [m/s] of the arm's end; x along the nominal line of motion, y across it."""
+
+    x: float
+    y: float
+    x_speed: float
+    y_speed: float
+
+
+@inlined
+def tip_motion(state: ArmState, plant: Plant) -> TipMotion:
+    """Position and velocity of the tip for a state of the arm."""
+    phi = state.motor_angle * plant.inverse_gear - state.torsion
+    phi_dot = state.motor_speed * plant.inverse_gear - state.torsion_speed
+    sin_phi, cos_phi = sin_cos(phi)
+    sin_torsion, cos_torsion = sin_cos(state.torsion)
+    reach = plant.double_link * cos_phi + plant.hand
+    reach_speed = -plant.double_link * sin_phi * phi_dot
+    turning = reach * state.torsion_speed
+    return TipMotion(
+        reach * cos_torsion,
+        reach * sin_torsion,
+        reach_speed * cos_torsion - turning * sin_torsion,
+        reach_speed * sin_torsion + turning * cos_torsion,
+    )
+
+
+@inlined
+def reference_tip(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
+    """Position [m] and speed [m/s] on the x axis of the tip of a rigid arm at joint angle and speed (rad, rad/s)."""
+    sine, cosine = sin_cos(angle)
+    return plant.double_link * cosine + plant.hand, -plant.double_link * sine * speed
+
+
+WORKSPACE_MARGIN = 0.25
+"""How far joint and arm angle may leave 0 to 90 degrees before the episode ends [rad]."""
+LOWEST = -WORKSPACE_MARGIN
+HIGHEST = 0.5 * 3.141592653589793 + WORKSPACE_MARGIN
+
+
+_LARGEST = 1e9  # of any state; only an integration that runs away gets there
+
+
+@inlined
+def contained(state: ArmState, plant: Plant) -> ArmState:
+    """The state, or a resting one outside the workspace if the integration ran away (or is not a number).
+
+    It takes an arm far from any real one to get there, such as one whose inertia swings by a factor of 10 000; its
+    episode then ends, and what is observed of it stays finite.
+    """
+    largest = max(abs(state.motor_angle), abs(state.motor_speed), abs(state.torsion), abs(state.torsion_speed))
+    number = state.motor_angle + state.motor_speed + state.torsion + state.torsion_speed
+    sane = (largest < _LARGEST) & (number == number)
+    return ArmState(
+        state.motor_angle if sane else (HIGHEST + WORKSPACE_MARGIN) * plant.gear,
+        state.motor_speed if sane else 0.0,
+        state.torsion if sane else 0.0,
+        state.torsion_speed if sane else 0.0,
+    )
+
+
+@inlined
+def outside_workspace(state: ArmState, plant: Plant) -> bool:
+    """Whether the joint angle theta_1 or the arm angle phi lies outside the workspace (or is not a number)."""
+    joint = state.motor_angle * plant.inverse_gear
+    arm = joint - state.torsion
+    return not ((joint >= LOWEST) & (joint <= HIGHEST) & (arm >= LOWEST) & (arm <= HIGHEST))

@@ -1,0 +1,56 @@
+"""The per-step cost: what the reward is minus of, and what every controller is tuned on.
+
+    cost = min(|e_p| / 10 mm, 10) + min(|e_v| / 200 mm/s, 10) + 0.1 |tau_k - tau_(k-1)| / torque limit
+
+with the 2-D tip position error e_p and velocity error e_v against the tip of a rigid arm that follows the task
+reference exactly. It cannot exceed `MAX_COST`; leaving the workspace is charged `MAX_COST` for every step that is left.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from beltarm_env.jit import inlined
+from beltarm_env.physics.kinematics import TipMotion, reference_tip
+from beltarm_env.physics.plant import Plant
+
+POSITION_SCALE = 0.010  # [m]
+VELOCITY_SCALE = 0.200  # [m/s]
+MAX_TERM = 10.0  # of the position and of the velocity term
+TORQUE_RATE_WEIGHT = 0.1
+MAX_COST = 2 * MAX_TERM + 2 * TORQUE_RATE_WEIGHT  # torque can change by twice its limit
+
+
+class StepCost(NamedTuple):
+    """Tip error [m] and the three terms of the cost."""
+
+    tip_error: float
+    position: float
+    velocity: float
+    torque_rate: float
+
+
+@inlined
+def step_cost(tip: TipMotion, angle: float, speed: float, action: float, last_action: float, plant: Plant) -> StepCost:
+    """Cost of one step.
+
+    Args:
+        tip: Motion of the arm's end.
+        angle: Reference joint angle [rad].
+        speed: Reference joint speed [rad/s].
+        action: Torque held over the step, over its limit.
+        last_action: The same of the step before.
+        plant: Coefficients of the arm.
+    """
+    x, x_speed = reference_tip(angle, speed, plant)
+    error = math.sqrt((tip.x - x) * (tip.x - x) + tip.y * tip.y)
+    velocity_error = math.sqrt((tip.x_speed - x_speed) * (tip.x_speed - x_speed) + tip.y_speed * tip.y_speed)
+    position = error * (1 / POSITION_SCALE)
+    velocity = velocity_error * (1 / VELOCITY_SCALE)
+    return StepCost(
+        error,
+        position if position < MAX_TERM else MAX_TERM,
+        velocity if velocity < MAX_TERM else MAX_TERM,
+        TORQUE_RATE_WEIGHT * abs(action - last_action),
+    )

@@ -1,0 +1,1 @@
+"""The comparison: scenarios, methods, runs, statistics, results."""

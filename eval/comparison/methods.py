@@ -1,0 +1,152 @@
+"""The methods of the comparison: classical controllers, shipped or given policies, a yardstick, and a user's own."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from agents.policy.bundle import load_controller, read_spec
+from baselines import CONTROLLERS
+from baselines.gains import read_file
+from baselines.yardsticks.privileged import PrivilegedController
+from beltarm_env import ArmParams
+from beltarm_env.rollout import Controller
+from eval.comparison import custom
+
+POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
+Kind = Literal["classical", "learned", "privileged", "added"]
+PRIVILEGED = "privileged"
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A controller, or one learning method with a controller per training seed; what makes them, not themselves."""
+
+    name: str
+    kind: Kind  # "privileged" sees what no other does; "added" is a user's own
+    sources: tuple[str, ...]  # one per training seed: name of a controller, folder of a policy, or package.module:Class
+    identity: str  # SHA-256 of gains, policies or sources: whether it still is the same method
+    training: dict[str, Any] = field(
+        default_factory=dict
+    )  # of tuning or training: simulator steps, wall-clock, per seed
+    base: str | None = None  # of a learned method: the controller that it corrects
+
+    @property
+    def sensors(self) -> Literal["encoder", "full"]:
+        """What it observes."""
+        return "full" if self.kind == "privileged" else "encoder"
+
+    def controller(self, seed: int, arms: Sequence[ArmParams]) -> Controller:
+        """The controller of one training seed, for a batch of arms; only a privileged one is told which they are.
+
+        Raises:
+            ValueError: If it cannot be made.
+        """
+        source = self.sources[seed]
+        if self.kind == "privileged":
+            return PrivilegedController(arms)
+        if self.kind == "learned":
+            return load_controller(Path(source))[0]
+        return custom.make(source) if self.kind == "added" else CONTROLLERS[source]()
+
+
+def classical_methods() -> list[Method]:
+    """All classical controllers."""
+    tuned = read_file()
+    return [_classical(name, tuned.get(name, {})) for name in CONTROLLERS]
+
+
+def _classical(name: str, entry: dict[str, Any]) -> Method:
+    tuning = entry.get("provenance", {})
+    cost = {"simulator_steps": [tuning["steps"]], "wall_clock_s": [tuning["seconds"]]} if tuning else {}
+    return Method(name, "classical", (name,), _hash(entry.get("gains")), cost)
+
+
+def _hash(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def privileged_method() -> Method:
+    """The preview LQG that knows its arm and sees its state."""
+    return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
+
+
+def added_method(spec: str) -> Method:
+    """A user's own controller, named by its class.
+
+    Raises:
+        ValueError: If it cannot be imported.
+    """
+    spec = custom.absolute(spec)
+    return Method(spec.rpartition(":")[2], "added", (spec,), custom.identity(spec))
+
+
+def learned_methods(folders: Iterable[Path]) -> list[Method]:
+    """Learning methods from policy bundles, one per training seed of a method, in the order in which they are given.
+
+    Raises:
+        BundleError: If a bundle is missing or damaged.
+        ValueError: If a policy needs other sensors than the encoder.
+    """
+    grouped: dict[str, list[Path]] = {}
+    for folder in folders:
+        spec, _ = read_spec(folder)
+        if spec.sensors != "encoder":
+            raise ValueError(
+                f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
+            )
+        # Shipped policies lie in a folder of their method's name.
+        shipped = folder.resolve().is_relative_to(POLICIES)
+        name = folder.resolve().parent.name if shipped else _method_name(spec.algorithm, spec.base)
+        grouped.setdefault(name, []).append(folder.resolve())
+    return [_learned(name, members) for name, members in grouped.items()]
+
+
+def _method_name(algorithm: str, base: str) -> str:
+    return algorithm if base == "paper" else f"{algorithm}-{base}"
+
+
+def _learned(name: str, folders: list[Path]) -> Method:
+    read = [read_spec(folder) for folder in folders]
+    bases = {spec.base for spec, _ in read}
+    if len(bases) > 1:
+        raise ValueError(f"the policies of {name} correct different controllers: {', '.join(sorted(bases))}")
+    runs = [(spec.provenance.get("run", {}), spec.residual.hold) for spec, _ in read]
+    training = {
+        "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in runs],
+        "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
+    }
+    base = bases.pop()
+    identity = _hash([[content["content_hash"] for _, content in read], read_file().get(base, {}).get("gains")])
+    return Method(name, "learned", tuple(map(str, folders)), identity, training, base)
+
+
+def shipped_policies() -> list[Path]:
+    """Folders of the shipped policies: `agents/policies/METHOD/SEED`."""
+    return sorted(path.parent for path in POLICIES.glob("*/*/policy.json"))
+
+
+def policies_of(methods: Iterable[Method]) -> list[str]:
+    """Content hashes of the policies of some methods."""
+    folders = [Path(source) for method in methods if method.kind == "learned" for source in method.sources]
+    return [read_spec(folder)[1]["content_hash"] for folder in folders]
+
+
+def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
+    """Those of the known names that are wanted, in the known order; all if none is named.
+
+    Raises:
+        ValueError: On an unknown name, suggesting the nearest.
+    """
+    known = list(known)
+    for name in wanted:
+        if name not in known:
+            nearest = difflib.get_close_matches(name, known, 1, 0.4)
+            hint = f"; did you mean {nearest[0]}?" if nearest else ""
+            raise ValueError(f"unknown {kind} {name!r}{hint} Known: {', '.join(known)}")
+    return [name for name in known if name in wanted] if wanted else known

@@ -1,0 +1,196 @@
+"""Runs of the comparison: a method on a split is a pair; pairs are spread over processes, and kept on disk.
+
+A pair that is done is kept as `pairs/SPLIT.METHOD.EPISODES.KEY.npz`, with a key of everything that its numbers depend
+on: the scenarios, the method's gains, policies or sources, and the code of plant and controllers. A run that was
+interrupted, or that asks for more, goes on from what is kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import re
+import signal
+import zipfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import agents
+import baselines
+import beltarm_env
+from baselines.tools.files import write_atomically
+from beltarm_env.metrics import METRICS
+from beltarm_env.rollout import rollout
+from eval.comparison.custom import digest_of_sources
+from eval.comparison.methods import Method
+from eval.comparison.splits import VERSION, Split
+
+Metrics = dict[str, NDArray[np.float64]]
+"""Of a method on a split: for each metric a table of shape (seeds, episodes)."""
+LEFT = "left_workspace"
+"""Beside the metrics: 1 where the arm left the workspace."""
+_LONGEST_MESSAGE = 300
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A method on the first scenarios of a split."""
+
+    method: Method
+    split: Split
+    episodes: int
+
+    def file(self, folder: Path) -> Path:
+        """Where it is kept."""
+        of_method = [self.method.name, self.method.kind, self.method.identity]
+        content = [VERSION, self.split.digest, self.episodes, *of_method, _sources()]
+        key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+        return folder / "pairs" / f"{self._stem()}.{key}.npz"
+
+    def _stem(self) -> str:
+        method = re.sub(r"[^\w-]", "_", self.method.name)
+        return f"{self.split.name}.{method}.{self.episodes}"
+
+    def outdated(self, folder: Path) -> Iterator[Path]:
+        """Files of the same pair as it was with other code, gains or policies."""
+        current = self.file(folder)
+        return (path for path in current.parent.glob(f"{self._stem()}.*.npz") if path != current)
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A method that could not be run to the end on a split."""
+
+    method: str
+    split: str
+    message: str
+
+
+def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
+    """Run something of a method; whatever its controller does wrong, the others go on."""
+    try:
+        return run()
+    except Exception as error:
+        message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
+        return Failure(method, split, message[:_LONGEST_MESSAGE])
+
+
+@cache
+def _sources() -> str:
+    """SHA-256 of the code of plant, controllers and policies."""
+    return digest_of_sources(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+
+
+def measure(pair: Pair) -> Metrics:
+    """Run all controllers of a method on the scenarios of a split."""
+    seeds = len(pair.method.sources)
+    metrics = {name: np.empty((seeds, pair.episodes)) for name in (*METRICS, LEFT)}
+    for seed in range(seeds):
+        for scenarios, arguments in pair.split.batches(pair.episodes):
+            controller = pair.method.controller(seed, pair.split.arms(scenarios))
+            run = rollout(controller, len(scenarios), sensors=pair.method.sensors, **arguments)
+            for name, values in {**run.metrics(), LEFT: 1.0 - run.finished}.items():
+                metrics[name][seed, scenarios] = values
+    return metrics
+
+
+def read_kept(pair: Pair, folder: Path) -> Metrics | None:
+    """What is kept of a pair, if anything sound is."""
+    path = pair.file(folder)
+    shape = (len(pair.method.sources), pair.episodes)
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            metrics = {name: stored[name] for name in (*METRICS, LEFT)}
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        path.unlink(missing_ok=True)  # damaged: run again
+        return None
+    sound = all(table.shape == shape and np.isfinite(table).all() for table in metrics.values())
+    return metrics if sound else None
+
+
+def run_and_keep(pair: Pair, folder: Path) -> Metrics | Failure:
+    """Run a pair and keep it.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    metrics = attempt(pair.method.name, pair.split.name, lambda: measure(pair))
+    if isinstance(metrics, Failure):
+        return metrics
+    write_atomically(pair.file(folder), lambda path: np.savez(path, allow_pickle=False, **metrics))
+    for path in pair.outdated(folder):
+        path.unlink(missing_ok=True)
+    return metrics
+
+
+def default_jobs() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_pairs(pairs: list[Pair], folder: Path, jobs: int, done: Callable[[Pair], object]) -> list[Metrics | Failure]:
+    """Results of all pairs, in their order: those that are kept are read, the others run and kept.
+
+    Args:
+        pairs: What to run.
+        folder: Where to keep it.
+        jobs: Number of processes.
+        done: Called as each pair is there.
+
+    Raises:
+        OSError: If a result cannot be written, or a process was killed.
+    """
+    results: dict[int, Metrics | Failure] = {}
+    for k, pair in enumerate(pairs):
+        kept = read_kept(pair, folder)
+        if kept is not None:
+            results[k] = kept
+            done(pair)
+    left = [k for k in range(len(pairs)) if k not in results]
+    fresh = _in_turn(pairs, left, folder) if min(jobs, len(left)) <= 1 else _spread(pairs, left, folder, jobs)
+    for k, result in fresh:
+        results[k] = result
+        done(pairs[k])
+    return [results[k] for k in range(len(pairs))]
+
+
+def _in_turn(pairs: list[Pair], left: list[int], folder: Path) -> Iterator[tuple[int, Metrics | Failure]]:
+    for k in left:
+        yield k, run_and_keep(pairs[k], folder)
+
+
+def _spread(pairs: list[Pair], left: list[int], folder: Path, jobs: int) -> Iterator[tuple[int, Metrics | Failure]]:
+    context = multiprocessing.get_context("spawn")  # torch and numba do not survive a fork for certain
+    with ProcessPoolExecutor(min(jobs, len(left)), mp_context=context, initializer=_begin_worker) as pool:
+        futures: dict[Future[Metrics | Failure], int] = {pool.submit(run_and_keep, pairs[k], folder): k for k in left}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise OSError(
+                f"a process was killed, for want of memory perhaps; what is done is kept: try again with --jobs "
+                f"{max(1, jobs // 2)}"
+            ) from None
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """Die quietly on Ctrl-C, and leave the other cores to the other processes."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    import torch
+
+    torch.set_num_threads(1)

@@ -1,0 +1,207 @@
+"""Results of the comparison as data; `eval.comparison.schema` writes them, `eval.views` shows them."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.tools.provenance import commit
+from beltarm_env import __version__
+from beltarm_env.metrics import METRICS as EPISODE_METRICS
+from eval.comparison import splits
+from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
+from eval.comparison.methods import Method, policies_of
+from eval.comparison.pairs import LEFT, Failure, Metrics
+
+METRICS = tuple(name for name in EPISODE_METRICS if name not in ("residual_radial_pp_mm", "residual_lateral_pp_mm"))
+"""Metrics of `results.json`; `episodes.csv` also has the two parts of the residual vibration."""
+SHARES = ("failure_share", "saturated_share")  # plain means: the middle half of zeros and ones says nothing
+PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
+_THRESHOLDS = 25  # of a performance profile
+
+Against = dict[str, dict[str, dict[str, Paired]]]
+"""Comparisons scenario by scenario, by split, method and metric."""
+Mark = Literal["best", "tie"]
+"""Of a metric on a split: the lowest of all ranked methods, or not shown to differ from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One method on one split."""
+
+    method: Method
+    split: str
+    metrics: Metrics  # each (seeds, episodes)
+    estimates: dict[str, Estimate]
+    action_times: tuple[float, float]  # median, 99th percentile [us]
+
+    @property
+    def seeds(self) -> int:
+        """Number of training seeds; 1 for a classical controller."""
+        return len(self.method.sources)
+
+    @property
+    def ranked(self) -> bool:
+        """Whether it is compared with others: it sees what they see."""
+        return self.method.kind != "privileged"
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Of how many runs the tip never settled, and in how many the arm left the workspace."""
+        settled = self.metrics["failure_share"]
+        left = self.metrics[LEFT]
+        return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
+
+
+def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> Outcome:
+    """Estimate the metrics of one method on one split."""
+    estimates = {name: estimate(metrics[name], mean=name in SHARES) for name in METRICS}
+    return Outcome(method, split, metrics, estimates, action_times)
+
+
+@dataclass(frozen=True, slots=True)
+class Profiles:
+    """Performance profiles of all methods on one split, in one metric."""
+
+    thresholds: NDArray[np.float64]
+    shares: dict[str, NDArray[np.float64]]  # of the runs at or below each threshold, by method
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All outcomes of one run."""
+
+    outcomes: list[Outcome]
+    against_best: Against  # every ranked method against the classical one of the lowest cost
+    against_base: Against  # every learned method against the controller that it corrects
+    marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
+    failures: list[Failure]
+    provenance: dict[str, Any]
+
+    def with_failures(self, failures: list[Failure]) -> Comparison:
+        """The same with more failures, one per method and split."""
+        first: dict[tuple[str, str], Failure] = {}
+        for failure in [*self.failures, *failures]:
+            first.setdefault((failure.method, failure.split), failure)
+        return replace(self, failures=list(first.values()))
+
+    def on(self, split: str) -> list[Outcome]:
+        """Outcomes on one split, in the order of the methods; those that are not ranked last."""
+        found = [outcome for outcome in self.outcomes if outcome.split == split]
+        return sorted(found, key=lambda outcome: not outcome.ranked)
+
+    def splits(self) -> list[str]:
+        """Names of the splits, in order."""
+        return list(dict.fromkeys(outcome.split for outcome in self.outcomes))
+
+    @property
+    def main_split(self) -> str:
+        """The split of arms from the training ranges, or else the first."""
+        splits = self.splits()
+        return "randomized" if "randomized" in splits else splits[0]
+
+    def methods(self) -> list[Outcome]:
+        """One outcome of every method, in order; those that are not ranked last."""
+        found = {outcome.method.name: outcome for outcome in reversed(self.outcomes)}
+        order = dict.fromkeys(outcome.method.name for outcome in self.outcomes)
+        return sorted((found[name] for name in order), key=lambda outcome: not outcome.ranked)
+
+    def best_classical(self, split: str) -> Outcome | None:
+        """The classical method of the lowest cost, if there is any."""
+        return best_classical(self.on(split))
+
+
+def make_comparison(outcomes: list[Outcome], failures: list[Failure], provenance: dict[str, Any]) -> Comparison:
+    """Compare the outcomes with one another."""
+    by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
+    best = {split: _against(found, _opponent_of_all(found)) for split, found in by_split.items()}
+    base = {split: _against(found, _base_of(found)) for split, found in by_split.items()}
+    marks = {split: {name: _marks(o, name, best[split]) for name in PAIRED_METRICS} for split, o in by_split.items()}
+    return Comparison(outcomes, best, base, marks, failures, provenance)
+
+
+def best_classical(outcomes: list[Outcome]) -> Outcome | None:
+    """The classical method of the lowest cost among the outcomes of one split, if there is any."""
+    classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
+    return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm, default=None)
+
+
+def _opponent_of_all(outcomes: list[Outcome]) -> Callable[[Outcome], Outcome | None]:
+    best = best_classical(outcomes)
+    return lambda outcome: None if outcome is best else best
+
+
+def _base_of(outcomes: list[Outcome]) -> Callable[[Outcome], Outcome | None]:
+    by_name = {outcome.method.name: outcome for outcome in outcomes}
+    return lambda outcome: by_name.get(outcome.method.base or "")
+
+
+def _against(outcomes: list[Outcome], opponent: Callable[[Outcome], Outcome | None]) -> dict[str, dict[str, Paired]]:
+    """Ranked methods of one split against an opponent each: by method and metric.
+
+    All comparisons in one metric are a family for Holm's correction: one question, asked of every method.
+    """
+    pairs = [(outcome, opponent(outcome)) for outcome in outcomes if outcome.ranked]
+    found: dict[str, dict[str, Paired]] = {
+        one.method.name: {name: paired(one.metrics[name], other.metrics[name]) for name in PAIRED_METRICS}
+        for one, other in pairs
+        if other is not None
+    }
+    for name in PAIRED_METRICS:
+        adjusted = holm([of_method[name].p for of_method in found.values()])
+        for of_method, p in zip(found.values(), adjusted, strict=True):
+            of_method[name] = replace(of_method[name], p_holm=p)
+    return found
+
+
+def _marks(outcomes: list[Outcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
+    """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction."""
+    ranked = [outcome for outcome in outcomes if outcome.ranked]
+    best = min(ranked, key=lambda outcome: outcome.estimates[name].iqm, default=None)
+    if best is None:
+        return {}
+    pairs = {method: of_method[name] for method, of_method in against_best.items()}
+    classical = best_classical(outcomes)
+    if best is not classical:
+        pairs = {o.method.name: paired(o.metrics[name], best.metrics[name]) for o in ranked if o is not best}
+        if classical and best.method.name in against_best:  # one test for a pair, whichever way round it is told
+            same = against_best[best.method.name][name]
+            pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)
+        adjusted = holm([pair.p for pair in pairs.values()])
+        pairs = {method: replace(pair, p_holm=p) for (method, pair), p in zip(pairs.items(), adjusted, strict=True)}
+    marks: dict[str, Mark] = {method: "tie" for method, pair in pairs.items() if not pair.survives}
+    marks[best.method.name] = "best"
+    return marks
+
+
+def profiles(outcomes: list[Outcome], metric: str) -> Profiles:
+    """Performance profiles of one split's methods, at thresholds between the least and the largest value of all."""
+    everything = np.concatenate([outcome.metrics[metric].ravel() for outcome in outcomes])
+    least = max(float(everything.min()), 1e-6)
+    thresholds = np.geomspace(least, max(float(everything.max()), least), _THRESHOLDS)
+    thresholds[-1] = max(float(everything.max()), least)  # not a rounding error below
+    return Profiles(thresholds, {o.method.name: profile(o.metrics[metric], thresholds) for o in outcomes})
+
+
+def provenance(command: str, seconds: float, methods: list[Method], chosen: dict[str, splits.Split]) -> dict[str, Any]:
+    """Where the results come from."""
+    packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
+    return {
+        "command": command,
+        "beltarm": __version__,
+        "commit": commit(),
+        "splits_version": splits.VERSION,
+        "split_seeds": {name: split.seed for name, split in chosen.items()},
+        "split_sha256": {name: split.digest for name, split in chosen.items()},
+        "policies": policies_of(methods),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "packages": {name: version(name) for name in packages},
+        "seconds": round(seconds, 1),
+    }

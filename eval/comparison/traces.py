@@ -1,0 +1,86 @@
+"""Motions to show: of some methods on one scenario of each split, run once more on their own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltarm_env.rollout import Recording
+from eval.comparison.estimates import interquartile_mean
+from eval.comparison.pairs import Failure, attempt
+from eval.comparison.results import Comparison, Outcome
+from eval.comparison.splits import Split
+from eval.style.colours import COLOURS
+
+Traces = dict[str, dict[str, Recording]]
+"""Per split and method a recording of one arm, on the same scenario for all methods."""
+
+
+def shown_seed(comparison: Comparison, method: str) -> int:
+    """The training seed that stands for a method: the one whose cost on the main split is the median of all."""
+    outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.method.name == method}
+    outcome = outcomes.get(comparison.main_split) or next(iter(outcomes.values()))
+    costs = [interquartile_mean(of_seed) for of_seed in outcome.metrics["cost"]]
+    return int(np.argsort(costs)[len(costs) // 2])
+
+
+def seed_note(comparison: Comparison, methods: list[str]) -> str:
+    """Which training seeds stand for the learned methods among these, in a sentence; empty if there are none."""
+    several = {o.method.name: o.seeds for o in comparison.methods() if o.method.name in methods and o.seeds > 1}
+    if not several:
+        return ""
+    named = "; ".join(f"{name} by seed {shown_seed(comparison, name)} of 0 to {n - 1}" for name, n in several.items())
+    return f"A learned method is shown by the training seed of median cost on {comparison.main_split}: {named}."
+
+
+def shown_methods(comparison: Comparison) -> list[str]:
+    """Methods whose motion is drawn: the first, all learned and added ones, and the best others by cost."""
+    on_main = comparison.on(comparison.main_split)
+    outcomes = [outcome for outcome in on_main if outcome.ranked] or on_main
+    by_cost = sorted(outcomes[1:], key=lambda outcome: outcome.estimates["cost"].iqm)
+    first = [outcome for outcome in by_cost if outcome.method.kind in ("learned", "added")]
+    others = [outcome for outcome in by_cost if outcome.method.kind == "classical"]
+    kept = [outcomes[0], *first[:3], *others]
+    names = {outcome.method.name for outcome in kept[: len(COLOURS) - 2]}
+    return [outcome.method.name for outcome in outcomes if outcome.method.name in names]
+
+
+def shown_scenario(outcomes: list[Outcome]) -> int:
+    """The scenario in which the first method does as well as it does in the median."""
+    errors = outcomes[0].metrics["tip_rms_mm"][0]
+    return int(np.argsort(errors)[len(errors) // 2])
+
+
+def motions(
+    comparison: Comparison, split: Split, scenario: int, names: list[str]
+) -> tuple[dict[str, Recording], list[Failure]]:
+    """Recordings of some methods on one scenario, each alone in its environment; and what failed there."""
+    recordings, failures = {}, []
+    for outcome in comparison.on(split.name):
+        method = outcome.method
+        if method.name not in names:
+            continue
+        seed = shown_seed(comparison, method.name)
+        found = attempt(
+            method.name,
+            split.name,
+            lambda method=method, seed=seed: split.run(method.controller(seed, []), scenario),
+            f"alone on scenario {scenario}",
+        )
+        if isinstance(found, Failure):
+            failures.append(found)
+        else:
+            recordings[method.name] = found
+    return recordings, failures
+
+
+def record(comparison: Comparison, splits: dict[str, Split]) -> tuple[Traces, list[Failure]]:
+    """Record what is shown, and what fails when it is run on its own."""
+    names = shown_methods(comparison)
+    traces: Traces = {}
+    failures = []
+    for split in comparison.splits():
+        found, failed = motions(comparison, splits[split], shown_scenario(comparison.on(split)), names)
+        failures += failed
+        if found:
+            traces[split] = found
+    return traces, failures

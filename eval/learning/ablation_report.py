@@ -1,0 +1,212 @@
+"""What `eval/ablations.py` found, as Markdown, as data and as a picture."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from baselines.tools.files import write_atomically
+from baselines.tools.provenance import command_line, commit
+from beltarm_env import __version__
+from eval.curves import BEST_CLASSICAL
+from eval.learning.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, SEED, Variant, described
+from eval.style.axes import mark_one_two_five
+from eval.style.colours import COLOURS
+from eval.style.markdown_table import markdown_table
+
+Floats = NDArray[np.float64]
+
+COLUMNS = {
+    "cost_mean": ("cost, mean", 0),
+    "cost_median": ("cost, median", 0),
+    "tip_rms_mm_mean": ("tip RMS (mm)", 2),
+    "residual_pp_mm_mean": ("residual p-p (mm)", 2),
+    "left_percent": ("left (%)", 1),
+}
+"""Title and decimals of what is shown of the scores."""
+_ACROSS = 4  # panels side by side
+_TOP = 5  # of the picture, over the base's cost: room for names; what is above has lost arms
+_DASHES = ("--", ":")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A variant and what its runs found, a dictionary per training seed; see `Run.finish`."""
+
+    variant: Variant
+    runs: list[dict[str, Any]]
+
+    @property
+    def base(self) -> str:
+        """The controller that was corrected."""
+        return self.runs[0]["base"]
+
+    def score(self, name: str) -> Floats:
+        """A score of every run."""
+        return np.array([run["scores"][name] for run in self.runs])
+
+    @property
+    def minutes(self) -> float:
+        """Wall-clock of a run."""
+        return float(np.mean([run["minutes"] for run in self.runs]))
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything that is reported; the default run is the first outcome."""
+
+    outcomes: list[Outcome]
+    references: dict[str, dict[str, float]]  # scores of bases and of the best classical controller
+    steps: int
+    arms: int
+    classical_validated: float  # cost of the best classical controller on the validation arms
+
+    def factors(self) -> dict[str, list[Outcome]]:
+        """Outcomes by what is varied; the default is the first of each."""
+        default, *others = self.outcomes
+        grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in QUESTIONS}
+        return {factor: [default, *group] for factor, group in grouped.items() if group}
+
+
+def _label(outcome: Outcome, factor: str) -> str:
+    return f"{DEFAULTS[factor]} (default)" if outcome.variant == DEFAULT else outcome.variant.label
+
+
+def as_json(study: Study) -> str:
+    """The content of `ablations.json`."""
+    content = {
+        "provenance": {
+            "command": command_line(),
+            "commit": commit(),
+            "version": __version__,
+            "steps": study.steps,
+            "scored_on": {"arms": study.arms, "first_seed": SEED, "randomization": "train"},
+        },
+        "references": study.references,
+        "variants": [{**described(outcome.variant), "runs": outcome.runs} for outcome in study.outcomes],
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def markdown(study: Study, seconds: float) -> str:
+    """The content of `ablations.md`."""
+    seeds = len(study.outcomes[0].runs)
+    parts = [
+        "# What makes learning work: ablations",
+        f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: {study.steps:,} "
+        f"agent steps, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning rate falling to zero "
+        "over them. (With the hold the discount changes, so that it reaches as far ahead in seconds; small residuals "
+        f"are tried on another base.) Scores are those of the *last* policy on {study.arms} arms of the training "
+        f"ranges with seeds from {SEED}, which nothing else uses. Of several seeds the mean, with the lowest and the "
+        "highest; differences within that range show nothing. *left* is the share of arms that left the workspace, "
+        "which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs default* is the "
+        "ratio of mean costs. *Minutes* are the wall-clock of one run.",
+        "What it means is in [../learning.md](../learning.md). The common part of the commands is "
+        f"`{_common(study)}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
+        "![curves](curves.png)",
+        f"Cost on validation arms while learning: every run a thin line, a variant's geometric mean a thick one. "
+        f"Dashed: the default's base, `{study.outcomes[0].base}`; dotted: `{BEST_CLASSICAL}`, the best controller "
+        "that does not learn.",
+    ]
+    for factor, outcomes in study.factors().items():
+        parts += [f"## {QUESTIONS[factor]}", _table(study, factor, outcomes)]
+    parts += ["## On the same arms, without learning", _references(study)]
+    took = sum(outcome.minutes * len(outcome.runs) for outcome in study.outcomes)
+    parts += [f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s; the runs took {took:.0f} min."]
+    return "\n\n".join(parts) + "\n"
+
+
+def _common(study: Study) -> str:
+    """The default's command without its seed."""
+    return study.outcomes[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
+
+
+def _table(study: Study, factor: str, outcomes: list[Outcome]) -> str:
+    default = float(study.outcomes[0].score("cost_mean").mean())
+    titles = ["", "changed", *(title for title, _ in COLUMNS.values()), "vs default", "minutes"]
+    rows = []
+    for outcome in outcomes:
+        cells = [_cell(outcome.score(name), decimals) for name, (_, decimals) in COLUMNS.items()]
+        ratio = f"{float(outcome.score('cost_mean').mean()) / default:.2f}"
+        rows.append([_label(outcome, factor), _changed(outcome.variant), *cells, ratio, f"{outcome.minutes:.1f}"])
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
+
+
+def _changed(variant: Variant) -> str:
+    words = [] if variant.script == DEFAULT.script else [f"train/{variant.script}.py"]
+    return f"`{shlex.join([*words, *variant.options])}`" if words or variant.options else "–"
+
+
+def _cell(values: Floats, decimals: int) -> str:
+    shown = f"{values.mean():.{decimals}f}"
+    return shown if len(values) == 1 else f"{shown} [{values.min():.{decimals}f}, {values.max():.{decimals}f}]"
+
+
+def _references(study: Study) -> str:
+    rows = []
+    for name, scores in study.references.items():
+        cells = [f"{scores[key]:.{decimals}f}" for key, (_, decimals) in COLUMNS.items()]
+        rows.append([name if name != "none" else "no torque", *cells])
+    return markdown_table(["controller", *(title for title, _ in COLUMNS.values())], rows)
+
+
+def draw(study: Study, path: Path) -> None:
+    """Draw the curves of every factor, on common axes, into a file."""
+    factors = study.factors() or {"": [study.outcomes[0]]}
+    across = min(_ACROSS, len(factors))
+    down = -(-len(factors) // across)
+    size = (3.4 * across + 0.8, 3.1 * down + 0.5)
+    figure, grid = plt.subplots(down, across, figsize=size, layout="constrained", sharey=True, squeeze=False)
+    panels = list(grid.flat)
+    for axis, (factor, outcomes) in zip(panels, factors.items(), strict=False):
+        _panel(axis, study, factor, outcomes)
+    for axis in panels[len(factors) :]:
+        axis.set_visible(False)
+    _scale(panels, study)
+    figure.supxlabel("agent steps (millions)", fontsize=10)
+    figure.supylabel("mean episode cost, validation arms", fontsize=10)
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
+    plt.close(figure)
+
+
+def _panel(axis: Axes, study: Study, factor: str, outcomes: list[Outcome]) -> None:
+    default = study.outcomes[0]
+    levels = {default.base: default.runs[0]["validation_of_base"], BEST_CLASSICAL: study.classical_validated}
+    for (name, level), dashes, place in zip(levels.items(), _DASHES, ("bottom", "top"), strict=True):
+        axis.axhline(level, color="0.45", lw=1, ls=dashes, zorder=1)
+        end = axis.get_yaxis_transform()
+        backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
+        axis.text(0.99, level, name, transform=end, color="0.35", va=place, ha="right", fontsize=7, bbox=backing)
+    for outcome, colour in zip(outcomes, ("0.2", *COLOURS), strict=False):
+        curves = [np.array(run["curve"]) for run in outcome.runs]
+        for curve in curves:
+            axis.plot(curve[:, 0] / 1e6, curve[:, 2], color=colour, lw=0.6, alpha=0.6)
+        shortest = min(len(curve) for curve in curves)
+        middle = np.exp(np.mean([np.log(curve[:shortest, 2]) for curve in curves], axis=0))
+        name = _label(outcome, factor) if factor else outcome.variant.label
+        axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=name)
+    axis.set_title(QUESTIONS.get(factor, ""), fontsize=9, loc="left")
+    axis.legend(fontsize=7, loc="upper right", framealpha=0.9, borderpad=0.3, handlelength=1.2)
+    axis.grid(alpha=0.3, which="both")
+    axis.tick_params(labelsize=8)
+
+
+def _scale(panels: list[Axes], study: Study) -> None:
+    """One scale for all: from below the best to above the base."""
+    lowest = min(point[2] for outcome in study.outcomes for run in outcome.runs for point in run["curve"])
+    base = study.outcomes[0].runs[0]["validation_of_base"]
+    for axis in panels:
+        axis.set(yscale="log", xlim=(0, None), ylim=(0.7 * min(lowest, study.classical_validated), _TOP * base))
+        mark_one_two_five(axis.yaxis)

@@ -1,0 +1,1 @@
+"""Iterative learning measured: the same moves again and again."""

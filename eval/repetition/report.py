@@ -1,0 +1,209 @@
+"""What `eval/iterative.py` found, as Markdown, as data and as a picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator, NullFormatter, ScalarFormatter
+from numpy.typing import NDArray
+
+from baselines.tools.files import write_atomically
+from baselines.tools.provenance import command_line, commit
+from beltarm_env import __version__
+from eval.comparison.estimates import Estimate, estimate, interquartile_mean, paired
+from eval.style.colours import BLUE, ORANGE, VERMILION
+from eval.style.markdown_table import markdown_table
+
+Floats = NDArray[np.float64]
+_Label = tuple[float, str, str]  # value at the end of a curve, name, colour
+
+TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
+COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
+_LABEL_HEIGHT = 0.05  # least distance of two labels, of the axes' height
+METRICS = {
+    "cost": ("cost", 1),
+    "tip_rms_mm": ("tip RMS (mm)", 2),
+    "residual_pp_mm": ("residual p-p (mm)", 2),
+    "motor_rms_mrad": ("motor RMS (mrad at the joint)", 2),
+}
+"""Title and decimals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of arms."""
+
+    randomization: str
+    description: str
+
+
+KINDS = {
+    "nominal": Kind("off", "the nominal arm"),
+    "randomized": Kind("train", "arms of the training ranges"),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One controller on one kind of arms: metrics of each repetition, each of shape (n,)."""
+
+    kind: str
+    name: str
+    repetitions: list[dict[str, Floats]]
+
+    @cached_property
+    def estimates(self) -> list[dict[str, Estimate]]:
+        """Interquartile means over the arms, with intervals."""
+        return [{name: estimate(values[None]) for name, values in run.items()} for run in self.repetitions]
+
+
+def _of(outcomes: list[Outcome], kind: str, name: str) -> Outcome:
+    return next(outcome for outcome in outcomes if (outcome.kind, outcome.name) == (kind, name))
+
+
+def _against(ours: Floats, other: Floats) -> str:
+    found = paired(ours[None], other[None])
+    d = found.difference
+    wins = "lower" if d.high < 0 else "higher" if d.low > 0 else "not shown to differ"
+    return f"{wins} ({d.iqm:+.1f} [{d.low:+.1f}, {d.high:+.1f}]; lower on {100 * found.win_rate.iqm:.0f} % of the arms)"
+
+
+def verdict(outcomes: list[Outcome], kind: str) -> str:
+    """What became of the learning, in a few sentences."""
+    runs, motor = _of(outcomes, kind, TORQUE).repetitions, _of(outcomes, kind, MOTOR)
+    costs = np.array([run["cost"] for run in runs])
+    means = [run["cost"].iqm for run in _of(outcomes, kind, TORQUE).estimates]
+    rise = max(0.0, float(np.max(np.diff(means) / means[:-1])))
+    alone = _of(outcomes, kind, ARM).repetitions[-1]["cost"]
+    known = _of(outcomes, kind, "privileged").repetitions[0]["cost"]
+    first, last = motor.estimates[0], motor.estimates[-1]
+    return (
+        f"the cost falls from {means[0]:.0f} to {means[1]:.0f} with the second repetition and {means[-1]:.0f} with the "
+        f"{_ordinal(len(runs))}; from one to the next it never rises by more than {100 * rise:.1f} %. "
+        f"The last against the first is {_against(costs[-1], costs[0])}, against learning the arm alone "
+        f"{_against(costs[-1], alone)}, against `privileged` {_against(costs[-1], known)}. Textbook learning takes the "
+        f"motor's error from {first['motor_rms_mrad'].iqm:.2f} to {last['motor_rms_mrad'].iqm:.2f} mrad, and the tip's "
+        f"residual vibration from {first['residual_pp_mm'].iqm:.1f} to {last['residual_pp_mm'].iqm:.1f} mm."
+    )
+
+
+def _ordinal(number: int) -> str:
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th')}"
+
+
+def _table(outcomes: list[Outcome], kind: str) -> str:
+    rows = []
+    for outcome in (outcome for outcome in outcomes if outcome.kind == kind):
+        for number, found in enumerate(outcome.estimates, start=1):
+            cells = [
+                f"{found[name].iqm:.{digits}f} [{found[name].low:.{digits}f}, {found[name].high:.{digits}f}]"
+                for name, (_, digits) in METRICS.items()
+            ]
+            which = str(number) if len(outcome.repetitions) > 1 else "each"
+            rows.append([outcome.name, which, *cells])
+    return markdown_table(["controller", "repetition", *(title for title, _ in METRICS.values())], rows)
+
+
+def markdown(outcomes: list[Outcome], seed: int, seconds: float) -> str:
+    """The content of summary.md."""
+    arms = len(outcomes[0].repetitions[0]["cost"])
+    parts = [
+        "# Iterative learning",
+        "The same move on the same arm, again and again; encoder observations and nominal constants beforehand. "
+        "Interquartile means over arms, with bootstrap 95 % intervals; lower is better everywhere. Not ranked with the "
+        "other controllers, which meet every arm for the first time.",
+        f"- `{TORQUE}` learns the arm's constants and the torque (`baselines/iterative/controller.py`); its first "
+        f"repetition is `adaptive`.\n- `{ARM}` learns the constants, and plans the move for them.\n- `{MOTOR}` is the "
+        "textbook's: the paper's controller with a feed-forward learnt from the motor's error "
+        "(`baselines/iterative/motor_learning.py`).\n- `paper`, `adaptive` learn nothing from trial to trial; "
+        "`privileged` is the plan of `adaptive` for the true arm on its true state. It is no lower bound: the plan is "
+        "linear and quadratic, the arm and the cost are not.",
+        "What is learnt is the cost, a sum of norms. The tip's RMS error, a square, may well rise a little meanwhile.",
+        "![Cost over the repetitions](cost.png)",
+    ]
+    for kind, of_kind in KINDS.items():
+        parts += [f"## {kind}", f"{arms} scenarios: {of_kind.description}, random moves, seeds from {seed}."]
+        parts += [f"**In short**, {verdict(outcomes, kind)}", _table(outcomes, kind)]
+    parts.append(f"`{command_line()}`, commit {commit()}, {seconds:.0f} s.")
+    return "\n\n".join(parts) + "\n"
+
+
+def as_json(outcomes: list[Outcome], seed: int) -> str:
+    """The content of results.json."""
+    rows = [
+        {
+            "method": outcome.name,
+            "split": outcome.kind,
+            "repetition": number if len(outcome.repetitions) > 1 else None,
+            "episodes": len(outcome.repetitions[0]["cost"]),
+            "metrics": {name: {k: round(v, 4) for k, v in asdict(value).items()} for name, value in found.items()},
+        }
+        for outcome in outcomes
+        for number, found in enumerate(outcome.estimates, start=1)
+    ]
+    provenance = {"command": command_line(), "beltarm": __version__, "commit": commit(), "seed": seed}
+    return json.dumps({"provenance": provenance, "rows": rows}, indent=1) + "\n"
+
+
+def save_picture(outcomes: list[Outcome], path: Path) -> None:
+    """Draw the cost over the repetitions, over each arm's first and as it is, for all kinds of arms."""
+    figure, grid = plt.subplots(2, len(KINDS), figsize=(11, 7.2), sharey="row", squeeze=False, layout="constrained")
+    labels = {}
+    for column, (kind, of_kind) in enumerate(KINDS.items()):
+        relative, whole = grid[:, column]
+        first = _costs(outcomes, kind, TORQUE)[0]
+        relative.set_title(f"{kind}: {of_kind.description}", fontsize=10)
+        labels[relative] = _draw(relative, outcomes, kind, (TORQUE, ARM, "adaptive", "privileged"), 0.01 * first)
+        whole.set_yscale("log")
+        labels[whole] = _draw(whole, outcomes, kind, (TORQUE, MOTOR, "paper", "adaptive"), np.ones_like(first))
+        whole.set_yticks([100, 200, 500, 1000, 2000])
+        whole.yaxis.set_major_formatter(ScalarFormatter())
+        whole.yaxis.set_minor_formatter(NullFormatter())
+        whole.set_xlabel("repetition")
+    for axes, of_axes in labels.items():
+        _label(axes, of_axes)
+    grid[0, 0].set_ylabel("cost of an episode (% of that arm's first)")
+    grid[1, 0].set_ylabel("cost of an episode")
+    figure.suptitle("Interquartile means over arms; bands: the middle half of the arms", fontsize=10)
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
+    plt.close(figure)
+
+
+def _costs(outcomes: list[Outcome], kind: str, name: str) -> Floats:
+    return np.array([run["cost"] for run in _of(outcomes, kind, name).repetitions])
+
+
+def _draw(axes: Axes, outcomes: list[Outcome], kind: str, names: tuple[str, ...], unit: Floats) -> list[_Label]:
+    labels = []
+    for name in names:
+        costs, colour = _costs(outcomes, kind, name) / unit, COLOURS.get(name, "#444444")
+        means = [interquartile_mean(row) for row in costs]
+        labels.append((means[-1], name, colour))
+        if len(costs) == 1:
+            axes.axhline(means[0], color=colour, linewidth=1, linestyle="--")
+            continue
+        numbers = np.arange(1, len(costs) + 1)
+        axes.fill_between(numbers, *np.percentile(costs, [25, 75], axis=1), color=colour, alpha=0.15, linewidth=0)
+        axes.plot(numbers, means, color=colour, marker="o", markersize=3)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.margins(x=0.02)
+    return labels
+
+
+def _label(axes: Axes, labels: list[_Label]) -> None:
+    """Write names beside the ends of their curves, one above the other; once the axes have their final limits."""
+    lowest = -1.0
+    for level, name, colour in sorted(labels):
+        height = float(axes.transAxes.inverted().transform(axes.transData.transform((1, level)))[1])
+        lowest = max(height, lowest + _LABEL_HEIGHT)
+        axes.text(1.01, lowest, name, color=colour, transform=axes.transAxes, va="center", fontsize=9)

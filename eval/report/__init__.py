@@ -1,9 +1,0 @@
-"""`report.html` of the comparison: one file that needs nothing else, for an argument between two people."""
-
-from __future__ import annotations
-
-from eval.report.maps import robustness_maps
-from eval.report.page import write_report
-from eval.report.scenes import Recordings, record_scenes
-
-__all__ = ["Recordings", "record_scenes", "robustness_maps", "write_report"]

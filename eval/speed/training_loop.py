@@ -1,0 +1,142 @@
+"""What a PPO run spends its wall-clock on, and how fast its loop is beside one over single arms.
+
+Printed by `python eval/bench.py --training-loop`, of the model and the arms that `train/ppo.py` makes by default.
+Methods are timed from outside, so what is timed is what runs; time is charged to the innermost phase alone, so that the
+phases add up to the whole.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import torch
+from rich.table import Table
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from agents.learners.reinforcement import make_env
+from agents.residual.bases import make_base
+from agents.residual.env import ResidualEnv
+from agents.runs.settings import first_arm_seed
+from train.ppo import Config, make_model
+
+ARMS, INFORMED, ADAPTER = "arms", "base controller and identification", "rest of the environment's step"
+POLICY, BUFFER, REST, OPTIMISER = "policy network", "rollout buffer", "rest of the rollout", "optimiser"
+PHASES = (ARMS, INFORMED, ADAPTER, BUFFER, REST, POLICY, OPTIMISER)
+OVERHEAD = (ARMS, INFORMED, ADAPTER, BUFFER, REST)
+"""What is neither optimiser nor policy network."""
+SINGLE_ARMS = 64
+
+
+class Stopwatch:
+    """Seconds of each phase; a phase within another one stops the outer one's clock."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = dict.fromkeys(PHASES, 0.0)
+        self._phase: str = REST
+        self._since = time.perf_counter()
+
+    def restart(self) -> None:
+        """Forget what was measured so far."""
+        self.seconds.update(dict.fromkeys(PHASES, 0.0))
+        self._since = time.perf_counter()
+
+    def turn(self, phase: str) -> str:
+        """Charge the time since the last turn to the phase that ends, and begin another one; returns the former."""
+        now = time.perf_counter()
+        self.seconds[self._phase] += now - self._since
+        before, self._phase, self._since = self._phase, phase, now
+        return before
+
+    @contextmanager
+    def during(self, phase: str) -> Iterator[None]:
+        """Charge to a phase."""
+        before = self.turn(phase)
+        try:
+            yield
+        finally:
+            self.turn(before)
+
+    def watch(self, owner: Any, method: str, phase: str) -> None:
+        """Charge all calls of an object's method to a phase."""
+        original: Callable[..., Any] = getattr(owner, method)
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            with self.during(phase):
+                return original(*arguments, **named)
+
+        setattr(owner, method, timed)
+
+
+def watched(config: Config) -> tuple[PPO, Stopwatch]:
+    """The model of a run, and the stopwatch that times it."""
+    env = make_env(config)
+    env.seed(first_arm_seed(config.seed))
+    model, watch = make_model(config, env), Stopwatch()
+    watch.watch(env.env, "step", ARMS)
+    for method in ("advance", "ended", "seen"):
+        watch.watch(env.informed, method, INFORMED)
+    for method in ("step_async", "step_wait"):
+        watch.watch(env, method, ADAPTER)
+    for method in ("forward", "predict_values"):
+        watch.watch(model.policy, method, POLICY)
+    for method in ("add", "compute_returns_and_advantage", "_get_samples"):
+        watch.watch(model.rollout_buffer, method, BUFFER)
+    watch.watch(model, "train", OPTIMISER)
+    return model, watch
+
+
+def shares(config: Config, iterations: int) -> dict[str, float]:
+    """Share of each phase in the wall-clock of so many iterations of PPO, after two that warm up."""
+    torch.set_num_threads(config.threads)
+    model, watch = watched(config)
+    batch = config.arms * config.rollout_steps
+    model.learn(2 * batch)
+    watch.restart()
+    model.learn(iterations * batch, reset_num_timesteps=False)
+    watch.turn(REST)
+    whole = sum(watch.seconds.values())
+    return {phase: watch.seconds[phase] / whole for phase in PHASES}
+
+
+def iteration_on_batch(config: Config) -> Callable[[], object]:
+    """One iteration of PPO, rollout and update, on the batch of arms."""
+    env = make_env(config)
+    env.seed(first_arm_seed(config.seed))
+    return _iteration(make_model(config, env), config)
+
+
+def iteration_on_single_arms(config: Config) -> Callable[[], object]:
+    """One of the same PPO with as many samples per update, on single arms in a `DummyVecEnv`."""
+    count = min(SINGLE_ARMS, config.arms)
+
+    def make() -> ResidualEnv:
+        arm = gym.make("BeltArm-v0", sensors=config.sensors, randomization="train")
+        return ResidualEnv(arm, make_base(config.base), config.residual)
+
+    env = DummyVecEnv([make] * count)
+    env.seed(first_arm_seed(config.seed))
+    longer = replace(config, rollout_steps=config.arms * config.rollout_steps // count)
+    return _iteration(PPO("MlpPolicy", env, **longer.arguments()), config)
+
+
+def _iteration(model: PPO, config: Config) -> Callable[[], object]:
+    torch.set_num_threads(config.threads)
+    return lambda: model.learn(config.arms * config.rollout_steps, reset_num_timesteps=False)
+
+
+def shares_table(config: Config, iterations: int) -> Table:
+    """Where the wall-clock of PPO goes, for the terminal."""
+    found = shares(config, iterations)
+    title = f"PPO's wall-clock, {iterations} iterations"
+    table = Table("phase", "share", title=title, title_justify="left")
+    for phase in PHASES:
+        table.add_row(phase, f"{100 * found[phase]:.1f} %")
+        if phase == OVERHEAD[-1]:
+            table.add_row("together", f"{100 * sum(found[name] for name in OVERHEAD):.1f} %", end_section=True)
+    return table

@@ -1,0 +1,1 @@
+"""What pages and pictures share: colours, axes, tables in Markdown, numbers as text."""

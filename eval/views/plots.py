@@ -1,0 +1,174 @@
+"""Pictures of the comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from baselines.tools.files import write_atomically
+from beltarm_env.rollout import Recording
+from eval.comparison.results import Comparison, Outcome, best_classical
+from eval.comparison.traces import Traces
+from eval.style.axes import mark_one_two_five
+from eval.style.colours import BLUE, COLOURS, GREEN, ORANGE
+from eval.views.terminal import heading
+
+_MOVE_SHADE = "#EEEEEE"
+_SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
+_KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN, "privileged": "0.55"}
+RESULTS_KEY = "results.json"
+"""Of a picture's metadata: the SHA-256 of the file that the picture belongs to."""
+_ACROSS = 4  # splits side by side
+Quantity = Callable[[Recording], NDArray[np.float64]]
+
+
+def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: str) -> list[Path]:
+    """Draw all pictures into `folder`, each with the SHA-256 of the results.json that it belongs to."""
+    shown = dict.fromkeys(name for methods in traces.values() for name in methods)
+    colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
+    figures = {}
+    if traces:
+        figures["tip_error.png"] = _time_plot(traces, colours, _tip_error, "tip error (mm)")
+        figures["residual.png"] = _residual_plot(traces, colours)
+        figures["torque.png"] = _time_plot(traces, colours, _torque, "motor torque (N m)")
+    figures["intervals.png"] = _intervals(comparison)
+    paths = []
+    for name, figure in figures.items():
+        path = folder / name
+        options = {"dpi": 120, "metadata": {RESULTS_KEY: results}}
+        write_atomically(path, lambda temporary, figure=figure, options=options: figure.savefig(temporary, **options))
+        plt.close(figure)
+        paths.append(path)
+    return paths
+
+
+def _tip_error(recording: Recording) -> NDArray[np.float64]:
+    return 1000 * np.linalg.norm(recording.tip_error[:, 0], axis=1)
+
+
+def _torque(recording: Recording) -> NDArray[np.float64]:
+    return recording.torque[:, 0]
+
+
+def _grid(count: int, height: float, rows: int = 1) -> tuple[Figure, list[list[Axes]]]:
+    """A figure with `rows` axes, one below the other, for each of `count` splits."""
+    across = min(count, _ACROSS)
+    down = -(-count // across)
+    figure, axes = plt.subplots(
+        down * rows, across, figsize=(4.0 * across, height * down * rows + 0.5), layout="constrained", squeeze=False
+    )
+    for unused in range(count, down * across):
+        for row in range(rows):
+            axes[rows * (unused // across) + row][unused % across].set_axis_off()
+    return figure, [[axes[rows * (k // across) + row][k % across] for row in range(rows)] for k in range(count)]
+
+
+def _mark_move(axis: Axes, duration: float) -> None:
+    axis.axvspan(0, duration, color=_MOVE_SHADE, zorder=0)
+    axis.text(duration / 2, 0.98, "move", transform=axis.get_xaxis_transform(), ha="center", va="top", color="0.45")
+
+
+def _describe(recording: Recording) -> str:
+    start, goal = np.degrees(recording.moves[0, :2])
+    return f"{start:.0f}° to {goal:.0f}°"
+
+
+def _legend(figure: Figure, axes: list[Axes], columns: int, **options: Any) -> None:
+    entries = {}
+    for axis in axes:
+        entries.update(dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True)))
+    order = list(_KIND_COLOURS)
+    if all(label in order for label in entries):
+        entries = {label: entries[label] for label in sorted(entries, key=order.index)}
+    options = {"loc": "outside lower center", "ncols": columns, "frameon": False} | options
+    figure.legend(list(entries.values()), list(entries), **options)
+
+
+def _time_plot(traces: Traces, colours: dict[str, str], quantity: Quantity, label: str) -> Figure:
+    figure, axes = _grid(len(traces), 3.0)
+    for (axis,), (split, methods) in zip(axes, traces.items(), strict=True):
+        for method, recording in methods.items():
+            axis.plot(recording.time, quantity(recording), color=colours[method], lw=1.2, label=method)
+        recording = next(iter(methods.values()))
+        axis.margins(y=0.12)
+        _mark_move(axis, recording.moves[0, 2])
+        axis.set(xlabel="time (s)", ylabel=label, xlim=(0, recording.time[-1]))
+        axis.set_title(f"{split}: median scenario, {_describe(recording)}", fontsize=10)
+        axis.grid(alpha=0.3)
+    _legend(figure, [axis for (axis,) in axes], len(colours))
+    return figure
+
+
+def _residual_plot(traces: Traces, colours: dict[str, str]) -> Figure:
+    figure, axes = _grid(len(traces), 2.2, rows=2)
+    for pair, (split, methods) in zip(axes, traces.items(), strict=True):
+        for method, recording in methods.items():
+            duration = recording.moves[0, 2]
+            after = recording.time >= duration
+            for row, axis in enumerate(pair):
+                motion = 1000 * recording.tip_error[after, 0, row]
+                axis.plot(recording.time[after] - duration, motion, color=colours[method], lw=1.2, label=method)
+        pair[0].set_title(f"{split}: after the move, {_describe(next(iter(methods.values())))}", fontsize=10)
+        pair[0].set_ylabel("radial tip\nerror (mm)")
+        pair[1].set(ylabel="lateral tip\nerror (mm)", xlabel="time since the move's end (s)")
+        for axis in pair:
+            axis.grid(alpha=0.3)
+            axis.axhline(0, color="0.6", lw=0.8)
+    _legend(figure, [pair[0] for pair in axes], len(colours))
+    return figure
+
+
+def _intervals(comparison: Comparison) -> Figure:
+    """Interquartile means with their intervals: a row of axes per split, best at the top, what is not ranked below."""
+    splits = comparison.splits()
+    count = len(comparison.methods())
+    figure, axes = plt.subplots(
+        len(splits),
+        len(_SHOWN),
+        figsize=(3.0 * len(_SHOWN), (0.9 + 0.19 * count) * len(splits) + 0.6),
+        layout="constrained",
+        squeeze=False,
+    )
+    figure.suptitle("Interquartile means with 95 % intervals; further left is better", fontsize=10, color="0.4")
+    for row, split in zip(axes, splits, strict=True):
+        ranking = sorted(comparison.on(split), key=lambda o: (o.ranked, -o.estimates["cost"].iqm))
+        for axis, name in zip(row, _SHOWN, strict=True):
+            _interval_axis(axis, ranking, name)
+            axis.set_xlabel(heading(name))
+            axis.set_yticks([])
+        row[0].set_yticks(range(len(ranking)), [outcome.method.name for outcome in ranking], fontsize=8)
+        row[0].set_title(split, loc="left", fontsize=11)
+    _legend(figure, [axis for row in axes for axis in row], 4)
+    return figure
+
+
+def _interval_axis(axis: Axes, ranking: list[Outcome], name: str) -> None:
+    for height, outcome in enumerate(ranking):
+        value = outcome.estimates[name]
+        ends = [[value.iqm - value.low], [value.high - value.iqm]]
+        kind = outcome.method.kind
+        axis.errorbar(
+            value.iqm, height, xerr=np.abs(ends), fmt="o", color=_KIND_COLOURS[kind], ms=4, capsize=2, label=kind
+        )
+    unranked = sum(not outcome.ranked for outcome in ranking)
+    if unranked:
+        axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
+    best = best_classical(ranking)
+    if best:
+        axis.axvline(best.estimates[name].iqm, color=BLUE, lw=0.8, ls=":")
+    axis.set_xscale("log")
+    mark_one_two_five(axis.xaxis)
+    axis.set_ylim(-0.7, len(ranking) - 0.3)
+    axis.grid(axis="x", which="both", alpha=0.3)
+    axis.tick_params(labelsize=8)

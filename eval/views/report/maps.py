@@ -1,0 +1,85 @@
+"""Robustness maps: a challenger against every classical controller, over arms that differ in two properties at a time.
+
+The arms are nominal but for those two properties. The moves are drawn from a seed of their own, and are the same in all
+cells, so that a cell differs from its neighbour by the arm alone.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import ArmParams, BeltArmVectorEnv
+from beltarm_env.rollout import rollout
+from beltarm_env.task.moves import MOVE_FIELDS
+from eval.comparison.estimates import interquartile_mean
+from eval.comparison.pairs import Failure, attempt
+from eval.comparison.results import Comparison, Outcome
+from eval.views.report.scenes import Map, challengers
+
+SEED = 8_500_000  # neither trained, tuned, validated nor tested on
+ARMS = 8
+_STIFFNESS = [0.5, 0.65, 0.8, 1.0, 1.2]
+_PAYLOAD = [0.0, 0.1, 0.2, 0.35, 0.5]
+_FRICTION = [0.5, 0.75, 1.0, 1.4, 1.8]
+_DELAY = [0.0, 1.0, 2.0]
+Floats = NDArray[np.float64]
+
+
+def robustness_maps(comparison: Comparison) -> tuple[list[Map], list[Failure]]:
+    """Stiffness by payload and friction by delay, of the best challenger over every classical controller, best first.
+
+    Also what failed; there are no maps without a challenger and a classical controller.
+    """
+    rivals = challengers(comparison, comparison.main_split)[:1]
+    found = [outcome for outcome in comparison.on(comparison.main_split) if outcome.method.kind == "classical"]
+    classical = sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
+    if not rivals or not classical:
+        return [], []
+    costs = {o.method.name: attempt(o.method.name, "maps", partial(_costs, o)) for o in [*rivals, *classical]}
+    failures = [of_method for of_method in costs.values() if isinstance(of_method, Failure)]
+    done = {name: of_method for name, of_method in costs.items() if not isinstance(of_method, Failure)}
+    rival = rivals[0].method.name
+    opponents = [name for name in done if name != rival] if rival in done else []
+    return [found for name in opponents for found in _against(rival, name, done)], failures
+
+
+def _against(rival: str, classical: str, costs: dict[str, tuple[Floats, Floats]]) -> list[Map]:
+    plants, delays = (one / other for one, other in zip(costs[rival], costs[classical], strict=True))
+    names = rival, classical, ARMS, SEED
+    return [
+        Map("belt stiffness over nominal", "payload (kg)", _STIFFNESS, _PAYLOAD, plants.tolist(), *names),
+        Map("Coulomb friction over nominal", "delay (samples)", _FRICTION, _DELAY, delays.tolist(), *names),
+    ]
+
+
+def _costs(outcome: Outcome) -> tuple[Floats, Floats]:
+    return _of_plants(outcome), _of_delays(outcome)
+
+
+def _of_plants(outcome: Outcome) -> Floats:
+    nominal = ArmParams()
+    stiffness, payload = (values.ravel() for values in np.meshgrid(_STIFFNESS, _PAYLOAD))
+    params = {"belt_stiffness": nominal.belt_stiffness * stiffness, "payload_mass": payload}
+    return _cells(outcome, params, len(stiffness), 0).reshape(len(_PAYLOAD), len(_STIFFNESS))
+
+
+def _of_delays(outcome: Outcome) -> Floats:
+    params = {"coulomb_friction": ArmParams().coulomb_friction * np.array(_FRICTION)}
+    return np.array([_cells(outcome, params, len(_FRICTION), int(delay)) for delay in _DELAY])
+
+
+def _cells(outcome: Outcome, params: dict[str, np.ndarray], cells: int, delay: int) -> np.ndarray:
+    """Interquartile mean of the cost in each cell, over its arms and all training seeds."""
+    drawn = BeltArmVectorEnv(ARMS)
+    drawn.reset(seed=SEED)
+    move = {name: np.tile(values, cells) for name, values in zip(MOVE_FIELDS, drawn.moves.T, strict=True)}
+    options = {"params": {name: np.repeat(values, ARMS) for name, values in params.items()}, "move": move}
+    costs = []
+    for seed in range(outcome.seeds):
+        controller = outcome.method.controller(seed, [])
+        run = rollout(controller, cells * ARMS, seed=SEED, options=options, delay=delay)
+        costs.append(run.cost.reshape(cells, ARMS))
+    return np.array([interquartile_mean(np.stack(costs)[:, cell]) for cell in range(cells)])

@@ -1,0 +1,111 @@
+"""The page itself: everything that it shows, put into the template beside this file."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from baselines.tools.files import write_text
+from eval.comparison.estimates import RESAMPLES
+from eval.comparison.results import Comparison
+from eval.comparison.splits import SPLITS
+from eval.comparison.traces import seed_note
+from eval.style.colours import COLOURS
+from eval.views.report.animation import animation
+from eval.views.report.figures import STRONGEST, background, forests, map_panels, profile_panels
+from eval.views.report.motions import scene_panels
+from eval.views.report.scenes import Map, Recordings, challengers
+from eval.views.report.svg import Panel, line
+from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables
+from eval.views.report.verdict import verdict
+
+_TEMPLATES = Path(__file__).parent
+LARGEST = 3_000_000
+"""Bytes that the page may have."""
+
+
+def write_report(comparison: Comparison, recordings: Recordings, out: Path) -> Path:
+    """Write `report.html` into the folder `out`.
+
+    Args:
+        comparison: What was found.
+        recordings: Motions of chosen scenarios, and robustness maps if there are any.
+        out: Folder of the comparison.
+
+    Returns:
+        The file: one page that loads nothing else.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    path = out / "report.html"
+    write_text(path, render(comparison, recordings))
+    return path
+
+
+def render(comparison: Comparison, recordings: Recordings) -> str:
+    """The page as text."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.get_template("report.html").render(**_content(comparison, recordings))
+
+
+def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
+    colours: dict[str, str] = dict(zip(_coloured(comparison, recordings), COLOURS, strict=False))
+    return {
+        "verdict": verdict(comparison),
+        "failures": comparison.failures,
+        "splits": [(name, SPLITS[name].description) for name in comparison.splits()],
+        "episodes": comparison.outcomes[0].metrics["cost"].shape[1],
+        "tables": metric_tables(comparison),
+        "failure_table": failure_table(comparison),
+        "effort_table": effort_table(comparison),
+        "forests": forests(comparison),
+        "profiles": profile_panels(comparison, colours),
+        "scenes": [(scene, scene_panels(scene, k, colours)) for k, scene in enumerate(recordings.scenes)],
+        "maps": recordings.maps,
+        "map_panels": _by_opponent(recordings.maps),
+        "strongest": STRONGEST,
+        "background": background(comparison, colours),
+        "seed_note": seed_note(comparison, list(colours)),
+        "animation": animation(recordings.scenes, colours),
+        "legend": [_legend_entry(colours, method) for method in colours],
+        "palette": COLOURS,
+        "resamples": RESAMPLES,
+        "period_us": PERIOD_US,
+        "origin": comparison.provenance,
+        "command": without_paths(comparison.provenance["command"]),
+    }
+
+
+def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
+    """Methods with a colour: those whose motion is shown, in their order, or else the best of both camps."""
+    shown = {method for scene in recordings.scenes for method in scene.motions}
+    split = comparison.main_split
+    best = comparison.best_classical(split)
+    shown = shown or {o.method.name for o in [*challengers(comparison, split)[:1], *([best] if best else [])]}
+    return [outcome.method.name for outcome in comparison.methods() if outcome.method.name in shown]
+
+
+def _by_opponent(maps: list[Map]) -> dict[str, list[Panel]]:
+    """Pictures of the maps, by who is compared with whom."""
+    found: dict[str, list[Panel]] = {}
+    for map_, panel in zip(maps, map_panels(maps), strict=True):
+        found.setdefault(f"{map_.challenger} over {map_.classical}", []).append(panel)
+    return found
+
+
+def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:
+    look = line(colours, method)
+    dashes = "" if look["ls"] == "-" else " ".join(f"{2 * length:g}" for length in look["ls"][1])
+    return {"method": method, "variable": f"--c{COLOURS.index(look['color'])}", "dashes": dashes}
+
+
+def without_paths(command: str) -> str:
+    """A command as others may read it: of absolute paths the last part only."""
+    return " ".join(re.sub(r"^(--[\w-]+=)?(?:~[^/]*)?/(?:.*/)?", r"\1…/", part) for part in shlex.split(command))

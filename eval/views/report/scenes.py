@@ -1,0 +1,131 @@
+"""Scenarios worth a look, and the motions of a few methods in them, run once more on their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from beltarm_env.rollout import Recording
+from eval.comparison.pairs import Failure
+from eval.comparison.results import Comparison, Outcome
+from eval.comparison.splits import Split
+from eval.comparison.traces import motions, shown_seed
+from eval.style.colours import COLOURS
+
+CHALLENGERS = ("learned", "added")
+"""Kinds of method that are put up against the classical ones; learned ones first."""
+_USUALLY = 5  # methods side by side
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """One scenario, with the motions of a few methods in it."""
+
+    title: str  # why it was chosen
+    split: str
+    scenario: int
+    motions: dict[str, Recording]  # each of one arm
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """Cost of a challenger over that of a classical controller, for arms in a grid of two properties."""
+
+    x_label: str
+    y_label: str
+    x: list[float]
+    y: list[float]
+    ratio: list[list[float]]  # interquartile means, rows as y
+    challenger: str
+    classical: str
+    arms: int  # per cell
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recordings:
+    """What was run for the report alone."""
+
+    scenes: list[Scene]
+    maps: list[Map] = field(default_factory=list)
+
+
+def challengers(comparison: Comparison, split: str) -> list[Outcome]:
+    """What is put up against the classical controllers on a split, best first: learned methods, or else added ones."""
+    found = [outcome for kind in CHALLENGERS for outcome in comparison.on(split) if outcome.method.kind == kind]
+    kinds = {outcome.method.kind for outcome in comparison.outcomes}
+    wanted = next((kind for kind in CHALLENGERS if kind in kinds), None)
+    return sorted((o for o in found if o.method.kind == wanted), key=lambda o: o.estimates["cost"].iqm)
+
+
+def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[list[Scene], list[Failure]]:
+    """Record the scenes of the report, and what fails when it is run on its own."""
+    chosen: dict[tuple[str, int], str] = {}
+    for title, split, scenario in _chosen(comparison):
+        before = chosen.get((split, scenario))
+        chosen[split, scenario] = f"{before}; {title}" if before else title
+    names = _shown(comparison, [split for split, _ in chosen])
+    scenes, failures = [], []
+    for (split, scenario), title in chosen.items():
+        found, failed = motions(comparison, splits[split], scenario, names)
+        failures += failed
+        if found:
+            scenes.append(Scene(title, split, scenario, found))
+    return scenes, failures
+
+
+def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
+    """Methods in all scenes, so that a colour is one method.
+
+    The best challenger, the best classical controller of each split, what the challenger corrects or else the first
+    method, and as far as there is room the next challenger and the next classical ones.
+    """
+    home = comparison.main_split
+    ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
+    rivals = challengers(comparison, home)
+    bases = [outcome for outcome in ranked if rivals and outcome.method.name == rivals[0].method.base]
+    best = [found for split in splits if (found := comparison.best_classical(split))]
+    classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
+    by_cost = sorted(classical, key=lambda outcome: outcome.estimates["cost"].iqm)
+    needed = dict.fromkeys(outcome.method.name for outcome in [*rivals[:1], *best, *(bases or ranked[:1])])
+    wanted = dict.fromkeys([*needed, *(outcome.method.name for outcome in [*rivals[1:2], *by_cost])])
+    return list(wanted)[: max(_USUALLY, min(len(needed), len(COLOURS)))]
+
+
+def _chosen(comparison: Comparison) -> list[tuple[str, str, int]]:
+    """Title, split and scenario of what is worth a look."""
+    home = comparison.main_split
+    rivals = challengers(comparison, home)
+    ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
+    if not ranked:
+        return []
+    lead = rivals[0] if rivals else comparison.best_classical(home) or ranked[0]
+    name = lead.method.name
+    costs = _of(comparison, name)[home]
+    chosen = [(f"median of {name}", home, int(np.argsort(costs)[len(costs) // 2]))]
+    chosen.append((f"worst of {name} on all splits", *_extreme(_of(comparison, name))))
+    losses = {}
+    for split, values in _of(comparison, name).items():
+        best = comparison.best_classical(split)
+        if best and best is not lead:
+            losses[split] = values - best.metrics["cost"][0]
+    if losses and rivals:
+        chosen.append((f"where {name} loses most to the best classical", *_extreme(losses)))
+        wins = {split: -values for split, values in losses.items()}
+        split, scenario = _extreme(wins)
+        title = "gains most on" if wins[split][scenario] > 0 else "comes nearest to"
+        chosen.append((f"where {name} {title} the best classical", split, scenario))
+    return chosen
+
+
+def _of(comparison: Comparison, name: str) -> dict[str, np.ndarray]:
+    """Costs of a method by split, of the training seed that is shown."""
+    seed = shown_seed(comparison, name)
+    return {o.split: o.metrics["cost"][seed] for o in comparison.outcomes if o.method.name == name}
+
+
+def _extreme(values: dict[str, np.ndarray]) -> tuple[str, int]:
+    """Split and scenario of the largest value."""
+    split = max(values, key=lambda name: float(values[name].max()))
+    return split, int(values[split].argmax())
