@@ -38,7 +38,7 @@ try:
     from eval.reproduction.summary import markdown, verdict
 except ModuleNotFoundError as error:
     package = (error.name or "a package").split(".")[0]
-    _end(f"{package} is not installed; run `make setup`, or `pip install -e '.[train]'`", 2)
+    _end(f"{package} is not installed; run `make setup`, or `pip install -e '.[checkout]'`", 2)
 except KeyboardInterrupt:
     _end("interrupted", 130)
 
