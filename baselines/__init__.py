@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from baselines.gains import Tunable, tuned
@@ -18,9 +17,7 @@ from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.servo.shaping import GAINS as SHAPING_GAINS
 from baselines.servo.shaping import ShapingController
 from baselines.servo.smooth import SmoothController, SmoothGains
-from beltarm_env.jit import drop_stale_kernels
 
-drop_stale_kernels(Path(__file__).parent)
 
 TUNABLE = {
     "retuned": Tunable(RetunedController, RetunedGains),

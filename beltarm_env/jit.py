@@ -1,4 +1,4 @@
-"""How this package compiles its scalar equations with numba.
+"""Compilation of scalar equations with numba, and the cache of compiled kernels.
 
 Equations are plain functions of floats, written once. `inlined` marks those that kernels inline, so that LLVM sees one
 flat loop over arms and vectorises it; `compiled` marks the kernels that Python calls. With `NUMBA_DISABLE_JIT=1` both
@@ -7,46 +7,79 @@ leave the functions as they are, and the very same code runs as plain Python.
 Without wrappers for C callers, which nobody calls, compiling takes a third less time.
 
 No `fastmath`: strict IEEE arithmetic is what makes one arm and arm *i* of a batch agree bit for bit.
+
+**Cache.** numba keeps compiled kernels on disk, and takes one for fresh as long as the file that defines it is
+unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256 of
+all sources that a kernel can be made of: those of this package and of the kernel's own. An edited equation is thus never
+run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`).
 """
 
 from __future__ import annotations
 
+import hashlib
+import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def drop_stale_kernels(package: Path) -> None:
-    """Delete a package's cached kernels that are older than any source file of it or of this package.
-
-    numba compares a cached kernel with the file that defines it, not with the files whose functions it inlines, so an
-    edited equation would otherwise go on running in its old form.
-    """
-    sources = [*Path(__file__).parent.rglob("*.py"), *package.rglob("*.py")]
-    newest = max(source.stat().st_mtime for source in sources)
-    for kernel in package.rglob("*.nb[ic]"):
-        try:
-            if kernel.stat().st_mtime < newest:
-                kernel.unlink()
-        except OSError:
-            continue  # another process was quicker, or the folder is read-only: then its sources do not change either
-
-
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a scalar equation for inlining into kernels."""
-    options = {"cache": True, "error_model": "numpy", "forceinline": True, "no_cfunc_wrapper": True}
-    return cast("Callable[_P, _R]", numba.njit(**options)(function))
+    return _jitted(function, forceinline=True)
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a kernel, cached on disk."""
-    options = {"cache": True, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-    return cast("Callable[_P, _R]", numba.njit(**options)(function))
+    return _jitted(function, nogil=True)
 
 
-drop_stale_kernels(Path(__file__).parent)
+def _jitted(function: Callable[_P, _R], **options: bool) -> Callable[_P, _R]:
+    jitted: Any = numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    if jitted is not function:  # not with NUMBA_DISABLE_JIT=1
+        jitted._cache = _ContentKeyedCache(function)
+    return cast("Callable[_P, _R]", jitted)
+
+
+def sources_digest(*folders: Path) -> str:
+    """SHA-256 of all Python files below some folders, with their names."""
+    total = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(folder.rglob("*.py")):
+            total.update(f"{path.relative_to(folder).as_posix()}\0".encode() + path.read_bytes() + b"\0")
+    return total.hexdigest()
+
+
+class _ContentKeyedCache(FunctionCache):
+    """numba's cache of one function, in files whose names carry a hash of all sources behind it."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        digest = _digest_behind(function.__module__.partition(".")[0])
+        # The whole name changes, not just the stamp inside: another process may read the old files meanwhile.
+        self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}-{digest}", digest)
+        _drop_outdated(Path(self._cache_path), digest)
+
+
+@cache
+def _digest_behind(package: str) -> str:
+    """The first digits of the hash of this package's sources and of another top-level package's."""
+    folders = {Path(__file__).parent, *map(Path, getattr(sys.modules[package], "__path__", ()))}
+    return sources_digest(*sorted(folders))[:16]
+
+
+@cache
+def _drop_outdated(folder: Path, digest: str) -> None:
+    """Delete the kernels in a folder that were compiled from other sources."""
+    for kernel in folder.glob("*.nb[ic]"):
+        if f"-{digest}." not in kernel.name:
+            try:
+                kernel.unlink()
+            except OSError:
+                continue  # another process was quicker, or the folder is read-only: then it does not fill up either

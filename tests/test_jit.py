@@ -1,0 +1,67 @@
+"""Compiled kernels are those of the sources, wherever the cache lies."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from beltarm_env import jit
+from beltarm_env.jit import sources_digest
+
+EQUATION = "from toy.jit import inlined\n\n@inlined\ndef friction(speed):\n    return {factor} * speed\n"
+KERNEL = "from toy.jit import compiled\nfrom toy.laws.law import friction\n\n@compiled\ndef torque(speed):\n    return friction(speed)\n"  # noqa: E501
+RUN = "from toy.kernel import torque; print(torque(2.0), len(torque.stats.cache_hits))"
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Path:
+    """A package with a kernel that inlines an equation from a sub-folder, compiled as this project's."""
+    folder = tmp_path / "toy"
+    (folder / "laws").mkdir(parents=True)
+    for package in (folder, folder / "laws"):
+        (package / "__init__.py").touch()
+    shutil.copy(Path(jit.__file__), folder / "jit.py")
+    (folder / "laws" / "law.py").write_text(EQUATION.format(factor=1.0))
+    (folder / "kernel.py").write_text(KERNEL)
+    return folder
+
+
+def run(toy: Path, **environment: str) -> list[str]:
+    """What the kernel returns, and how often its compiled form was found in the cache, in a process of its own."""
+    known = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN],
+        env={**known, "PYTHONPATH": str(toy.parent), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["pycache", "cache-dir"])
+def test_an_edited_equation_is_never_run_in_its_old_form(elsewhere: bool, toy: Path, tmp_path: Path):
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
+    assert run(toy, **environment) == ["2.0", "0"]
+    assert run(toy, **environment) == ["2.0", "1"]  # from the cache
+    law = toy / "laws" / "law.py"
+    before = law.stat()
+    law.write_text(EQUATION.format(factor=3.0))
+    os.utime(law, ns=(before.st_atime_ns, before.st_mtime_ns))  # as a checkout of another commit may leave it
+    assert run(toy, **environment) == ["6.0", "0"]
+    digests = {path.name.split(".")[2] for path in tmp_path.rglob("*.nbc")}
+    assert len(digests) == 1, digests  # kernels of the old sources are gone
+
+
+def test_the_digest_sees_contents_names_and_sub_folders(tmp_path: Path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "a.py").write_text("1")
+    first = sources_digest(tmp_path)
+    (tmp_path / "sub" / "a.py").write_text("2")
+    second = sources_digest(tmp_path)
+    (tmp_path / "sub" / "a.py").rename(tmp_path / "a.py")
+    assert len({first, second, sources_digest(tmp_path)}) == 3
+    assert sources_digest(tmp_path) == sources_digest(tmp_path)
