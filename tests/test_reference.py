@@ -4,9 +4,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 from scipy.stats import kstest
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, observation
@@ -210,7 +211,7 @@ def rigid_torque(params: ArmParams, angle: Floats, speed: Floats, acceleration: 
 
 class TestDrawnMoves:
     @ALL
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(uniforms=UNIFORMS)
     def test_are_within_bounds_and_feasible(self, profile: int, uniforms: list[float]):
         ((start, goal, duration, ramp_time),) = draw(profile, uniforms).tolist()
@@ -223,7 +224,7 @@ class TestDrawnMoves:
         check_moves(profile, np.array([[start, goal, duration, ramp_time]]))
 
     @ALL
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(uniforms=UNIFORMS, end=st.floats(0, WORKSPACE), which=st.sampled_from(["start", "goal"]))
     def test_with_one_end_given(self, profile: int, uniforms: list[float], end: float, which: str):
         table = draw(profile, uniforms, **{which: end})
@@ -231,7 +232,7 @@ class TestDrawnMoves:
         check_moves(profile, table)
 
     @ALL
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(uniforms=UNIFORMS)
     def test_rigid_arm_never_needs_more_than_they_claim(self, profile: int, uniforms: list[float]):
         (row,) = draw(profile, uniforms).tolist()
@@ -248,7 +249,7 @@ class TestDrawnMoves:
             assert draw(TRAPEZOID, [[0.9] * DRAWS], **{name: value})[0, MOVE_FIELDS.index(name)] == value
 
     @ALL
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(
         uniforms=UNIFORMS,
         duration=st.floats(0.35, LONGEST_TIME),
@@ -261,8 +262,9 @@ class TestDrawnMoves:
         check_moves(profile, draw(profile, uniforms, duration=duration, **end))
 
     @ALL
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(uniforms=UNIFORMS, ramp_time=st.floats(0.04, LONGEST_TIME / 2))
+    @example(uniforms=[0.0] * DRAWS, ramp_time=0.041015625)  # the longest move, by rounding longer than allowed
     def test_with_a_given_ramp_time_are_feasible(self, profile: int, uniforms: list[float], ramp_time: float):
         assert peak_torque(profile, SHORTEST, 1.0, 0.04) < MOST_TORQUE, "else no move would be"
         check_moves(profile, draw(profile, uniforms, ramp_time=ramp_time))
@@ -329,7 +331,7 @@ class TestDistribution:
 
 class TestFeasibility:
     @ALL
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(length=st.floats(SHORTEST, WORKSPACE), share=st.floats(0.02, 0.5))
     def test_shortest_duration_needs_just_the_torque_allowed(self, profile: int, length: float, share: float):
         duration = shortest_duration(profile, length, share)
@@ -341,7 +343,7 @@ class TestFeasibility:
         assert pytest.approx(0.8 * 0.3) == MOST_TORQUE
 
     @ALL
-    @settings(deadline=None, max_examples=60)
+    @examples(60)
     @given(
         length=st.floats(SHORTEST, WORKSPACE),
         low=st.floats(0, 1),

@@ -157,6 +157,8 @@ def draw_moves(profile: int, uniforms: Floats, given: Floats) -> Floats:
                 duration = max(duration, 2 * ramp_time, _shortest_with_ramps(profile, length, ramp_time))
             else:
                 duration = max(duration, shortest_duration(profile, length, ramp_share))
+            if duration < LONGEST_TIME + _ROUNDING:  # the longest move of all may come out a rounding error too long
+                duration = min(duration, LONGEST_TIME)
         elif duration < shortest_duration(profile, length, ramp_share):
             ramp_share = _MOST_RAMP_SHARE
         if ramp_time != ramp_time:
