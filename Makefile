@@ -7,10 +7,21 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compare scenarios paper loops physics test lint format bench tune train learning readme clean
+.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops tune learning readme
+
+##@ Use
 
 help:  ## Show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk '/^##@/ { printf "\n%s\n", substr($$0, 5) } \
+		/^[a-z]+:.*## / { split($$0, part, ":.*## "); printf "  make %-9s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
+
+compare: $(READY)  ## Compare all controllers on 70 scenarios of every split: report.html, pictures in results/compare
+	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 70)
+
+train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
+	$(BIN)/python train/ppo.py $(ARGS)
+
+##@ Develop
 
 setup: $(READY)  ## Create .venv with pinned versions
 
@@ -20,24 +31,14 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-compare: $(READY)  ## Compare all controllers on 70 scenarios of every split: report.html, pictures in results/compare
-	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 70)
-
-scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them
-	$(BIN)/python eval/scenarios.py $(ARGS)
-
-paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
-	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
-
-loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines
-	$(BIN)/python eval/baselines.py --out docs/baselines $(ARGS)
-
-physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in docs/crosscheck
-	$(BIN)/python eval/convergence.py
-	$(BIN)/python eval/crosscheck.py --out docs/crosscheck $(ARGS)
-
 test: $(READY)  ## Run the tests
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+
+fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m hypothesis --hypothesis-profile fuzz $(ARGS)
+
+coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --cov --cov-report term:skip-covered $(ARGS)
 
 lint: $(READY)  ## Check style and types
 	$(BIN)/ruff check .
@@ -51,11 +52,27 @@ format: $(READY)  ## Format the code
 bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the same run
 	$(BIN)/python eval/bench.py $(ARGS)
 
+clean:  ## Remove .venv, results and caches
+	rm -rf $(VENV) results .pytest_cache .ruff_cache .hypothesis dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+##@ Regenerate, or check, what is committed
+
+scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them
+	$(BIN)/python eval/scenarios.py $(ARGS)
+
+physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in docs/crosscheck
+	$(BIN)/python eval/convergence.py
+	$(BIN)/python eval/crosscheck.py --out docs/crosscheck $(ARGS)
+
+paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
+	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
+
+loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines
+	$(BIN)/python eval/baselines.py --out docs/baselines $(ARGS)
+
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
 	$(BIN)/python baselines/tune.py --all $(ARGS)
-
-train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
-	$(BIN)/python train/ppo.py $(ARGS)
 
 learning: $(READY)  ## Ablations of the training in docs/learning: half an hour or more; goes on where it was interrupted
 	$(BIN)/python eval/ablations.py --out docs/learning $(ARGS)
@@ -65,7 +82,3 @@ readme: $(READY)  ## Regenerate the README, docs/comparison, docs/iterative and 
 	$(BIN)/python eval/iterative.py --out docs/iterative
 	$(BIN)/python eval/curves.py --out docs/training
 	$(BIN)/python eval/readme.py
-
-clean:  ## Remove .venv, results and caches
-	rm -rf $(VENV) results .pytest_cache .ruff_cache .hypothesis dist
-	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -7,9 +7,10 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
@@ -277,7 +278,7 @@ class TestEnergy:
         assert np.linalg.norm(tip(params, env.state) - tip(params, complete[-1])) < 1e-6
         assert np.linalg.norm(tip(params, env.state) - tip(params, as_printed[-1])) > 1e-3
 
-    @settings(deadline=None, max_examples=80)
+    @examples(80)
     @given(
         params=st.fixed_dictionaries(
             {

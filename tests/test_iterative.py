@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import mistake
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from baselines import PaperController, tuned_controller
 from baselines.iterative.controller import IterativeController, Learning
@@ -70,7 +71,7 @@ def followed(trial: Trial, change: np.ndarray, gain: np.ndarray) -> np.ndarray:
     return np.array(changes)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25))
 def test_change_is_that_of_the_lifted_least_squares(seed: int, steps: int):
     rng = np.random.default_rng(seed)

@@ -3,9 +3,10 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import plant_of
@@ -38,14 +39,14 @@ def arm_state(params: ArmParams, joint: float, speed: float, torsion: float, tor
 
 
 class TestTip:
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(ARMS, ANGLES, TORSIONS)
     def test_position_is_that_of_the_linkage(self, params: ArmParams, joint: float, torsion: float):
         state = arm_state(params, joint, 0.0, torsion, 0.0)
         motion = tip_motion(state, plant_for(params))
         np.testing.assert_allclose(motion[:2], tip(params, np.array(state)), atol=1e-14)
 
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(ARMS, ANGLES, TORSIONS, SPEEDS, SPEEDS)
     def test_velocity_is_the_change_of_position(
         self, params: ArmParams, joint: float, torsion: float, speed: float, torsion_speed: float
@@ -62,7 +63,7 @@ class TestTip:
         motion = tip_motion(arm_state(params, joint, 0.0, 0.0, 0.0), plant_for(params))
         np.testing.assert_allclose(motion, [x, 0, 0, 0], atol=1e-15)
 
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(ARMS, ANGLES, SPEEDS)
     def test_rigid_arm_moves_as_the_reference_tip(self, params: ArmParams, joint: float, speed: float):
         motion = tip_motion(arm_state(params, joint, speed, 0.0, 0.0), plant_for(params))
@@ -71,7 +72,7 @@ class TestTip:
         np.testing.assert_allclose([motion.x, motion.x_speed], [x, x_speed], rtol=1e-13, atol=1e-14)
         assert motion.y == 0 and motion.y_speed == 0
 
-    @settings(deadline=None, max_examples=50)
+    @examples(50)
     @given(ANGLES, SPEEDS)
     def test_reference_tip_is_on_the_line_of_motion(self, angle: float, speed: float):
         x, x_speed = reference_tip(angle, speed, plant_for(ArmParams()))
@@ -172,7 +173,7 @@ class TestWorkspace:
 
 
 class TestSinCos:
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(st.floats(-2, 2))
     def test_as_the_maths_library(self, angle: float):
         sine, cosine = sin_cos(angle)

@@ -11,10 +11,11 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from properties import examples
 from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
@@ -251,7 +252,7 @@ class TestLinearity:
     torques = arrays(np.float64, 60, elements=st.floats(-0.14, 0.14))
     weights = st.floats(-1, 1)
 
-    @settings(deadline=None, max_examples=40)
+    @examples(40)
     @given(params=st.sampled_from(list(PLANTS.values())), a=torques, b=torques, of_a=weights, of_b=weights)
     def test_superposition(self, params: Params, a: Floats, b: Floats, of_a: float, of_b: float):
         rest, wound, moving = at_45_degrees(params), np.array([0.0, 0.0, 0.04, -0.5]), np.array([4.0, 20.0, 0.0, 0.0])
@@ -261,7 +262,7 @@ class TestLinearity:
         )
         assert np.all(peak(to_both - of_a * to_a - of_b * to_b) < 1e-9 * (peak(to_a) + peak(to_b)))
 
-    @settings(deadline=None, max_examples=40)
+    @examples(40)
     @given(params=st.sampled_from([*PLANTS.values(), {}]), torques=torques, now=st.integers(1, 59))
     def test_time_invariance(self, params: Params, torques: Floats, now: int):
         start = at_45_degrees(params, 0.04, -0.5)

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 from scipy.integrate import solve_ivp
 
 from baselines.estimation.observer import Noise, kalman_gains
@@ -50,7 +51,7 @@ def knots(corners: Corners) -> Floats:
 
 class TestSmoothedMove:
     @given(move=MOVES, first=SPREADS, others=SPREADS)
-    @settings(max_examples=40, deadline=None)
+    @examples(40)
     def test_sets_out_and_arrives_as_the_task_and_meets_it_in_between(self, move: Floats, first: float, others: float):
         corners = smoothed(move, UNDAMPED, first, others)
         start, goal, duration, ramp = move[0]

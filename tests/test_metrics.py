@@ -3,9 +3,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.metrics import METRICS, SETTLING_BAND, episode_metrics, residual_vibration, settling_time
@@ -133,7 +134,7 @@ class TestResidualVibration:
         assert (early > 0.015).all()
         np.testing.assert_allclose(late, 0, atol=1e-15)
 
-    @settings(deadline=None, max_examples=50)
+    @examples(50)
     @given(st.floats(0.5, 1.5), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(1e-5, 1e-2))
     def test_scales_with_the_signal_and_ignores_lines(self, end: float, offset: float, drift: float, scale: float):
         signal = np.random.default_rng(0).normal(size=(EPISODE_STEPS, 1, 2))

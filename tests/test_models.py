@@ -8,9 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import sympy
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, state_space
@@ -73,7 +74,7 @@ class TestEquations:
         bias = sympy.Matrix([-turning * omega_phi * (omega_1 - omega_phi), turning * omega_1**2 / 2])
         assert sympy.simplify(equations.bias - bias) == sympy.zeros(2, 1)
 
-    @settings(deadline=None)
+    @examples(100)
     @given(arms, states, st.floats(-0.3, 0.3), st.sampled_from([-1, 0, 1]))
     def test_accelerations(self, params: dict[str, float], state: tuple[float, ...], torque: float, direction: int):
         params_ = ArmParams(**params)
@@ -87,7 +88,7 @@ class TestEquations:
         if direction == 0:
             assert driving_torque(x, torque, plant(params_), LAGRANGIAN) == pytest.approx(friction, rel=1e-9, abs=1e-12)
 
-    @settings(deadline=None)
+    @examples(100)
     @given(arms, states, st.floats(-0.3, 0.3))
     def test_rate_of_the_torque_on_a_stuck_motor(
         self, params: dict[str, float], state: tuple[float, ...], torque: float
@@ -105,7 +106,7 @@ class TestEquations:
         rate = driving_torque_rate(x, torsional, coefficients, LAGRANGIAN)
         assert rate == pytest.approx(difference / (2 * h), rel=1e-6, abs=1e-6)
 
-    @settings(deadline=None)
+    @examples(100)
     @given(arms, st.floats(0, DEG_90))
     def test_rigid_belt_gives_the_inertia_of_the_lumped_arm(self, params: dict[str, float], angle: float):
         p = ArmParams(**params)
@@ -253,7 +254,7 @@ class TestEnvironment:
         assert 0.11 < fastest * CONTROL_PERIOD / (steps - 1)
         assert fastest * CONTROL_PERIOD / steps <= 0.1201
 
-    @settings(deadline=None, max_examples=60)
+    @examples(60)
     @given(
         st.tuples(st.floats(1e-4, 0.05), st.floats(1e-4, 0.05)).map(sorted),
         st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)).map(sorted),

@@ -3,9 +3,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
 from beltarm_env.task.sensors import ENCODER_COUNTS, speed_from_counts, to_counts
@@ -19,7 +20,7 @@ MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
 
 
 class TestCounting:
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(st.floats(-200, 200), st.sampled_from([500, 1000, 4000, 10_000_000]))
     def test_rounds_to_the_nearest(self, angle: float, per_turn: int):
         resolution = 2 * math.pi / per_turn
@@ -36,14 +37,14 @@ class TestCounting:
         assert to_counts(math.nextafter(halves, math.inf), 1.0) == math.floor(halves) + 1
         assert to_counts(math.nextafter(halves, -math.inf), 1.0) == math.floor(halves)
 
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(st.integers(-(2**50), 2**50), st.sampled_from([1.0, 0.5, RESOLUTION]))
     def test_whole_counts_are_exact(self, counts: int, resolution: float):
         assert to_counts(float(counts), 1.0) == counts
         if abs(counts) < 2**40:
             assert to_counts(counts * resolution, resolution) == counts
 
-    @settings(deadline=None, max_examples=100)
+    @examples(100)
     @given(st.integers(-(10**6), 10**6), st.integers(-(10**4), 10**4))
     def test_speed_is_the_difference_of_two_counts_over_the_period(self, before: int, change: int):
         speed = speed_from_counts(float(before + change), float(before), RESOLUTION)

@@ -15,9 +15,10 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
-from hypothesis import Phase, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from beltarm_env import EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import bounds
@@ -407,8 +408,6 @@ def spread(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(math.log(low), math.log(high)).map(math.exp)
 
 
-# The same examples in every run; shrinking a numerical failure takes minutes and tells little.
-PROPERTY = settings(deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
 ARMS = st.fixed_dictionaries(
     {
         "gear_ratio": spread(1, 1000),
@@ -431,7 +430,7 @@ MOVES = st.just({}) | st.fixed_dictionaries(
 )
 
 
-@settings(PROPERTY, max_examples=200)
+@examples(200, shrink=False)
 @given(
     arms=st.lists(ARMS, min_size=1, max_size=3),
     motion=st.none() | STATES,
@@ -523,7 +522,7 @@ def test_motion_too_wild_to_integrate_is_refused_or_ends_without_a_nan(options: 
         assert np.isfinite([*info.values(), *env.state]).all()
 
 
-@settings(PROPERTY, max_examples=30)
+@examples(30, shrink=False)
 @given(torques=st.lists(st.floats(-3, 3), min_size=5, max_size=40), seed=st.integers(0, 2**31))
 def test_batch_agrees_with_single_arms_for_any_torques(torques: list[float], seed: int):
     envs, single = make(2, randomization="train"), BeltArmEnv(randomization="train")

@@ -1,0 +1,25 @@
+"""Property tests: how many examples they try, in the suite and under `make fuzz`."""
+
+from __future__ import annotations
+
+from hypothesis import Phase, settings
+
+FUZZ = "fuzz"
+"""Name of the profile that tries random examples, and many; the suite tries the same few in every run."""
+_MORE = 10
+
+settings.register_profile("suite", derandomize=True, deadline=None, database=None)
+settings.register_profile(FUZZ, deadline=None, print_blob=True, max_examples=1000)
+
+
+def examples(count: int, shrink: bool = True) -> settings:
+    """Settings of a property test.
+
+    Args:
+        count: Examples in the suite; under `make fuzz` ten times as many.
+        shrink: Whether to look for the smallest example that fails; not where a failure is numerical, which
+            takes minutes and tells little.
+    """
+    many = count * (_MORE if settings.get_current_profile_name() == FUZZ else 1)
+    phases = tuple(Phase) if shrink else (Phase.explicit, Phase.generate)
+    return settings(max_examples=many, phases=phases)
