@@ -18,7 +18,6 @@ from baselines.servo.shaping import GAINS as SHAPING_GAINS
 from baselines.servo.shaping import ShapingController
 from baselines.servo.smooth import SmoothController, SmoothGains
 
-
 TUNABLE = {
     "retuned": Tunable(RetunedController, RetunedGains),
     **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 if TYPE_CHECKING:
-    from beltarm_env.arm import TRAIN_RANGES, ArmParams
+    from beltarm_env.arm import ArmParams
     from beltarm_env.env import BeltArmEnv
     from beltarm_env.physics.linear import state_space
+    from beltarm_env.task.ranges import TRAIN_RANGES
     from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
     from beltarm_env.vector_env import BeltArmVectorEnv
 
@@ -34,7 +35,7 @@ __all__ = [
 _HOME = {
     "CONTROL_PERIOD": "timing",
     "EPISODE_STEPS": "timing",
-    "TRAIN_RANGES": "arm",
+    "TRAIN_RANGES": "task.ranges",
     "ArmParams": "arm",
     "BeltArmEnv": "env",
     "BeltArmVectorEnv": "vector_env",

@@ -1,26 +1,30 @@
-"""Physical constants of the arm, and how far they vary from arm to arm."""
+"""Constants of one arm, and every form that they take.
+
+ArmParams    what a user reads and writes: physical constants, checked
+row          the same numbers as an array, in the order of `FIELDS`; arms below one another make a table
+Plant        coefficients of the equations of motion, derived from a row
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Literal
+from collections import namedtuple
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.jit import inlined
-from beltarm_env.physics.models import Model, inverse_inertia
-from beltarm_env.physics.plant import Plant
-from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
-Ranges = Mapping[str, tuple[float, float]]
 
 _LARGEST = 1e9  # beyond any arm, and far from overflowing
-_MAY_BE_ZERO = {"motor_viscous_friction", "coulomb_friction", "hand_length", "arm_inertia_swing", "payload_mass"}
-_MAY_BE_ZERO |= {"belt_damping_ratio"}
+_MAY_BE_ZERO = {
+    *("motor_viscous_friction", "coulomb_friction", "hand_length", "arm_inertia_swing", "payload_mass"),
+    "belt_damping_ratio",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,72 +63,58 @@ class ArmParams:
                     f"ArmParams.{field.name} must be finite, {allowed} and at most {_LARGEST:.0e}, got {value!r}"
                 )
 
+    @classmethod
+    def from_row(cls, row: Floats) -> ArmParams:
+        """Read an arm from its row, shape (len(FIELDS),)."""
+        return cls(*map(float, row))
+
+    def row(self) -> Floats:
+        """Return the constants as an array, in the order of `FIELDS`."""
+        return np.array(astuple(self))
+
+    def plant(self) -> Plant:
+        """Derive the coefficients of the equations of motion."""
+        return plant_of(self.row())
+
 
 FIELDS = tuple(field.name for field in fields(ArmParams))
-_NOMINAL = ArmParams()
+"""Names of the constants: the columns of a table of arms."""
+COLUMN: Any = namedtuple("COLUMN", FIELDS)(*range(len(FIELDS)))
+"""Place of each constant in a row, by name: `row[COLUMN.gear_ratio]`; in kernels too."""
+NOMINAL = ArmParams()
 
 
-def _around(name: str, share: float) -> tuple[float, float]:
-    nominal = getattr(_NOMINAL, name)
-    return (1 - share) * nominal, (1 + share) * nominal
+def params_table(arms: Sequence[ArmParams]) -> Floats:
+    """Return the rows of n arms, shape (n, len(FIELDS))."""
+    return np.array([arm.row() for arm in arms])
 
 
-TRAIN_RANGES: Ranges = {
-    "motor_inertia": _around("motor_inertia", 0.10),
-    "motor_viscous_friction": _around("motor_viscous_friction", 0.30),
-    "coulomb_friction": _around("coulomb_friction", 0.30),
-    "arm_inertia": _around("arm_inertia", 0.20),
-    "arm_inertia_swing": _around("arm_inertia_swing", 0.20),
-    "belt_stiffness": _around("belt_stiffness", 0.20),
-    "belt_damping_ratio": (0.002, 0.018),
-    "payload_mass": (0.0, 0.2),
-}
-"""Ranges of the arms that training, tuning and the `randomized` split draw from, uniformly and independently."""
+def params_columns(table: Floats) -> dict[str, Floats]:
+    """Return the columns of a table of arms by name, as `reset(options={"params": ...})` takes them."""
+    return dict(zip(FIELDS, table.T, strict=True))
 
 
-def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str, tuple[float, float]]:
-    """Ranges of the fields that vary.
+class Plant(NamedTuple):
+    """Coefficients of the equations of motion of one arm, derived once from `ArmParams`."""
 
-    Args:
-        randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from field name to (low, high).
-
-    Raises:
-        ValueError: On an unknown word or field, on low > high, or where an end of the range makes no arm.
-        TypeError: If it is neither a word nor a mapping of pairs.
-    """
-    if isinstance(randomization, str):
-        if randomization not in ("off", "train"):
-            raise ValueError(f"randomization must be 'off', 'train' or a mapping of ranges, got {randomization!r}")
-        return {} if randomization == "off" else dict(TRAIN_RANGES)
-    if not isinstance(randomization, Mapping):
-        raise TypeError(f"randomization must be 'off', 'train' or a mapping of ranges, got {randomization!r}")
-    ranges = {}
-    for name, pair in randomization.items():
-        if name not in FIELDS:
-            raise ValueError(f"randomization names an unknown parameter {name!r}; known: {', '.join(FIELDS)}")
-        try:
-            low, high = pair
-        except (TypeError, ValueError):
-            raise TypeError(f"randomization[{name!r}] must be a pair (low, high), got {pair!r}") from None
-        for end in (low, high):
-            ArmParams(**{name: end})
-        if low > high:
-            raise ValueError(f"randomization[{name!r}] has low {low!r} above high {high!r}; swap them")
-        ranges[name] = (float(low), float(high))
-    return ranges
-
-
-def range_bounds(ranges: Ranges) -> Floats:
-    """Lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
-    bounds = np.tile([getattr(_NOMINAL, name) for name in FIELDS], (2, 1))
-    for name, pair in ranges.items():
-        bounds[:, FIELDS.index(name)] = pair
-    return bounds
+    inverse_gear: float  # 1 / G
+    inverse_motor_inertia: float  # 1 / M_a1  [1/(kg m^2)]
+    viscous_friction: float  # V_a1      [N m s/rad]
+    coulomb_friction: float  # tau_c     [N m]
+    inertia: float  # M2(0)     [kg m^2]
+    inertia_swing: float  # S         [kg m^2]     the sin^2 term of M2, payload included
+    link_inertia: float  # m_2 l^2   [kg m^2]     of link 2; only the full arm's equations have it
+    stiffness: float  # K_s       [N m/rad]
+    damping: float  # D_s       [N m s/rad]
+    gear: float  # G         beside 1 / G: a division in every equation would take longer
+    double_link: float  # 2 l       [m]
+    hand: float  # l_3       [m]
+    torque_limit: float  # [N m]
 
 
 @inlined
-def plant_of(row: Floats) -> Plant:
-    """Coefficients of the equations of motion, for parameters in the order of `FIELDS`.
+def plant_of(row: Any) -> Plant:
+    """Derive the coefficients of the equations of motion from a row, shape (len(FIELDS),); in kernels too.
 
     The belt's damping D_s = 2 zeta sqrt(K_s M2(90 deg)) is a property of the belt: the payload does not enter.
 
@@ -132,98 +122,20 @@ def plant_of(row: Floats) -> Plant:
     nominal arm it is all there is). Where S is larger, the rest is a mass at joint 3; where M2(0) is larger, an inertia
     at joint 2 that turns with link 2.
     """
-    gear, link, hand, inertia, viscous, coulomb, arm, swing, payload, stiffness, damping_ratio, limit = (
-        row[0],
-        row[1],
-        row[2],
-        row[3],
-        row[4],
-        row[5],
-        row[6],
-        row[7],
-        row[8],
-        row[9],
-        row[10],
-        row[11],
-    )
+    arm, swing = row[COLUMN.arm_inertia], row[COLUMN.arm_inertia_swing]
+    stiffness, link = row[COLUMN.belt_stiffness], row[COLUMN.link_length]
     return Plant(
-        1 / gear,
-        1 / inertia,
-        viscous,
-        coulomb,
-        arm,
-        swing + 4 * link * link * payload,
-        min(0.5 * swing, 3 * arm),
-        stiffness,
-        2 * damping_ratio * math.sqrt(stiffness * (arm + swing)),
-        gear,
-        2 * link,
-        hand,
-        limit,
+        inverse_gear=1 / row[COLUMN.gear_ratio],
+        inverse_motor_inertia=1 / row[COLUMN.motor_inertia],
+        viscous_friction=row[COLUMN.motor_viscous_friction],
+        coulomb_friction=row[COLUMN.coulomb_friction],
+        inertia=arm,
+        inertia_swing=swing + 4 * link * link * row[COLUMN.payload_mass],
+        link_inertia=min(0.5 * swing, 3 * arm),
+        stiffness=stiffness,
+        damping=2 * row[COLUMN.belt_damping_ratio] * math.sqrt(stiffness * (arm + swing)),
+        gear=row[COLUMN.gear_ratio],
+        double_link=2 * link,
+        hand=row[COLUMN.hand_length],
+        torque_limit=row[COLUMN.torque_limit],
     )
-
-
-@inlined
-def _torsional_mobility(cos_phi: float, plant: Plant, model: Model) -> float:
-    """Torsional acceleration per belt torque while the motor slides [1/(kg m^2)]."""
-    joint, mutual, arm = inverse_inertia(cos_phi, plant, model)
-    return joint - 2 * mutual + arm
-
-
-@inlined
-def fastest_rate(plant: Plant, model: Model) -> float:
-    """Bound of the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
-    # A linear function of cos^2 over a concave one: largest at 0 or 90 degrees.
-    compliance = max(_torsional_mobility(0.0, plant, model), _torsional_mobility(1.0, plant, model))
-    belt = max(math.sqrt(plant.stiffness * compliance), plant.damping * compliance)
-    return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
-
-
-MAX_SUBSTEPS = 400
-"""Most integration steps per sample."""
-_STEP_ANGLE = 0.12  # largest product of rate and integration step: one step for any arm of the training ranges
-
-
-@inlined
-def integration_substeps(plant: Plant, model: Model) -> float:
-    """Integration steps per sample: one for any arm near the nominal, more for stiffer ones."""
-    return max(math.ceil(fastest_rate(plant, model) * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
-
-
-def check_integrable(table: Floats, model: Model) -> None:
-    """Check that all arms of a table, shape (n, len(FIELDS)), can be integrated.
-
-    Raises:
-        ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`.
-    """
-    for row in table:
-        plant = plant_of(row)
-        if integration_substeps(plant, model) > MAX_SUBSTEPS:
-            raise ValueError(
-                f"the arm's fastest rate is {fastest_rate(plant, model):.3g} rad/s; at most "
-                f"{MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD:.3g} rad/s can be integrated at {CONTROL_PERIOD} s per "
-                "step: lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia"
-            )
-
-
-def check_ranges_integrable(bounds: Floats, model: Model) -> None:
-    """Check the fastest arms within some ranges, see `range_bounds` and `check_integrable`."""
-    check_integrable(fastest_arms(bounds), model)
-
-
-def fastest_arms(bounds: Floats) -> Floats:
-    """Arms of which one is the fastest within some ranges, shape (16, len(FIELDS)).
-
-    In the arm's inertia M2(0) and its swing S the fastest lies at an end of a range or, for the full arm, where link 2
-    is a rod alone, S = 6 M2(0); in everything else at one known end.
-    """
-    fastest = bounds[0].copy()
-    for name in ("belt_stiffness", "belt_damping_ratio", "motor_viscous_friction"):
-        fastest[FIELDS.index(name)] = bounds[1, FIELDS.index(name)]
-    inertia, swing = FIELDS.index("arm_inertia"), FIELDS.index("arm_inertia_swing")
-    inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))
-    swings = np.append(bounds[:, swing], np.clip(6 * bounds[:, inertia], *bounds[:, swing]))
-    table = np.tile(fastest, (len(inertias) * len(swings), 1))
-    table[:, inertia] = np.repeat(inertias, len(swings))
-    table[:, swing] = np.tile(swings, len(inertias))
-    return table

@@ -1,4 +1,4 @@
-"""N arms with their parameters, moves and sensors: what the single and the vector environment have in common."""
+"""N arms with their parameters, moves and sensors: the part shared by the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -10,22 +10,17 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env.arm import (
-    FIELDS,
-    MAX_SUBSTEPS,
-    ArmParams,
-    Ranges,
-    check_integrable,
-    check_ranges_integrable,
-    range_bounds,
-    resolve_ranges,
-)
+from beltarm_env.arm import FIELDS, ArmParams
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.step import begin_episodes, episode_totals, new_scratch, observe_arms, tip_errors
+from beltarm_env.kernels.episodes import begin_episodes, episode_totals, tip_errors
+from beltarm_env.kernels.observe import observe_arms
+from beltarm_env.kernels.step import new_scratch
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
-from beltarm_env.physics.models import ELSEWHERE, MODELS, Model
+from beltarm_env.physics.models import MODELS
+from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
 from beltarm_env.task.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
+from beltarm_env.task.ranges import Ranges, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -49,7 +44,7 @@ TOTALS = (
     "tip_error_rms",
     "tip_error_max",
 )
-"""What is told of an episode at its end: costs with the charge for steps not taken, and tip errors [m]."""
+"""Episode summary, added to `info` at its end: costs with the charge for steps not taken, tip errors [m]."""
 
 
 class Engine(Protocol):
@@ -59,14 +54,14 @@ class Engine(Protocol):
         """Begin new episodes for arms with parameters (n, len(FIELDS)) from states (n, 4)."""
         ...
 
-    def move(self, actions: Floats) -> Floats:
+    def advance(self, actions: Floats) -> Floats:
         """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
         ...
 
 
-def new_renderer(model: Model, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
-    """What draws an arm of this model."""
-    if model is ELSEWHERE:
+def new_renderer(model: str, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
+    """Make what draws an arm of this model."""
+    if model == "mujoco":
         from beltarm_env.mujoco.renderer import MuJoCoRenderer
 
         return MuJoCoRenderer(render_mode, fps)
@@ -112,7 +107,9 @@ class ArmBatch:
         self.num_arms = num_arms
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
-        self.model = MODELS[tuple(MODELS)[_choice("model", model, tuple(MODELS))]]
+        _choice("model", model, tuple(MODELS))
+        self.model_name = model
+        self.model = MODELS[model]
         self._bounds = range_bounds(resolve_ranges(randomization))
         self._spans = self._bounds[1] - self._bounds[0]
         check_ranges_integrable(self._bounds, self.model)
@@ -170,14 +167,14 @@ class ArmBatch:
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 
-    def move(self, actions: Floats) -> None:
-        """Move all arms by one control period in `engine`, when it is not the kernels that do.
+    def advance_in_engine(self, actions: Floats) -> None:
+        """Move all arms by one control period in `engine`, where it is not the kernels that do.
 
         Args:
             actions: Torque over the torque limit, shape (num_arms,), cut to [-1, 1].
         """
         assert self.engine is not None, "the kernels move these arms"
-        at.put_rows(self.blocks, at.STATE, self.engine.move(np.clip(actions, -1.0, 1.0)))
+        at.put_rows(self.blocks, at.STATE, self.engine.advance(np.clip(actions, -1.0, 1.0)))
 
     def set_substeps(self, substeps: int) -> None:
         """Replace the number of integration steps per sample that the arms need by another, until they are reset.
@@ -224,14 +221,14 @@ class ArmBatch:
 
     def params(self, arm: int) -> ArmParams:
         """Parameters of one arm."""
-        return ArmParams(*self.table[arm])
+        return ArmParams.from_row(self.table[arm])
 
     def reference(self, arm: int, time: float) -> Reference:
         """Reference of one arm at its joint, `time` seconds into its move."""
         return Reference(*reference_at(self.profile, MoveShape(*self.moves[arm].tolist()), float(time)))
 
     def totals(self, arms: Indices, terminated: NDArray[np.bool_]) -> Floats:
-        """What the episodes of some arms came to: shape (len(TOTALS), num_arms), zero for the other arms."""
+        """Sum up the episodes of some arms: shape (len(TOTALS), num_arms), zero for the other arms."""
         totals = np.zeros((len(TOTALS), self.num_arms))
         episode_totals(self.blocks, arms, terminated, totals)
         return totals

@@ -10,10 +10,11 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env.arm import ArmParams, Ranges
+from beltarm_env.arm import ArmParams
 from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.task.moves import MOVE_FIELDS
+from beltarm_env.task.ranges import Ranges
 from beltarm_env.task.reference import Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
@@ -22,7 +23,7 @@ _HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
 
 
 def _as_action(action: object) -> NDArray[np.float64]:
-    """What was passed to `step` instead of an array of shape (1,), if it can be read as one."""
+    """Coerce the action to shape (1,), or raise ValueError."""
     try:
         array = np.asarray(action)
     except ValueError:
@@ -200,9 +201,17 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         result = np.empty(self._size, np.float32)
         batch = self._batch
         if batch.engine is not None:
-            batch.move(np.array([fraction], np.float64))
+            batch.advance_in_engine(np.array([fraction], np.float64))
         reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
-            batch.blocks, batch.scratch, batch.tile, float(fraction), result, self._profile, self._tier, batch.model
+            batch.blocks,
+            batch.scratch,
+            batch.tile,
+            float(fraction),
+            result,
+            self._profile,
+            self._tier,
+            batch.model,
+            batch.engine is None,
         )
         info: dict[str, Any] = {
             "tip_error": error,
@@ -227,7 +236,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise ResetNeeded("there is no arm to draw yet: call reset() before render()")
         if self._renderer is None:
             mode = cast("Any", self.render_mode)
-            self._renderer = new_renderer(self._batch.model, mode, self.metadata["render_fps"])
+            self._renderer = new_renderer(self._batch.model_name, mode, self.metadata["render_fps"])
         return self._renderer.draw(self.params, self.state, self.reference(self.time).angle, self.time)
 
     def close(self) -> None:

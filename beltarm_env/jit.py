@@ -9,9 +9,9 @@ Without wrappers for C callers, which nobody calls, compiling takes a third less
 No `fastmath`: strict IEEE arithmetic is what makes one arm and arm *i* of a batch agree bit for bit.
 
 **Cache.** numba keeps compiled kernels on disk, and takes one for fresh as long as the file that defines it is
-unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256 of
-all sources that a kernel can be made of: those of this package and of the kernel's own. An edited equation is thus never
-run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`).
+unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256
+of all sources that a kernel can be made of: those of this package and of the kernel's own. An edited equation is thus
+never run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`).
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return _jitted(function, nogil=True)
 
 
-def _jitted(function: Callable[_P, _R], **options: bool) -> Callable[_P, _R]:
-    jitted: Any = numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+def _jitted(function: Callable[_P, _R], **more: Any) -> Callable[_P, _R]:
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True, **more}
+    jitted: Any = numba.njit(**options)(function)
     if jitted is not function:  # not with NUMBA_DISABLE_JIT=1
         jitted._cache = _ContentKeyedCache(function)
     return cast("Callable[_P, _R]", jitted)

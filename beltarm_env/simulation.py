@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, ArmParams, check_integrable, integration_substeps, plant_of
+from beltarm_env.arm import FIELDS, ArmParams, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance import WORK_ROWS, move_block
+from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.layout import LANES, load_state, store_plant, store_state
 from beltarm_env.physics.models import MODELS, Model
-from beltarm_env.physics.plant import ArmState
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.substeps import check_integrable, integration_substeps
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def _advance(
             x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
             store_state(blocks[k], at.STATE, i - low, x)
             actions[i - low] = min(max(torques[i] / limits[i], -1.0), 1.0)
-        move_block(blocks[k], work, actions, high - low, model)
+        advance_block(blocks[k], work, actions, high - low, model)
         for i in range(low, high):
             x = load_state(blocks[k], at.STATE, i - low)
             result[i, 0], result[i, 1], result[i, 2], result[i, 3] = x

@@ -13,10 +13,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env.arm import ArmParams, Ranges
+from beltarm_env.arm import ArmParams
 from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.step import step_arms
+from beltarm_env.task.ranges import Ranges
 from beltarm_env.task.reference import Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
@@ -160,7 +161,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         terms = np.empty((len(TERMS), count))
         batch = self._batch
         if batch.engine is not None:
-            batch.move(fractions)
+            batch.advance_in_engine(fractions)
         step_arms(
             batch.blocks,
             batch.scratch,
@@ -174,6 +175,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             batch.profile,
             batch.tier,
             batch.model,
+            batch.engine is None,
         )
         stepped = np.ones(count, np.bool_)
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
@@ -261,7 +263,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             raise ResetNeeded("there are no arms to draw yet: call reset() before render()")
         if self._renderers is None:
             fps = self.metadata["render_fps"]
-            self._renderers = [new_renderer(self._batch.model, "rgb_array", fps) for _ in range(self.num_envs)]
+            self._renderers = [new_renderer(self._batch.model_name, "rgb_array", fps) for _ in range(self.num_envs)]
         states, times = self.state, self._batch.times
         frames = []
         for arm, renderer in enumerate(self._renderers):

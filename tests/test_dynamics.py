@@ -14,10 +14,17 @@ from properties import examples
 from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
-from beltarm_env.arm import TRAIN_RANGES, plant_of
+from beltarm_env.arm import Plant, plant_of
 from beltarm_env.physics.integrator import mode_margin, rk4_step, step_to_mode_change
-from beltarm_env.physics.models import LAGRANGIAN, LUMPED, MODELS, Model, accelerations
-from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.physics.models import (
+    FULL_ARM,
+    LUMPED,
+    MODELS,
+    Model,
+    accelerations,
+)
+from beltarm_env.physics.state import ArmState
+from beltarm_env.task.ranges import TRAIN_RANGES
 from eval.verification.event_located import EventLocatedArm, tip
 
 Floats = NDArray[np.float64]
@@ -175,7 +182,7 @@ def tips(params: ArmParams, state: Floats, torques: list[float], substeps: int) 
 
 
 class TestIntegrator:
-    @pytest.mark.parametrize("model", [LUMPED, LAGRANGIAN])
+    @pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
     @pytest.mark.parametrize("direction", [-1.0, 0.0, 1.0])
     def test_rk4_step_is_of_fourth_order_within_a_mode(self, direction: float, model: Model):
         arm = plant(payload_mass=0.1)
@@ -195,7 +202,7 @@ class TestIntegrator:
         x = ArmState(70.0, 3.0, 0.01, -0.2)
         assert rk4_step(x, 0.2, 1.0, 0.0, plant(), LUMPED) == x
 
-    @pytest.mark.parametrize("model", [LUMPED, LAGRANGIAN])
+    @pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
     @pytest.mark.parametrize("coulomb_friction", [3e-4, 0.032])
     def test_instant_of_stopping_is_located(self, coulomb_friction: float, model: Model):
         arm = plant(coulomb_friction=coulomb_friction)

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.arm import plant_of
+from beltarm_env.arm import Plant, plant_of
 from beltarm_env.physics.kinematics import WORKSPACE_MARGIN, outside_workspace, reference_tip, tip_motion
-from beltarm_env.physics.plant import ArmState, Plant, sin_cos
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.trigonometry import sin_cos
 from eval.verification.event_located import tip
 
 Floats = NDArray[np.float64]

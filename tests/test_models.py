@@ -15,18 +15,19 @@ from properties import examples
 from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, state_space
-from beltarm_env.arm import (
-    FIELDS,
-    TRAIN_RANGES,
-    fastest_arms,
-    fastest_rate,
-    integration_substeps,
-    plant_of,
-    range_bounds,
-)
+from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.physics import full_arm as lagrangian
-from beltarm_env.physics.models import LAGRANGIAN, LUMPED, Model, accelerations, driving_torque, driving_torque_rate
-from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.physics.models import (
+    FULL_ARM,
+    LUMPED,
+    Model,
+    accelerations,
+    driving_torque,
+    driving_torque_rate,
+)
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.substeps import fastest_arms, fastest_rate, integration_substeps
+from beltarm_env.task.ranges import TRAIN_RANGES, range_bounds
 from eval.convergence import convergence
 from eval.verification.event_located import EventLocatedArm, tip
 from eval.verification.symbolic_arm import derive
@@ -82,11 +83,11 @@ class TestEquations:
         rates, friction = EventLocatedArm(params_, np.array(x), "lagrangian").rates(
             torque, direction * params_.coulomb_friction if direction else None
         )
-        motor, torsional = accelerations(x, torque, direction, plant(params_), LAGRANGIAN)
+        motor, torsional = accelerations(x, torque, direction, plant(params_), FULL_ARM)
         assert motor == pytest.approx(GEAR * rates[2], rel=1e-9, abs=1e-8)
         assert torsional == pytest.approx(rates[2] - rates[3], rel=1e-9, abs=1e-8)
         if direction == 0:
-            assert driving_torque(x, torque, plant(params_), LAGRANGIAN) == pytest.approx(friction, rel=1e-9, abs=1e-12)
+            assert driving_torque(x, torque, plant(params_), FULL_ARM) == pytest.approx(friction, rel=1e-9, abs=1e-12)
 
     @examples(100)
     @given(arms, states, st.floats(-0.3, 0.3))
@@ -95,15 +96,15 @@ class TestEquations:
     ):
         coefficients = plant(ArmParams(**params))
         x = ArmState(state[0], 0.0, state[2], state[3])
-        _, torsional = accelerations(x, torque, 0.0, coefficients, LAGRANGIAN)
+        _, torsional = accelerations(x, torque, 0.0, coefficients, FULL_ARM)
         h = 1e-6
         later, earlier = (
             ArmState(x[0], 0.0, x[2] + s * h * x[3], x[3] + s * h * torsional)  # the slope is all that counts
             for s in (1, -1)
         )
-        difference = driving_torque(later, torque, coefficients, LAGRANGIAN)
-        difference -= driving_torque(earlier, torque, coefficients, LAGRANGIAN)
-        rate = driving_torque_rate(x, torsional, coefficients, LAGRANGIAN)
+        difference = driving_torque(later, torque, coefficients, FULL_ARM)
+        difference -= driving_torque(earlier, torque, coefficients, FULL_ARM)
+        rate = driving_torque_rate(x, torsional, coefficients, FULL_ARM)
         assert rate == pytest.approx(difference / (2 * h), rel=1e-6, abs=1e-6)
 
     @examples(100)
@@ -248,7 +249,7 @@ class TestEnvironment:
     @pytest.mark.parametrize("params", UNEVEN)
     def test_fastest_mode_asks_for_steps_enough(self, params: dict[str, float]):
         p = ArmParams(**{**params, "belt_stiffness": 3e4, "belt_damping_ratio": 0.0})
-        steps = integration_substeps(plant(p), LAGRANGIAN)
+        steps = integration_substeps(plant(p), FULL_ARM)
         angles = np.linspace(0, DEG_90, 7)
         fastest = max(abs(np.linalg.eigvals(state_space(p, float(angle), "lagrangian")[0])).max() for angle in angles)
         assert 0.11 < fastest * CONTROL_PERIOD / (steps - 1)
@@ -258,7 +259,7 @@ class TestEnvironment:
     @given(
         st.tuples(st.floats(1e-4, 0.05), st.floats(1e-4, 0.05)).map(sorted),
         st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)).map(sorted),
-        st.sampled_from([LUMPED, LAGRANGIAN]),
+        st.sampled_from([LUMPED, FULL_ARM]),
         st.lists(st.floats(0, 1), min_size=2 * 8, max_size=2 * 8),
     )
     def test_no_arm_of_a_range_is_faster_than_those_that_are_checked(

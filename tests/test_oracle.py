@@ -16,7 +16,7 @@ from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import FIELDS, plant_of
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.models import LUMPED
-from beltarm_env.physics.plant import ArmState
+from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import rollout
 from beltarm_env.task.reference import MoveShape
 

@@ -13,8 +13,9 @@ import pytest
 
 from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
-from beltarm_env.arm import FIELDS, TRAIN_RANGES
+from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import TRAIN_RANGES
 from eval.comparison.splits import EPISODES, FILE, SPLITS, VERSION, Split, digest_of, draw, load
 from eval.scenarios import content_of, require_same_physics, text_of
 

@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import FIELDS, params_table
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance import WORK_ROWS, move_block
+from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.models import LUMPED
-from beltarm_env.simulation import load_arms, params_table
+from beltarm_env.simulation import load_arms
 
 Floats = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def _simulated(state: Floats, table: Floats, torque: Floats, simulations: int) -
                 arms[constant] *= factors[k - 1]
                 load_arms(block, arms, LUMPED)
                 arms[constant] = table[constant, low : low + count]
-            move_block(block, work, actions, count, LUMPED)
+            advance_block(block, work, actions, count, LUMPED)
             for i in range(4):
                 for j in range(count):
                     result[k, i, low + j] = block[(at.STATE + i) * LANES + j]

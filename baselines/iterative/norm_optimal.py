@@ -35,7 +35,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
-from beltarm_env.physics.plant import ArmState
+from beltarm_env.physics.state import ArmState
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 

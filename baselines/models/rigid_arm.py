@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 from baselines.gains import Gains, tunable
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, plant_of
-from beltarm_env.physics.plant import Plant
+from beltarm_env.arm import FIELDS, Plant, plant_of
 
 Floats = NDArray[np.float64]
 

@@ -37,9 +37,8 @@ from numpy.typing import NDArray
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.plant import Plant
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 

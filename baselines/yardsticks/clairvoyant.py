@@ -33,12 +33,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
-from beltarm_env.arm import FIELDS, integration_substeps, plant_of
+from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.lumped import driving_torque
 from beltarm_env.physics.models import LUMPED
-from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 

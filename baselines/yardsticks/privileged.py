@@ -16,8 +16,7 @@ from baselines.optimal.plan import Plans, Weights, breakaway_direction, planned_
 from baselines.optimal.preview import PreviewGains
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams, observation
-from beltarm_env.arm import FIELDS
-from beltarm_env.simulation import params_table
+from beltarm_env.arm import FIELDS, params_table
 
 Floats = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ MAX_MODE_CHANGES = 8
 
 _VECTOR = 8  # arms that the widest vector units take at once
 
-# Rows of the working block: state and plant as in `_layout`, then
+# Rows of the working block: state and plant as in `layout`, then
 _TORQUE = at.MOVE  # [N m]
 _DIRECTION = _TORQUE + 1  # friction mode
 _REMAINING = _DIRECTION + 1  # time left of the step [s]
@@ -34,11 +34,11 @@ WORK_ROWS = _LANE + 1
 
 
 @compiled
-def move_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
+def advance_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
     """Advance the first `count` arms of a block by one control period.
 
     Args:
-        block: As `_layout` describes.
+        block: As `layout` describes.
         work: Room for WORK_ROWS rows.
         actions: Motor torques over their limits, shape (LANES,).
         count: Number of arms.

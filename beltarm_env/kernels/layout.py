@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import MoveShape
 
 LANES = 136
@@ -26,20 +27,22 @@ DELAY = RESOLUTION + 1  # of the measurements [samples]
 STEP = DELAY + 1  # samples since the episode's start
 ACTION = STEP + 1  # last torque applied, over its limit
 COUNTS = ACTION + 1  # encoder counts now, 1, 2 and 3 samples ago
-TIP_SPEEDS = COUNTS + 4  # tachometer now, 1 and 2 samples ago [m/s]
-TOTALS = TIP_SPEEDS + 3  # over the episode: the three cost terms, squared tip error, largest tip error
+COUNT_HISTORY = 4
+TIP_SPEEDS = COUNTS + COUNT_HISTORY  # tachometer now, 1 and 2 samples ago [m/s]
+TIP_HISTORY = 3
+TOTALS = TIP_SPEEDS + TIP_HISTORY  # over the episode: the three cost terms, squared tip error, largest tip error
 ROWS = TOTALS + 5
 
 MAX_DELAY = 2
 
 
 def empty_blocks(num_arms: int) -> NDArray[np.float64]:
-    """Zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
+    """Allocate zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
     return np.zeros((-(-num_arms // LANES), ROWS * LANES))
 
 
 def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Copy of `count` rows from row `first` on, for some arms: shape (len(arms), count)."""
+    """Copy `count` rows from row `first` on, for some arms: shape (len(arms), count)."""
     table = blocks.reshape(len(blocks), ROWS, LANES)
     return table[arms // LANES, first : first + count, arms % LANES]
 
@@ -53,7 +56,7 @@ def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64
 
 @inlined
 def load_state(block: NDArray[np.float64], row: int, lane: int) -> ArmState:
-    """State of one lane, from four rows starting at `row`."""
+    """Load the state of one lane, from four rows starting at `row`."""
     at = row * LANES + lane
     return ArmState(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
 
@@ -70,7 +73,7 @@ def store_state(block: NDArray[np.float64], row: int, lane: int, x: ArmState) ->
 
 @inlined
 def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
-    """Plant coefficients of one lane."""
+    """Load the plant coefficients of one lane."""
     at = PLANT * LANES + lane
     return Plant(
         block[at],
@@ -91,7 +94,7 @@ def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
 
 @inlined
 def load_move(block: NDArray[np.float64], lane: int) -> MoveShape:
-    """Move of one lane."""
+    """Load the move of one lane."""
     at = MOVE * LANES + lane
     return MoveShape(block[at], block[at + LANES], block[at + 2 * LANES], block[at + 3 * LANES])
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import ArmParams, integration_substeps, plant_of
+from beltarm_env.arm import ArmParams, plant_of
 from beltarm_env.mujoco.model import load_model, mujoco, read_state, write_state
-from beltarm_env.physics.models import LAGRANGIAN
+from beltarm_env.physics.models import FULL_ARM
+from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
@@ -28,7 +29,7 @@ class _Arm:
 
 
 class MuJoCoArms:
-    """`num_arms` arms, each with a MuJoCo model and state of its own; see `_batch.Engine`."""
+    """Engine of `num_arms` arms, each with a MuJoCo model and state of its own; see `batch.Engine`."""
 
     def __init__(self, num_arms: int) -> None:
         self._arms: dict[int, _Arm] = {}
@@ -37,15 +38,15 @@ class MuJoCoArms:
     def begin(self, arms: NDArray[np.intp], table: Floats, states: Floats) -> None:
         """Begin new episodes for arms with parameters (n, fields) from states (n, 4)."""
         for arm, row, state in zip(arms.tolist(), table, states, strict=True):
-            params = ArmParams(*row.tolist())
+            params = ArmParams.from_row(row)
             if arm not in self._arms or params != self._arms[arm].params:
-                steps = STEPS * int(integration_substeps(plant_of(row), LAGRANGIAN))
+                steps = STEPS * int(integration_substeps(plant_of(row), FULL_ARM))
                 model = load_model(params, CONTROL_PERIOD / steps)
                 self._arms[arm] = _Arm(params, steps, model, mujoco.MjData(model))
             mujoco.mj_resetData(self._arms[arm].model, self._arms[arm].data)
             write_state(self._arms[arm].data, params, state)
 
-    def move(self, actions: Floats) -> Floats:
+    def advance(self, actions: Floats) -> Floats:
         """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
         states = np.empty((self._num_arms, 4))
         for arm in range(self._num_arms):

@@ -18,13 +18,16 @@ at rest, torsion turns link 2 about joint 2, by twice as much, and not the whole
 
 from __future__ import annotations
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics.plant import ArmState, Plant, belt_torque, sin_cos
+from beltarm_env.physics.friction import friction_torque
+from beltarm_env.physics.state import ArmState, belt_torque
+from beltarm_env.physics.trigonometry import sin_cos
 
 
 @inlined
 def _inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
-    """M11, M12, M22 [kg m^2]."""
+    """Return M11, M12, M22 [kg m^2]."""
     swing = plant.inertia_swing * cos_phi * cos_phi
     return (
         plant.gear * plant.gear / plant.inverse_motor_inertia + plant.inertia + swing,
@@ -35,7 +38,7 @@ def _inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
 
 @inlined
 def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
-    """The entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
+    """Return the entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
     m11, m12, m22 = _inertia(cos_phi, plant)
     determinant = m11 * m22 - m12 * m12
     return m22 / determinant, -m12 / determinant, m11 / determinant
@@ -43,7 +46,7 @@ def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
 
 @inlined
 def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) -> tuple[float, float]:
-    """Motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `dynamics`."""
+    """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `models`."""
     joint_speed = x.motor_speed * plant.inverse_gear
     phi = x.motor_angle * plant.inverse_gear - x.torsion
     phi_dot = joint_speed - x.torsion_speed
@@ -51,7 +54,7 @@ def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) ->
     swing_rate = 2 * plant.inertia_swing * sin_phi * cos_phi
     m11, m12, m22 = _inertia(cos_phi, plant)
     tau_b = belt_torque(x, plant)
-    tau_f = direction * plant.coulomb_friction
+    tau_f = friction_torque(direction, plant)
     at_motor = torque - plant.viscous_friction * x.motor_speed - tau_f
     on_joint = plant.gear * at_motor - tau_b + swing_rate * phi_dot * x.torsion_speed
     on_arm = tau_b - 0.5 * swing_rate * joint_speed * joint_speed
@@ -61,7 +64,7 @@ def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) ->
 
 @inlined
 def driving_torque(x: ArmState, torque: float, plant: Plant) -> float:
-    """Torque on the motor at standstill [N m]: what friction has to balance for it to stay there.
+    """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick.
 
     tau_m - (tau_b (1 + M12 / M22) + S sin(2 phi) phi'^2) / G, since the belt alone moves link 2: phi'' = tau_b / M22.
     """
@@ -73,7 +76,7 @@ def driving_torque(x: ArmState, torque: float, plant: Plant) -> float:
 
 @inlined
 def driving_torque_rate(x: ArmState, torsional: float, plant: Plant) -> float:
-    """Time derivative of `driving_torque` [N m/s], at a torsional acceleration [rad/s^2] and constant tau_m."""
+    """Return the time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
     sin_phi, cos_phi = sin_cos(x.motor_angle * plant.inverse_gear - x.torsion)
     phi_dot, phi_acceleration = -x.torsion_speed, -torsional
     _, m12, m22 = _inertia(cos_phi, plant)

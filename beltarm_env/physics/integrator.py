@@ -8,9 +8,11 @@ the instant, where the sample is split.
 
 from __future__ import annotations
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
+from beltarm_env.physics import friction
 from beltarm_env.physics.models import Model, accelerations, driving_torque, driving_torque_rate, sliding_direction
-from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.physics.state import ArmState
 
 _ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
 
@@ -33,7 +35,7 @@ def _slope(x: ArmState, torque: float, direction: float, plant: Plant, model: Mo
 
 @inlined
 def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Plant, model: Model) -> ArmState:
-    """Classical fourth-order Runge-Kutta step of `dt` seconds within one friction mode, torque held."""
+    """Take a classical fourth-order Runge-Kutta step of `dt` seconds within one friction mode, torque held."""
     k1 = _slope(x, torque, direction, plant, model)
     k2 = _slope(_moved(x, 0.5 * dt, k1), torque, direction, plant, model)
     k3 = _slope(_moved(x, 0.5 * dt, k2), torque, direction, plant, model)
@@ -49,32 +51,25 @@ def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Pla
 
 @inlined
 def mode_margin(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> float:
-    """How far the state is inside its friction mode: negative once the mode has been left.
-
-    Sliding: the speed in the direction of sliding. Sticking: tau_c minus the torque that pulls at the motor.
-    """
-    sticking = plant.coulomb_friction - abs(driving_torque(x, torque, plant, model))
-    return direction * x.motor_speed if direction != 0.0 else sticking
+    """Return how far the state is inside its friction mode: negative once the mode has been left."""
+    return friction.mode_margin(x.motor_speed, driving_torque(x, torque, plant, model), direction, plant)
 
 
 @inlined
-def _distance(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
-    """`mode_margin` towards one side, which makes it smooth: a motor that sticks breaks away to `exit_side`."""
-    sticking = plant.coulomb_friction - exit_side * driving_torque(x, torque, plant, model)
-    return direction * x.motor_speed if direction != 0.0 else sticking
+def _exit_margin(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
+    drive = driving_torque(x, torque, plant, model)
+    return friction.exit_margin(x.motor_speed, drive, direction, exit_side, plant)
 
 
 @inlined
-def _distance_rate(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
-    """Time derivative of `_distance`."""
+def _exit_rate(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
     motor, torsional = accelerations(x, torque, direction, plant, model)
-    sticking = -exit_side * driving_torque_rate(x, torsional, plant, model)
-    return direction * motor if direction != 0.0 else sticking
+    return friction.exit_margin_rate(motor, driving_torque_rate(x, torsional, plant, model), direction, exit_side)
 
 
 @inlined
 def _hermite_root(start: float, start_slope: float, end: float, end_slope: float) -> float:
-    """Where on (0, 1) the cubic through both ends changes from positive to negative: bracketed Newton iteration.
+    """Find where on (0, 1) the cubic through both ends turns from positive to negative: bracketed Newton iteration.
 
     The number of iterations is fixed, without an early exit, so that many roots are found side by side.
     """
@@ -112,10 +107,10 @@ def step_to_mode_change(
     """
     exit_side = 1.0 if driving_torque(y, torque, plant, model) > 0.0 else -1.0
     fraction = _hermite_root(
-        _distance(x, torque, direction, exit_side, plant, model),
-        dt * _distance_rate(x, torque, direction, exit_side, plant, model),
-        _distance(y, torque, direction, exit_side, plant, model),
-        dt * _distance_rate(y, torque, direction, exit_side, plant, model),
+        _exit_margin(x, torque, direction, exit_side, plant, model),
+        dt * _exit_rate(x, torque, direction, exit_side, plant, model),
+        _exit_margin(y, torque, direction, exit_side, plant, model),
+        dt * _exit_rate(y, torque, direction, exit_side, plant, model),
     )
     z = rk4_step(x, torque, direction, fraction * dt, plant, model)
     at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)

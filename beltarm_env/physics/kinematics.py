@@ -12,8 +12,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics.plant import ArmState, Plant, sin_cos
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.trigonometry import sin_cos
 
 
 class TipMotion(NamedTuple):

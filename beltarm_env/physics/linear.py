@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, ArmParams, plant_of
+from beltarm_env.arm import FIELDS, ArmParams, Plant, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
-from beltarm_env.physics.plant import Plant
 
 Floats = NDArray[np.float64]
 

@@ -8,32 +8,35 @@ The state is x = [theta_a, omega_a, theta_s, omega_s] of eq. (6c). With phi = th
     M2(phi) = M2(0) + S sin^2(phi)
 
 The term with M2' is missing in the paper; without it the unforced, frictionless arm would not conserve energy. Coulomb
-friction tau_f is set-valued: `direction` says which way the motor slides (-1, +1) or that it sticks (0).
+friction tau_f is that of `friction`.
 """
 
 from __future__ import annotations
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics.plant import ArmState, Plant, belt_torque, sin_cos
+from beltarm_env.physics.friction import friction_torque
+from beltarm_env.physics.state import ArmState, belt_torque
+from beltarm_env.physics.trigonometry import sin_cos
 
 
 @inlined
 def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
-    """The entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
+    """Return the entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
     m2 = plant.inertia + plant.inertia_swing * (1 - cos_phi * cos_phi)
     return plant.inverse_gear * plant.inverse_gear * plant.inverse_motor_inertia, 0.0, 1 / m2
 
 
 @inlined
 def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) -> tuple[float, float]:
-    """Motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `dynamics`."""
+    """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `models`."""
     phi = x.motor_angle * plant.inverse_gear - x.torsion
     phi_dot = x.motor_speed * plant.inverse_gear - x.torsion_speed
     sin_phi, cos_phi = sin_cos(phi)
     m2 = plant.inertia + plant.inertia_swing * sin_phi * sin_phi
     half_m2_slope = plant.inertia_swing * sin_phi * cos_phi
     tau_b = belt_torque(x, plant)
-    tau_f = direction * plant.coulomb_friction
+    tau_f = friction_torque(direction, plant)
     net = torque - plant.viscous_friction * x.motor_speed - tau_f - tau_b * plant.inverse_gear
     motor = direction * direction * plant.inverse_motor_inertia * net
     arm = (tau_b - half_m2_slope * phi_dot * phi_dot) / m2
@@ -42,11 +45,11 @@ def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) ->
 
 @inlined
 def driving_torque(x: ArmState, torque: float, plant: Plant) -> float:
-    """Torque on the motor at standstill, tau_m - tau_b / G [N m]."""
+    """Return the torque that pulls at the motor at standstill, tau_m - tau_b / G [N m]."""
     return torque - belt_torque(x, plant) * plant.inverse_gear
 
 
 @inlined
 def driving_torque_rate(x: ArmState, torsional: float, plant: Plant) -> float:
-    """Time derivative of `driving_torque` [N m/s], at a torsional acceleration [rad/s^2] and constant tau_m."""
+    """Return the time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
     return -(plant.stiffness * x.torsion_speed + plant.damping * torsional) * plant.inverse_gear

@@ -1,72 +1,68 @@
-"""The arm's motion under either of its models, and the set-valued Coulomb friction of its motor.
+"""The two models of the arm: `lumped`, the paper's two masses, and `full_arm`, the two links' Lagrangian.
 
-`lumped` is the paper's two-mass arm, `lagrangian` the full one. Both give accelerations for a friction mode:
-`direction` says which way the motor slides (-1, +1) or that it sticks (0). At standstill it sticks while the torque
-that drives it stays within +-tau_c.
+A kernel that takes a `model` is compiled anew for each, without a choice in its loops, and for the full arm only if
+that is used: numba tells arguments apart by type and prunes `model is LUMPED` as it compiles. The types that a call
+tells apart without delay are those of None and True, hence the values.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics import full_arm as lagrangian
-from beltarm_env.physics import lumped
-from beltarm_env.physics.plant import ArmState, Plant
+from beltarm_env.physics import friction, full_arm, lumped
+from beltarm_env.physics.state import ArmState
 
-Model = None | bool
+Model = bool | None
 LUMPED: Final = None
-LAGRANGIAN: Final = True
-"""The models are told apart by type: numba compiles kernels of their own for each, without a choice in their loops, and
-those of the full arm only if it is used."""
-ELSEWHERE: Final = False
-"""The full arm, moved by another physics engine; what is asked of its equations is answered by LAGRANGIAN's."""
-MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": LAGRANGIAN, "mujoco": ELSEWHERE}
+FULL_ARM: Final = True
+ModelName = Literal["lumped", "lagrangian", "mujoco"]
+MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": FULL_ARM, "mujoco": FULL_ARM}
+"""By the name that users give; "mujoco" is the full arm moved by another engine, with the same equations."""
 
 
 @inlined
 def accelerations(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> tuple[float, float]:
-    """Motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2].
+    """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2].
 
     Args:
         x: State, eq. (6c).
         torque: Motor torque tau_m [N m].
-        direction: -1 or +1 while the motor slides that way, 0 while it sticks.
+        direction: Friction mode: -1 or +1 while the motor slides that way, 0 while it sticks.
         plant: Coefficients of the arm.
         model: Whose equations of motion.
     """
-    if model is None:
+    if model is LUMPED:
         return lumped.accelerations(x, torque, direction, plant)
-    return lagrangian.accelerations(x, torque, direction, plant)
+    return full_arm.accelerations(x, torque, direction, plant)
 
 
 @inlined
 def inverse_inertia(cos_phi: float, plant: Plant, model: Model) -> tuple[float, float, float]:
-    """The entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
-    if model is None:
+    """Return the entries 11, 12 and 22 of the inverse mass matrix for (theta_1, phi) [1/(kg m^2)]."""
+    if model is LUMPED:
         return lumped.inverse_inertia(cos_phi, plant)
-    return lagrangian.inverse_inertia(cos_phi, plant)
+    return full_arm.inverse_inertia(cos_phi, plant)
 
 
 @inlined
 def driving_torque(x: ArmState, torque: float, plant: Plant, model: Model) -> float:
-    """Torque on the motor at standstill [N m]: it sticks while this stays within +-tau_c."""
-    if model is None:
+    """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick."""
+    if model is LUMPED:
         return lumped.driving_torque(x, torque, plant)
-    return lagrangian.driving_torque(x, torque, plant)
+    return full_arm.driving_torque(x, torque, plant)
 
 
 @inlined
 def driving_torque_rate(x: ArmState, torsional: float, plant: Plant, model: Model) -> float:
-    """Time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], motor torque held."""
-    if model is None:
+    """Return the time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
+    if model is LUMPED:
         return lumped.driving_torque_rate(x, torsional, plant)
-    return lagrangian.driving_torque_rate(x, torsional, plant)
+    return full_arm.driving_torque_rate(x, torsional, plant)
 
 
 @inlined
 def sliding_direction(x: ArmState, torque: float, plant: Plant, model: Model) -> float:
-    """Which way the motor slides (-1, +1), or 0 while it sticks."""
-    drive = driving_torque(x, torque, plant, model)
-    breakaway = 1.0 if drive > plant.coulomb_friction else (-1.0 if drive < -plant.coulomb_friction else 0.0)
-    return 1.0 if x.motor_speed > 0.0 else (-1.0 if x.motor_speed < 0.0 else breakaway)
+    """Return the friction mode of a state under a torque [N m]: -1 or +1 if the motor slides, 0 if it sticks."""
+    return friction.sliding_direction(x.motor_speed, driving_torque(x, torque, plant, model), plant)

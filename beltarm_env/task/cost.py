@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics.kinematics import TipMotion, reference_tip
-from beltarm_env.physics.plant import Plant
 
 POSITION_SCALE = 0.010  # [m]
 VELOCITY_SCALE = 0.200  # [m/s]

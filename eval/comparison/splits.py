@@ -28,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.arm import FIELDS, TRAIN_RANGES, Ranges
+from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.moves import MOVE_FIELDS
+from beltarm_env.task.ranges import TRAIN_RANGES, Ranges
 
 Floats = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from baselines.servo.paper import PaperGains, PaperMemory
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
 from beltarm_env.arm import plant_of
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
-from beltarm_env.physics.models import ArmState
+from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import check_moves
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at

@@ -1,0 +1,101 @@
+"""Episodes of a batch of arms: how they begin, and what they came to."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env.arm import plant_of
+from beltarm_env.jit import compiled
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.layout import LANES, load_move, load_plant, load_state, store_plant, store_state
+from beltarm_env.kernels.sense import begin_sensing
+from beltarm_env.physics.kinematics import reference_tip, tip_motion
+from beltarm_env.physics.models import Model
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.substeps import integration_substeps
+from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.reference import reference_at
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@compiled
+def begin_episodes(
+    blocks: Floats,
+    arms: NDArray[np.intp],
+    table: Floats,
+    moves: Floats,
+    states: Floats,
+    resolution: float,
+    delay: int,
+    model: Model,
+) -> None:
+    """Begin a new episode in n arms.
+
+    Args:
+        blocks: The arms, as `layout` describes.
+        arms: Which ones, shape (n,).
+        table: Their parameters, shape (n, len(FIELDS)).
+        moves: Their moves, shape (n, 4).
+        states: Their states, shape (n, 4); NaN for at rest at the move's start.
+        resolution: Of the encoder [rad per count].
+        delay: Of the measurements [samples].
+        model: Whose equations of motion.
+    """
+    for i in range(len(arms)):
+        block, j = blocks[arms[i] // LANES], arms[i] % LANES
+        plant = plant_of(table[i])
+        for row in range(at.ROWS):
+            block[row * LANES + j] = 0.0
+        x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
+        if x.motor_angle != x.motor_angle:
+            x = ArmState(moves[i, 0] * plant.gear, 0.0, 0.0, 0.0)
+        store_state(block, at.STATE, j, x)
+        for k in range(4):
+            block[(at.MOVE + k) * LANES + j] = moves[i, k]
+        store_plant(block, j, plant)
+        begin_sensing(block, j, x, plant, resolution, delay)
+        block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
+
+
+@compiled
+def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, totals: Floats) -> None:
+    """Sum up episodes, into the columns of some arms.
+
+    Args:
+        blocks: The arms, as `layout` describes.
+        arms: Which ones, shape (n,).
+        terminated: Which arms left the workspace and are charged for the steps that are left, shape (N,).
+        totals: Cost, its position, velocity and torque-rate terms, steps, RMS and largest tip error [m], shape (7, N).
+    """
+    for arm in arms:
+        block, j = blocks[arm // LANES], arm % LANES
+        steps = block[at.STEP * LANES + j]
+        cost = MAX_COST * (EPISODE_STEPS - steps) if terminated[arm] else 0.0
+        for k in range(3):
+            totals[1 + k, arm] = block[(at.TOTALS + k) * LANES + j]
+            cost += totals[1 + k, arm]
+        totals[0, arm] = cost
+        totals[4, arm] = steps
+        totals[5, arm] = math.sqrt(block[(at.TOTALS + 3) * LANES + j] / steps)
+        totals[6, arm] = block[(at.TOTALS + 4) * LANES + j]
+
+
+@compiled
+def tip_errors(blocks: Floats, errors: Floats, profile: int) -> None:
+    """Write tip minus reference tip, position [m] and velocity [m/s], x and y each, into `errors`, shape (N, 4)."""
+    for i in range(len(errors)):
+        block, j = blocks[i // LANES], i % LANES
+        plant = load_plant(block, j)
+        tip = tip_motion(load_state(block, at.STATE, j), plant)
+        reference = reference_at(profile, load_move(block, j), block[at.STEP * LANES + j] * CONTROL_PERIOD)
+        x, x_speed = reference_tip(reference.angle, reference.speed, plant)
+        errors[i, 0] = tip.x - x
+        errors[i, 1] = tip.y
+        errors[i, 2] = tip.x_speed - x_speed
+        errors[i, 3] = tip.y_speed
