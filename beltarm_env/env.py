@@ -13,9 +13,11 @@ from beltarm_env import observation
 from beltarm_env.arm import ArmParams
 from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.kernels.step import step_arm
+from beltarm_env.observation import Sensors
+from beltarm_env.physics.models import ModelName
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import Ranges
-from beltarm_env.task.reference import Reference
+from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
 _ARM = np.array([0])
@@ -108,9 +110,9 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __init__(
         self,
         *,
-        sensors: Literal["encoder", "tip", "full"] = "encoder",
-        profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
-        model: Literal["lumped", "lagrangian", "mujoco"] = "lumped",
+        sensors: Sensors = "encoder",
+        profile: Profile = "trapezoid",
+        model: ModelName = "lumped",
         randomization: Literal["off", "train"] | Ranges = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,

@@ -5,6 +5,8 @@ Arrays have time as first axis: row k is the sample after step k + 1, at (k + 1)
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,20 +17,39 @@ Floats = NDArray[np.float64]
 SETTLING_BAND = 0.001
 """Both coordinates of the tip error must stay within +- this for the arm to have settled [m]."""
 
-METRICS = (
-    "tip_rms_mm",
-    "tip_max_mm",
-    "residual_pp_mm",
-    "residual_radial_pp_mm",
-    "residual_lateral_pp_mm",
-    "tip_acc_rms",
-    "settling_s",
-    "failure_share",
-    "torque_rms",
-    "torque_rate_rms",
-    "saturated_share",
-    "cost",
-)
+
+class Metric(NamedTuple):
+    """How a metric is shown."""
+
+    title: str
+    unit: str = ""
+    digits: int = 1  # after the point
+    share: bool = False  # of episodes or samples: averaged plainly, and shown in per cent
+    detail: bool = False  # a part of another metric: recorded for every episode, not shown
+
+
+METRICS = {
+    "tip_rms_mm": Metric("tip RMS", "mm"),
+    "tip_max_mm": Metric("tip max", "mm"),
+    "residual_pp_mm": Metric("residual p-p", "mm"),
+    "residual_radial_pp_mm": Metric("residual p-p, radial", "mm", detail=True),
+    "residual_lateral_pp_mm": Metric("residual p-p, lateral", "mm", detail=True),
+    "tip_acc_rms": Metric("tip acc. RMS", "m/s²", digits=2),
+    "settling_s": Metric("settling", "s", digits=2),
+    "failure_share": Metric("not settled", "%", digits=0, share=True),
+    "torque_rms": Metric("torque RMS", "N m", digits=3),
+    "torque_rate_rms": Metric("torque rate", "N m/s"),
+    "saturated_share": Metric("saturated", "%", digits=0, share=True),
+    "cost": Metric("cost", digits=0),
+}
+"""All metrics of an episode, by name, in the order in which they are shown; lower is better in every one."""
+SHOWN = tuple(name for name, metric in METRICS.items() if not metric.detail)
+
+
+def heading(name: str) -> str:
+    """Return a metric's title with its unit."""
+    metric = METRICS[name]
+    return f"{metric.title} ({metric.unit})" if metric.unit else metric.title
 
 
 def episode_metrics(
@@ -40,7 +61,7 @@ def episode_metrics(
     cost: Floats,
     finished: NDArray[np.bool_],
 ) -> dict[str, Floats]:
-    """Metrics of n episodes of T steps.
+    """Compute the metrics of n episodes of T steps.
 
     Args:
         tip_error: Tip minus reference tip, radial (x) and lateral (y) [m], shape (T, n, 2).
@@ -80,7 +101,7 @@ def episode_metrics(
 
 
 def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
-    """Peak-to-peak motion of the tip after the move's end, less its straight-line trend.
+    """Compute the peak-to-peak motion of the tip after the move's end, less its straight-line trend.
 
     Belt torsion moves the tip along a line, so the two parts are in phase, and their hypotenuse is the peak-to-peak
     amplitude along that line.
@@ -104,7 +125,10 @@ def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
 
 
 def settling_time(tip_error: Floats) -> Floats:
-    """Time from the move's start until the tip stays within the band in both axes, shape (n,) [s]; inf for never."""
+    """Compute the time from the move's start until the tip stays within the band for good [s]; inf for never.
+
+    The band holds for both axes; shape (n,).
+    """
     outside = np.any(np.abs(tip_error) > SETTLING_BAND, axis=2)
     steps = len(outside)
     last_outside = np.where(outside.any(axis=0), steps - 1 - np.argmax(outside[::-1], axis=0), -1)

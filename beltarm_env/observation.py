@@ -11,7 +11,7 @@ ramp time and elapsed time, enough to rebuild the reference at any time.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,8 @@ _MOVE = (
 )
 _ENCODER = (*_MEASURED, *_REFERENCE, *_MOVE)
 
-SENSORS = ("encoder", "tip", "full")
+Sensors = Literal["encoder", "tip", "full"]
+SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 ENCODER, TIP, FULL = range(3)
 ENTRIES: dict[str, tuple[Entry, ...]] = {
     "encoder": _ENCODER,
@@ -62,12 +63,12 @@ ENTRIES: dict[str, tuple[Entry, ...]] = {
 
 
 def size(sensors: str = "encoder") -> int:
-    """Number of entries of a sensor tier's observation."""
+    """Count the entries of a sensor tier's observation."""
     return len(ENTRIES[sensors])
 
 
 def index(name: str, sensors: str = "encoder") -> int:
-    """Position of the entry called `name`.
+    """Find the position of the entry called `name`.
 
     Raises:
         ValueError: If the tier has no such entry.
@@ -79,17 +80,17 @@ def index(name: str, sensors: str = "encoder") -> int:
 
 
 def scales(sensors: str = "encoder") -> NDArray[np.float64]:
-    """Physical value of 1.0 in each entry, shape (size,)."""
+    """Return the physical value of 1.0 in each entry, shape (size,)."""
     return np.array([entry.scale for entry in ENTRIES[sensors]])
 
 
 def bounds(sensors: str = "encoder") -> NDArray[np.float32]:
-    """Largest magnitude of each scaled entry, shape (size,)."""
+    """Return the largest magnitude of each scaled entry, shape (size,)."""
     return np.array([entry.bound / entry.scale for entry in ENTRIES[sensors]], dtype=np.float32)
 
 
 def decode(observation: NDArray[np.float32], sensors: str = "encoder") -> dict[str, NDArray[np.float64]]:
-    """Observation in physical units, by name.
+    """Turn observations into physical units, by name.
 
     Args:
         observation: Shape (..., size).

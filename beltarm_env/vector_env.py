@@ -17,8 +17,10 @@ from beltarm_env.arm import ArmParams
 from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.step import step_arms
+from beltarm_env.observation import Sensors
+from beltarm_env.physics.models import ModelName
 from beltarm_env.task.ranges import Ranges
-from beltarm_env.task.reference import Reference
+from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
 Flags = NDArray[np.bool_]
@@ -47,9 +49,9 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self,
         num_envs: int = 1,
         *,
-        sensors: Literal["encoder", "tip", "full"] = "encoder",
-        profile: Literal["trapezoid", "scurve", "quintic"] = "trapezoid",
-        model: Literal["lumped", "lagrangian", "mujoco"] = "lumped",
+        sensors: Sensors = "encoder",
+        profile: Profile = "trapezoid",
+        model: ModelName = "lumped",
         randomization: Literal["off", "train"] | Ranges = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,

@@ -45,7 +45,7 @@ def evaluate(**signals: Any) -> dict[str, float]:
         np.array([merged["cost"]]),
         np.array([merged["finished"]]),
     )
-    assert tuple(metrics) == METRICS
+    assert list(metrics) == list(METRICS)
     assert all(value.shape == (1,) for value in metrics.values())
     return {name: float(value[0]) for name, value in metrics.items()}
 

@@ -11,14 +11,15 @@ After the move the reference rests at the goal.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.jit import compiled, inlined
 
-PROFILES = ("trapezoid", "scurve", "quintic")
+Profile = Literal["trapezoid", "scurve", "quintic"]
+PROFILES: tuple[Profile, ...] = get_args(Profile)
 TRAPEZOID, SCURVE, QUINTIC = range(3)
 SCURVE_PEAK_ACCELERATION = 1.5
 """Peak acceleration of a ramp over its mean: the steepest slope of 3u^2 - 2u^3. A linear ramp has 1."""
@@ -47,7 +48,7 @@ class Reference(NamedTuple):
 
 @inlined
 def _linear_ramp(u: float) -> tuple[float, float, float]:
-    """Integral, value and slope of a ramp that rises from 0 to 1 over 0 <= u < 1, linearly."""
+    """Return integral, value and slope of a ramp that rises from 0 to 1 over 0 <= u < 1, linearly."""
     c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
     beyond = u - 1.0 if u > 1.0 else 0.0
     slope = 1.0 if (u >= 0.0) & (u < 1.0) else 0.0
@@ -56,7 +57,7 @@ def _linear_ramp(u: float) -> tuple[float, float, float]:
 
 @inlined
 def _smooth_ramp(u: float) -> tuple[float, float, float]:
-    """Integral, value and slope of the ramp 3u^2 - 2u^3."""
+    """Return integral, value and slope of the ramp 3u^2 - 2u^3."""
     c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
     beyond = u - 1.0 if u > 1.0 else 0.0
     return c * c * c * (1.0 - 0.5 * c) + beyond, c * c * (3.0 - 2.0 * c), 6.0 * c * (1.0 - c)
@@ -66,7 +67,7 @@ def _smooth_ramp(u: float) -> tuple[float, float, float]:
 def _between_ramps(
     move: MoveShape, ramp_rate: float, up: tuple[float, float, float], down: tuple[float, float, float]
 ) -> Reference:
-    """Motion whose speed is one ramp up minus one ramp down, times the cruising speed."""
+    """Return the motion whose speed is one ramp up minus one ramp down, times the cruising speed."""
     cruise = (move.goal - move.start) / (move.duration - move.ramp_time)
     return Reference(
         move.start + cruise * move.ramp_time * (up[0] - down[0]),
@@ -90,7 +91,7 @@ def _quintic(move: MoveShape, time: float) -> Reference:
 
 @inlined
 def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
-    """Reference angle, speed and acceleration at the joint, `time` seconds after the move's start.
+    """Return the reference angle, speed and acceleration at the joint, `time` seconds after the move's start.
 
     Accelerations that jump (`trapezoid`) take the value that holds from this instant on.
     """

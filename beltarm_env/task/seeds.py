@@ -1,0 +1,55 @@
+"""Seeds: which arms and moves belong to whom.
+
+An episode is drawn from a seed. Everything that draws episodes has a range of seeds of its own, so that nothing is
+tested on what it was trained, tuned or chosen on. Arm i of a range has the seed `first + i`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class SeedRange(NamedTuple):
+    """Seeds `first` to `first + size - 1`."""
+
+    first: int
+    size: int
+
+
+SEED_SPACING = 4096
+"""Seeds between the first arms of two training seeds, and so the most arms that a training run can have."""
+MAX_TRAINING_SEED = 4_000_000 // SEED_SPACING - 1
+
+
+def training_arms(seed: int) -> SeedRange:
+    """Return the seeds of the arms of one training seed, 0 to `MAX_TRAINING_SEED`."""
+    return SeedRange(SEED_SPACING * seed, SEED_SPACING)
+
+
+TRAINING = SeedRange(0, SEED_SPACING * (MAX_TRAINING_SEED + 1))
+CROSSCHECK = SeedRange(4_000_000, 1_000)
+"""The full arm in two engines."""
+REPETITION = SeedRange(4_100_000, 1_000)
+"""Iterative learning."""
+ABLATIONS = SeedRange(4_300_000, 10_000)
+"""Scores of the ablations."""
+GAIN_SEARCH = SeedRange(5_000_000, 500_000)
+"""Trials of the gains' tuner; the clairvoyant optimum's scenarios are among them."""
+GAIN_CHOICE = SeedRange(5_500_000, 500_000)
+"""Choice among the tuner's best."""
+PAPER_MOVES = SeedRange(6_000_000, 300)
+"""Random moves of the paper's reproduction."""
+PROTOCOL_CHECK = SeedRange(6_900_000, 5)
+"""Arms that a controller of one's own is checked on."""
+VALIDATION = SeedRange(7_000_000, 500_000)
+"""Validation of training runs: checkpoints and settings are chosen on these."""
+LOOPS = SeedRange(7_500_000, 100_000)
+"""Costs and times of the classical controllers."""
+TEST_NOMINAL = SeedRange(8_000_000, 200)
+TEST_RANDOMIZED = SeedRange(8_100_000, 200)
+"""The comparison's scenarios, and all splits that shift them."""
+MAPS = SeedRange(8_500_000, 8)
+"""Moves of the robustness maps."""
+
+RANGES = {name: value for name, value in vars().items() if isinstance(value, SeedRange)}
+"""All of them, by name; disjoint."""
