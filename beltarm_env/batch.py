@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from beltarm_env import observation
-from beltarm_env.arm import FIELDS, ArmParams
+from beltarm_env.arm import COLUMN, FIELDS, ArmParams
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, tip_errors
 from beltarm_env.kernels.observe import observe_arms
@@ -161,7 +161,7 @@ class ArmBatch:
 
         states = self._nothing[:count]
         if options.get("state") is not None:
-            states = _states(options["state"], table[:, FIELDS.index("gear_ratio")])
+            states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
         begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
         if self.engine is not None:
@@ -246,7 +246,7 @@ def _checked(what: str, given: object, allowed: tuple[str, ...]) -> Mapping[str,
 
 
 def _column(name: str, value: object, count: int) -> Floats:
-    """A scalar or one value per arm, as an array of shape (count,)."""
+    """Broadcast a scalar or one value per arm, as an array of shape (count,)."""
     array = _numbers(name, value)
     if array.shape not in ((), (count,)):
         raise ValueError(f"{name} must be one number or have shape ({count},), got shape {array.shape}")
@@ -264,7 +264,7 @@ def _numbers(name: str, value: object) -> Floats:
 
 
 def _states(given: object, gear: Floats) -> Floats:
-    """Initial states as given, shape (n, 4), for arms with gear ratios of shape (n,)."""
+    """Check initial states as given, shape (n, 4), for arms with gear ratios of shape (n,)."""
     states = np.empty((len(gear), 4))
     array = _numbers("state", given)
     if array.shape not in ((4,), states.shape):

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import COLUMN
 from beltarm_env.metrics import episode_metrics
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 class Controller(Protocol):
-    """Anything that turns observations into torques."""
+    """Protocol of everything that turns observations into torques."""
 
     def predict(
         self,
@@ -32,7 +32,7 @@ class Controller(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """Actions for a batch of observations.
+        """Compute actions for a batch of observations.
 
         Args:
             observation: Shape (n, size).
@@ -70,7 +70,7 @@ class Recording:
             self.tip_error,
             self.tip_velocity_error,
             self.torque,
-            self.params[:, FIELDS.index("torque_limit")],
+            self.params[:, COLUMN.torque_limit],
             self.moves[:, 2],
             self.cost,
             self.finished,
@@ -120,5 +120,5 @@ def rollout(
         running = running & ~terminated
         if terminated.any() and not truncated.any():  # keep the batch going; what these arms do now is not recorded
             observation, _ = env.reset(options={"reset_mask": terminated})
-    torque *= params[:, FIELDS.index("torque_limit")]
+    torque *= params[:, COLUMN.torque_limit]
     return Recording(states, torque, errors[:, :, :2], errors[:, :, 2:], cost, finished, params, moves)

@@ -1,4 +1,4 @@
-"""The plant alone, without sensors, reference and episodes: for controllers and observers that simulate their arm."""
+"""Plant alone, without sensors, reference and episodes: for controllers and observers that simulate their arm."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, ArmParams, plant_of
+from beltarm_env.arm import COLUMN, ArmParams, params_table, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
@@ -17,11 +17,6 @@ from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import check_integrable, integration_substeps
 
 Floats = NDArray[np.float64]
-
-
-def params_table(arms: Sequence[ArmParams]) -> Floats:
-    """Constants of n arms, columns as the fields of `ArmParams`, shape (n, 12)."""
-    return np.array([[getattr(arm, name) for name in FIELDS] for arm in arms])
 
 
 @compiled
@@ -59,7 +54,7 @@ def _advance(
 
 
 class ArmSimulation:
-    """Steps of any number of arms by one control period, with the friction and the integrator of the environment.
+    """Simulation of any number of arms by one control period, with the friction and the integrator of the environment.
 
     Args:
         params: One set of constants for each arm, or one for all.
@@ -78,24 +73,24 @@ class ArmSimulation:
         self._model = MODELS[model]
         check_integrable(table, self._model)
         table = np.repeat(table, num_arms, axis=0) if isinstance(params, ArmParams) else table
-        self._limits = table[:, FIELDS.index("torque_limit")].copy()
+        self._limits = table[:, COLUMN.torque_limit].copy()
         self._blocks = at.empty_blocks(len(table))
         self._work, self._actions = np.zeros(WORK_ROWS * LANES), np.zeros(LANES)
         _load_blocks(self._blocks, table, self._model)
 
     def set_table(self, table: Floats) -> None:
-        """Go on with other constants that are near those before: columns as `ArmParams`, shape (n, 12).
+        """Replace the constants by others near those before: columns as `ArmParams`, shape (n, 12).
 
         Raises:
             ValueError: If these are more arms than there is room for, which is as many as at the beginning.
         """
         if len(table) > len(self._blocks) * LANES:
             raise ValueError(f"there is room for {len(self._blocks) * LANES} arms, got {len(table)}")
-        self._limits = table[:, FIELDS.index("torque_limit")].copy()
+        self._limits = table[:, COLUMN.torque_limit].copy()
         _load_blocks(self._blocks, table, self._model)
 
     def advance(self, states: Floats, torques: Floats) -> Floats:
-        """States one control period later.
+        """Compute the states one control period later.
 
         Args:
             states: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (n, 4).

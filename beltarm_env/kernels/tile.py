@@ -1,4 +1,4 @@
-"""Observations in the making: one row per entry, scaled and clipped, then copied to one row per arm.
+"""Tile of observations: one row per entry, scaled and clipped, to be copied to one row per arm.
 
 The rows of a tile are the entries of all sensor tiers, those that all have first.
 """

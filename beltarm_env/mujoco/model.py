@@ -47,7 +47,7 @@ def load_model(
     friction_impedance: float = _LARGEST_IMPEDANCE,
     friction_rate: float | None = None,
 ) -> MjModel:
-    """MuJoCo model of one full arm. Its only control is the motor torque [N m], at the motor's shaft.
+    """Make the MuJoCo model of one full arm. Its only control is the motor torque [N m], at the motor's shaft.
 
     | of the arm | in MuJoCo |
     |---|---|
@@ -159,7 +159,7 @@ def _stretch(spec: MjSpec, params: ArmParams) -> None:
 
 
 def read_state(data: MjData, params: ArmParams) -> Floats:
-    """State x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s) of MuJoCo's positions and speeds."""
+    """Read the state x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s) off MuJoCo's positions and speeds."""
     (theta_1, fold), (omega_1, folding) = data.qpos.tolist(), data.qvel.tolist()
     gear = params.gear_ratio
     return np.array([gear * theta_1, gear * omega_1, theta_1 + 0.5 * fold, omega_1 + 0.5 * folding])

@@ -1,4 +1,4 @@
-"""Where the arm's end is: the exact planar kinematics of the two-link arm with its hand.
+"""Kinematics of the arm's end: the exact planar kinematics of the two-link arm with its hand.
 
 Link 2 turns by twice the joint angle against link 1 (both of length l), so an unloaded belt moves the tip along the x
 axis; belt torsion theta_s turns the whole line from joint 1 to the tip:
@@ -29,7 +29,7 @@ class TipMotion(NamedTuple):
 
 @inlined
 def tip_motion(state: ArmState, plant: Plant) -> TipMotion:
-    """Position and velocity of the tip for a state of the arm."""
+    """Return position and velocity of the tip for a state of the arm."""
     phi = state.motor_angle * plant.inverse_gear - state.torsion
     phi_dot = state.motor_speed * plant.inverse_gear - state.torsion_speed
     sin_phi, cos_phi = sin_cos(phi)
@@ -47,7 +47,7 @@ def tip_motion(state: ArmState, plant: Plant) -> TipMotion:
 
 @inlined
 def reference_tip(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
-    """Position [m] and speed [m/s] on the x axis of the tip of a rigid arm at joint angle and speed (rad, rad/s)."""
+    """Return the tip of a rigid arm on the x axis, position [m] and speed [m/s], at joint angle and speed."""
     sine, cosine = sin_cos(angle)
     return plant.double_link * cosine + plant.hand, -plant.double_link * sine * speed
 
@@ -63,7 +63,7 @@ _LARGEST = 1e9  # of any state; only an integration that runs away gets there
 
 @inlined
 def contained(state: ArmState, plant: Plant) -> ArmState:
-    """The state, or a resting one outside the workspace if the integration ran away (or is not a number).
+    """Replace a state that ran away, or is not a number, by a resting one outside the workspace.
 
     It takes an arm far from any real one to get there, such as one whose inertia swings by a factor of 10 000; its
     episode then ends, and what is observed of it stays finite.
@@ -81,7 +81,7 @@ def contained(state: ArmState, plant: Plant) -> ArmState:
 
 @inlined
 def outside_workspace(state: ArmState, plant: Plant) -> bool:
-    """Whether the joint angle theta_1 or the arm angle phi lies outside the workspace (or is not a number)."""
+    """Tell whether the joint angle theta_1 or the arm angle phi lies outside the workspace (or is not a number)."""
     joint = state.motor_angle * plant.inverse_gear
     arm = joint - state.torsion
     return not ((joint >= LOWEST) & (joint <= HIGHEST) & (arm >= LOWEST) & (arm <= HIGHEST))

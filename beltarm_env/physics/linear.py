@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, ArmParams, Plant, plant_of
+from beltarm_env.arm import ArmParams, Plant, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
 
@@ -29,7 +29,7 @@ def _fill(held: Floats, plant: Plant, cos_phi: float, model: Model) -> None:
 
 @compiled
 def _exponential(matrix: Floats, scale: float) -> Floats:
-    """exp(scale * matrix) by its Taylor series, for small arguments."""
+    """Compute exp(scale * matrix) by its Taylor series, for small arguments."""
     size = len(matrix)
     total, term = np.eye(size), np.eye(size)
     for order in range(1, _TERMS + 1):
@@ -45,7 +45,7 @@ def _exponential(matrix: Floats, scale: float) -> Floats:
 
 @compiled
 def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats, Floats, Floats]:
-    """Linear models of n lumped arms from one sample to the next, at m joint angles.
+    """Compute linear models of n lumped arms from one sample to the next, at m joint angles.
 
     x[k+1] = A x[k] + b tau_m + e alpha with the torque tau_m [N m] and a torsional acceleration alpha [rad/s^2] held
     over `period`: blocks of the exponential of eq. (6) with the held inputs as further states.
@@ -71,7 +71,7 @@ def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats,
 
 
 def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tuple[Floats, Floats, Floats]:
-    """Linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at joint angle `theta_1` [rad], Coulomb friction left out.
+    """Compute the linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at a joint angle, Coulomb friction left out.
 
     With W the inverse mass matrix for (theta_1, phi), and tau_b = K_s theta_s + D_s omega_s:
 
@@ -97,7 +97,6 @@ def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tup
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
     if not isinstance(model, str) or model not in MODELS:
         raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
-    plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
     held = np.zeros((6, 6))
-    _fill(held, plant, math.cos(theta_1), MODELS[model])
+    _fill(held, params.plant(), math.cos(theta_1), MODELS[model])
     return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])

@@ -19,5 +19,5 @@ class ArmState(NamedTuple):
 
 @inlined
 def belt_torque(x: ArmState, plant: Plant) -> float:
-    """tau_b = K_s theta_s + D_s omega_s [N m], the torque the belt exerts on the arm."""
+    """Return tau_b = K_s theta_s + D_s omega_s [N m], the torque of the belt on the arm."""
     return plant.stiffness * x.torsion + plant.damping * x.torsion_speed

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, Plant, plant_of
+from beltarm_env.arm import COLUMN, FIELDS, Plant, plant_of
 from beltarm_env.jit import inlined
 from beltarm_env.physics.models import Model, inverse_inertia
 from beltarm_env.timing import CONTROL_PERIOD
@@ -20,14 +20,14 @@ Floats = NDArray[np.float64]
 
 @inlined
 def _torsional_mobility(cos_phi: float, plant: Plant, model: Model) -> float:
-    """Torsional acceleration per belt torque while the motor slides [1/(kg m^2)]."""
+    """Return the torsional acceleration per belt torque while the motor slides [1/(kg m^2)]."""
     joint, mutual, arm = inverse_inertia(cos_phi, plant, model)
     return joint - 2 * mutual + arm
 
 
 @inlined
 def fastest_rate(plant: Plant, model: Model) -> float:
-    """Bound of the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
+    """Bound the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
     # A linear function of cos^2 over a concave one: largest at 0 or 90 degrees.
     compliance = max(_torsional_mobility(0.0, plant, model), _torsional_mobility(1.0, plant, model))
     belt = max(math.sqrt(plant.stiffness * compliance), plant.damping * compliance)
@@ -41,7 +41,7 @@ _STEP_ANGLE = 0.12  # largest product of rate and integration step: one step for
 
 @inlined
 def integration_substeps(plant: Plant, model: Model) -> float:
-    """Integration steps per sample: one for any arm near the nominal, more for stiffer ones."""
+    """Return the integration steps per sample: one for any arm near the nominal, more for stiffer ones."""
     return max(math.ceil(fastest_rate(plant, model) * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
 
 
@@ -67,7 +67,7 @@ def check_ranges_integrable(bounds: Floats, model: Model) -> None:
 
 
 def fastest_arms(bounds: Floats) -> Floats:
-    """Arms of which one is the fastest within some ranges, shape (16, len(FIELDS)).
+    """Return arms of which one is the fastest within some ranges, shape (16, len(FIELDS)).
 
     In the arm's inertia M2(0) and its swing S the fastest lies at an end of a range or, for the full arm, where link 2
     is a rod alone, S = 6 M2(0); in everything else at one known end.
@@ -75,7 +75,7 @@ def fastest_arms(bounds: Floats) -> Floats:
     fastest = bounds[0].copy()
     for name in ("belt_stiffness", "belt_damping_ratio", "motor_viscous_friction"):
         fastest[FIELDS.index(name)] = bounds[1, FIELDS.index(name)]
-    inertia, swing = FIELDS.index("arm_inertia"), FIELDS.index("arm_inertia_swing")
+    inertia, swing = COLUMN.arm_inertia, COLUMN.arm_inertia_swing
     inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))
     swings = np.append(bounds[:, swing], np.clip(6 * bounds[:, inertia], *bounds[:, swing]))
     table = np.tile(fastest, (len(inertias) * len(swings), 1))

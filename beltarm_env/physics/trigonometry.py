@@ -7,7 +7,7 @@ from beltarm_env.jit import inlined
 
 @inlined
 def sin_cos(angle: float) -> tuple[float, float]:
-    """Sine and cosine from Taylor series of the half angle: error below 1e-15 for |angle| <= 2 rad, the workspace.
+    """Return sine and cosine from Taylor series of the half angle; error below 1e-15 up to 2 rad, the workspace.
 
     Written out because a call into the maths library would keep the loop over arms from being vectorised, and because
     its result may differ between the scalar and the vector variant of such a library. Terms are summed in groups

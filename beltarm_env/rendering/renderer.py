@@ -105,7 +105,7 @@ class Renderer:
 
 
 class _Canvas:
-    """Drawing in pixels of the finished frame, on a finer surface."""
+    """Surface to draw on in pixels of the finished frame, finer than it."""
 
     def __init__(self) -> None:
         import pygame
@@ -120,11 +120,11 @@ class _Canvas:
         return self.pygame.transform.smoothscale(self._surface, (WIDTH, HEIGHT))
 
     def disc(self, color: Color, center: Point, radius: float, rim: float = 0.0) -> None:
-        """A disc, or a ring where `rim` says how wide."""
+        """Draw a disc, or a ring of width `rim`."""
         self.pygame.draw.circle(self._surface, color, _fine(center), radius * _FINER, round(rim * _FINER))
 
     def bar(self, color: Color, start: Point, end: Point, half_width: float = 0.4, taper: float = 0.0) -> None:
-        """A bar with round ends, at its end `taper` slimmer on each side; by default a thin line."""
+        """Draw a bar with round ends, at its end `taper` slimmer on each side; by default a thin line."""
         (ax, ay), (bx, by) = _fine(start), _fine(end)
         factor = _FINER / (math.hypot(bx - ax, by - ay) or 1.0)
         x, y, w, v = (ay - by) * factor, (bx - ax) * factor, half_width, half_width - taper
@@ -154,7 +154,7 @@ def _fine(point: Point) -> Point:
 
 
 def _posture(params: ArmParams, joint_angle: float, torsion: float) -> list[Point]:
-    """Joints 1, 2, 3 and tip [m] at motor-side joint angle and belt torsion [rad]."""
+    """Return joints 1, 2, 3 and tip [m] at motor-side joint angle and belt torsion [rad]."""
     length, along, across = params.link_length, math.cos(torsion), math.sin(torsion)
     joint_3 = 2 * length * math.cos(joint_angle - torsion)
     tip = joint_3 + params.hand_length
@@ -187,7 +187,7 @@ def _draw_arms(canvas: _Canvas, params: ArmParams, arm: Sequence[Point], referen
 
 
 def _draw_magnifier(canvas: _Canvas, trace: Sequence[tuple[float, Point]]) -> None:
-    """Errors of the tip [mm] with their age [s], oldest first, around the reference tip."""
+    """Draw errors of the tip [mm] with their age [s], oldest first, around the reference tip."""
     half, (left, top) = _SIDE / 2, _INSET
     scale, x, y, right = half / MAGNIFIED_MM, left + half, top + half, left + _SIDE
     canvas.square(_WHITE, _INSET, _SIDE)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def import_pygame() -> ModuleType:
-    """The pygame module.
+    """Import pygame.
 
     Raises:
         DependencyNotInstalled: If it is missing.
@@ -47,7 +47,7 @@ class Window:
         self._clock = pygame.time.Clock()
 
     def begin_frame(self, time: float) -> bool:
-        """Whether to draw: the window is open and, since the last call, a new 1/fps s of arm time has begun."""
+        """Tell whether to draw: the window is open and, since the last call, a new 1/fps s of arm time has begun."""
         previous, self._shown = self._shown, math.floor(time * self._fps + 1e-6)
         return self._open and self._shown != previous
 

@@ -1,1 +1,1 @@
-"""What is asked of the arm and charged: moves, references, sensors, cost, training ranges, seeds."""
+"""Task given to the arm: moves, references, sensors, cost, training ranges, seeds."""

@@ -1,4 +1,4 @@
-"""The per-step cost: what the reward is minus of, and what every controller is tuned on.
+"""Cost per step: its negative is the reward, its sum what every controller is tuned on.
 
     cost = min(|e_p| / 10 mm, 10) + min(|e_v| / 200 mm/s, 10) + 0.1 |tau_k - tau_(k-1)| / torque limit
 
@@ -33,7 +33,7 @@ class StepCost(NamedTuple):
 
 @inlined
 def step_cost(tip: TipMotion, angle: float, speed: float, action: float, last_action: float, plant: Plant) -> StepCost:
-    """Cost of one step.
+    """Compute the cost of one step.
 
     Args:
         tip: Motion of the arm's end.

@@ -1,4 +1,4 @@
-"""Moves: which ones are allowed, how they are drawn, and how much torque they ask for."""
+"""Moves: bounds, random draws, and the torque that they take."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MOST_TORQUE = TORQUE_SHARE * _NOMINAL.torque_limit
 
 @inlined
 def _peaks(profile: int, length: float, duration: float, ramp_time: float) -> tuple[float, float]:
-    """Peak joint acceleration [rad/s^2] and speed [rad/s]."""
+    """Return peak joint acceleration [rad/s^2] and speed [rad/s]."""
     if profile == QUINTIC:
         return QUINTIC_PEAK_ACCELERATION * length / (duration * duration), QUINTIC_PEAK_SPEED * length / duration
     cruise = length / (duration - ramp_time)
@@ -61,14 +61,14 @@ def _peaks(profile: int, length: float, duration: float, ramp_time: float) -> tu
 
 @inlined
 def peak_torque(profile: int, length: float, duration: float, ramp_time: float) -> float:
-    """Motor torque the nominal rigid arm needs at most [N m]: all peaks taken together, inertia as at 90 degrees."""
+    """Bound the motor torque that the nominal rigid arm needs [N m]: all peaks together, inertia of 90 degrees."""
     acceleration, speed = _peaks(profile, length, duration, ramp_time)
     return _INERTIA * acceleration + _VISCOUS * speed + _CENTRIFUGAL * speed * speed + _COULOMB
 
 
 @inlined
 def shortest_duration(profile: int, length: float, ramp_share: float) -> float:
-    """Shortest duration [s] of a feasible move whose ramps take `ramp_share` of it.
+    """Return the shortest duration [s] of a feasible move whose ramps take `ramp_share` of it.
 
     With q = 1/duration, acceleration scales with q^2 and speed with q, so `peak_torque` is quadratic in q.
     """
@@ -81,7 +81,7 @@ def shortest_duration(profile: int, length: float, ramp_share: float) -> float:
 
 @inlined
 def _longest_move(profile: int, duration: float, ramp_share: float) -> float:
-    """Longest feasible move in `duration` seconds [rad]: `peak_torque` is quadratic in the length as well."""
+    """Return the longest feasible move in `duration` seconds [rad]: `peak_torque` is quadratic in the length too."""
     acceleration, speed = _peaks(profile, 1.0, duration, ramp_share * duration)
     linear = _INERTIA * acceleration + _VISCOUS * speed
     quadratic = _CENTRIFUGAL * speed * speed
@@ -91,7 +91,7 @@ def _longest_move(profile: int, duration: float, ramp_share: float) -> float:
 
 @inlined
 def _shortest_with_ramps(profile: int, length: float, ramp_time: float) -> float:
-    """Shortest duration [s] of a feasible move with ramps of a given time: `peak_torque` is quadratic in its speed."""
+    """Return the shortest duration [s] with ramps of a given time: `peak_torque` is quadratic in the speed."""
     if profile == QUINTIC:
         return shortest_duration(profile, length, 0.5)
     acceleration, _ = _peaks(profile, 1.0, ramp_time + 1.0, ramp_time)  # at a cruising speed of 1 rad/s
@@ -103,7 +103,7 @@ def _shortest_with_ramps(profile: int, length: float, ramp_time: float) -> float
 
 @inlined
 def _other_end(end: float, uniform: float, longest: float) -> float:
-    """A point between `SHORTEST` and `longest` from `end`, uniform over what the workspace leaves on both sides."""
+    """Choose a point between `SHORTEST` and `longest` from `end`, uniform over what the workspace leaves."""
     below = max(min(end, longest) - SHORTEST, 0.0)
     above = max(min(WORKSPACE - end, longest) - SHORTEST, 0.0)
     position = uniform * (below + above)
@@ -112,7 +112,7 @@ def _other_end(end: float, uniform: float, longest: float) -> float:
 
 @inlined
 def _draw_ends(uniforms: Floats, start: float, goal: float, longest: float) -> tuple[float, float]:
-    """Start and goal, where not given (NaN) uniform over the pairs between `SHORTEST` and `longest` apart."""
+    """Choose start and goal, where not given (NaN) uniform over the pairs between `SHORTEST` and `longest` apart."""
     if start == start and goal == goal:
         return start, goal
     if start == start:

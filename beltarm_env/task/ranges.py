@@ -33,7 +33,7 @@ TRAIN_RANGES: Ranges = {
 
 
 def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str, tuple[float, float]]:
-    """Ranges of the fields that vary.
+    """Resolve the ranges of the fields that vary.
 
     Args:
         randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from field name to (low, high).
@@ -65,8 +65,8 @@ def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str,
 
 
 def range_bounds(ranges: Ranges) -> Floats:
-    """Lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
-    bounds = np.tile([getattr(NOMINAL, name) for name in FIELDS], (2, 1))
+    """Return the lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
+    bounds = np.tile(NOMINAL.row(), (2, 1))
     for name, pair in ranges.items():
         bounds[:, FIELDS.index(name)] = pair
     return bounds

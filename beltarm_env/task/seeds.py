@@ -1,4 +1,4 @@
-"""Seeds: which arms and moves belong to whom.
+"""Seed ranges: which arms and moves are drawn for what.
 
 An episode is drawn from a seed. Everything that draws episodes has a range of seeds of its own, so that nothing is
 tested on what it was trained, tuned or chosen on. Arm i of a range has the seed `first + i`.

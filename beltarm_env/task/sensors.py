@@ -1,4 +1,4 @@
-"""What the drive measures: encoder counts and speed by differencing.
+"""Encoder of the motor: counts, and speed by differencing.
 
 The encoder counts `motor angle / resolution`, rounded to the nearest whole count (half a count either way, unbiased);
 the motor speed is the difference of two successive counts over the control period, as in the paper's software servo.
@@ -17,7 +17,7 @@ _ROUNDER = 1.5 * 2.0**52  # adding it pushes the fraction out of a float64
 
 @inlined
 def to_counts(angle: float, resolution: float) -> float:
-    """Nearest whole count for a motor angle [rad], resolution in rad per count; halves round to even.
+    """Return the nearest whole count for a motor angle [rad], resolution in rad per count; halves round to even.
 
     Exact for magnitudes below 2^51 counts. Addition and subtraction of one constant, instead of a call to round, keep
     the loop over arms vectorised.
@@ -27,5 +27,5 @@ def to_counts(angle: float, resolution: float) -> float:
 
 @inlined
 def speed_from_counts(now: float, before: float, resolution: float) -> float:
-    """Motor speed [rad/s] by differencing two successive counts."""
+    """Return the motor speed [rad/s] by differencing two successive counts."""
     return (now - before) * resolution * (1 / CONTROL_PERIOD)
