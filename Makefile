@@ -26,7 +26,7 @@ compare: $(READY)  ## Compare all controllers on 70 scenarios of every split: re
 scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them
 	$(BIN)/python eval/scenarios.py $(ARGS)
 
-paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
+paper: $(READY)  ## Regenerate the paper's figures and tables in docs/paper
 	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
 
 loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines

@@ -28,7 +28,6 @@ from eval.loops.gains import MEANING
 from eval.loops.laws import law_of
 from eval.loops.models import (
     NYQUIST,
-    arm_model,
     closed_poles,
     delayed,
     is_stable,
@@ -36,6 +35,7 @@ from eval.loops.models import (
     loop_model,
     margins,
     response,
+    sampled_arm,
 )
 
 Floats = NDArray[np.float64]
@@ -101,7 +101,7 @@ def check_pulse(name: str, k: int, **changed: Any) -> None:
     controller, pulse = frictionless(name), 1e-6
     motion = at_work(name, controller, k, pulse, **changed) - at_work(name, controller, k, 0.0, **changed)
     law = delayed(changed.get("gain", 1.0) * law_model(law_of(controller, k)), changed.get("delay", 0))
-    closed: Any = control.feedback(arm_model(FRICTIONLESS, k), cast("Any", law), sign=1)
+    closed: Any = control.feedback(sampled_arm(FRICTIONLESS, ANGLES[k]), cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()

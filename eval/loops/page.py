@@ -12,8 +12,8 @@ from eval.loops.costs import CHANGES, PRIVILEGED, SEED
 from eval.loops.gains import gains_table
 from eval.loops.models import Margins, Poles
 from eval.loops.study import Study, at_angle, worst
-from eval.reproduction.words import number
 from eval.style.markdown_table import markdown_table
+from eval.style.text import number, poles_text
 
 _SHOWN = (0, 45, 90)
 _METRICS = {"cost": ("cost", 0), "tip_rms_mm": ("tip RMS (mm)", 1), "residual_pp_mm": ("residual p-p (mm)", 1)}
@@ -35,13 +35,9 @@ def _cells(margin: Margins) -> list[str]:
     return [*texts, number(margin.delay, 1), number(margin.modulus, 2)]
 
 
-def poles_text(poles: Poles) -> str:
-    """The slowest poles [1/s], each conjugate pair once with its damping ratio."""
-    upper = poles[poles.imag > -1e-6][:_MOST_POLES]
-    return ", ".join(
-        f"{number(p.real, 1)} ± {number(p.imag, 1)}j (ζ {-p.real / abs(p):.2f})" if p.imag > 1e-6 else number(p.real, 1)
-        for p in upper
-    )
+def _slowest(poles: Poles) -> str:
+    """The slowest poles [1/s]."""
+    return poles_text(poles[poles.imag > -1e-6][:_MOST_POLES])
 
 
 def margins_table(study: Study) -> str:
@@ -168,7 +164,7 @@ def controller_section(study: Study, name: str) -> str:
     rows = []
     for degrees in _SHOWN:
         margin, k = at_angle(found, degrees)
-        rows.append([f"{degrees}°", *_cells(margin), poles_text(found.poles[k])])
+        rows.append([f"{degrees}°", *_cells(margin), _slowest(found.poles[k])])
     return f"### {name}\n\n{gains_table(name)}\n\n{markdown_table(titles, rows)}"
 
 
