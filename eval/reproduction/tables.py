@@ -26,7 +26,7 @@ def markdown(study: PaperStudy, pictures: Sequence[Path], seconds: float) -> str
     start, goal, duration, ramp_time = study.move
     parts = [
         "# The paper, regenerated",
-        "`docs/paper.md` says how to read these tables and what follows from them.",
+        "`docs/paper.md` says how to read these tables, and what follows with the gains of Table 2.",
         f"K4 = {study.gains.k4:g} N m s/rad, ω_n = {study.gains.natural_frequency:g} rad/s, ξ = "
         f"{study.gains.damping:g}; standard move: {degrees(start)} to {degrees(goal)} in {duration:g} s with ramps of "
         f"{ramp_time:g} s.",
@@ -63,8 +63,8 @@ def answer_table(study: PaperStudy) -> str:
         left = [number(100 * usual.ratio(phase), 1) for phase in PHASES]
         rows.append([view, usual.answer, *left, *(str(answers[answer]) for answer in ANSWERS)])
     titles = [
-        *("conditions", "removed?", *(f"left {words} (%)" for words in PHASES.values())),
-        *(f"alternatives: {answer}" for answer in ANSWERS),
+        *("conditions", "removed?", "left in the cruise (%)", "after it (%)", f"last {END_WINDOW:g} s (%)"),
+        *(f"alternatives: {ANSWERS[0]}", *ANSWERS[1:]),
     ]
     return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
