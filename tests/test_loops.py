@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -12,7 +10,7 @@ from typing import Any, cast
 import control
 import numpy as np
 import pytest
-from commands import mistake
+from commands import mistake, stopped
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
@@ -226,11 +224,11 @@ def test_a_controller_without_a_law_is_refused():
         law_of(object(), 0)
 
 
-def test_the_command_writes_the_page(tmp_path: Path):
+def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     shown = ("paper", "ei", "adaptive")
-    command = [sys.executable, str(ROOT / "eval/baselines.py"), *shown, "--arms", "4", "--batch", "2", "--out", "out"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
-    assert result.returncode == 0, result.stderr
+    arguments = (*shown, "--arms", "4", "--batch", "2", "--out", "out")
+    code, errors = stopped(baselines.main, arguments, tmp_path)
+    assert code == 0, errors
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"summary.md", "margins.png", "poles.png", "breaks.png"}
     page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
@@ -239,7 +237,7 @@ def test_the_command_writes_the_page(tmp_path: Path):
         assert page.count(f"\n| {name} | ") == 5
     assert page.count("not ranked") == 3
     assert "nan" not in page
-    assert "stable at all angles" in result.stdout
+    assert "stable at all angles" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

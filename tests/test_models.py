@@ -26,7 +26,7 @@ from beltarm_env.arm import (
 from beltarm_env.physics import full_arm as lagrangian
 from beltarm_env.physics.models import LAGRANGIAN, LUMPED, Model, accelerations, driving_torque, driving_torque_rate
 from beltarm_env.physics.plant import ArmState, Plant
-from eval.convergence import convergence
+from eval.verification.convergence import measure_convergence
 from eval.verification.event_located import EventLocatedArm, tip
 from eval.verification.symbolic_arm import derive
 
@@ -189,7 +189,7 @@ class TestMotion:
     @pytest.mark.parametrize("regime", ["smooth", "stick-slip"])
     @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
     def test_fourth_order(self, model: str, regime: str):
-        result = convergence(model, regime, 400)
+        result = measure_convergence(model, regime, 400)
         np.testing.assert_allclose(result.orders[:2], 4.0, atol=0.1)
         assert result.errors[0] < 1e-7
         assert result.stops >= 3 if regime == "stick-slip" else result.stops == 0

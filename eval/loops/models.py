@@ -69,7 +69,7 @@ def loop_model(controller: Any, k: int, params: ArmParams | None = None) -> cont
 
 
 def delayed(loop: control.StateSpace, samples: int) -> control.StateSpace:
-    """The loop with a delay of whole samples in it."""
+    """Insert a delay of whole samples into the loop."""
     if samples == 0:
         return loop
     chain = np.eye(samples, k=-1)
@@ -94,13 +94,13 @@ def slowest_first(s: Poles) -> Poles:
 
 
 def continuous(z: Poles) -> Poles:
-    """Poles s = ln(z) / period [1/s], slowest first, without those that are gone after a few samples."""
+    """Poles s = ln(z) / period [1/s], slowest first, without those that decay within a few samples."""
     return slowest_first(np.log(z[np.abs(z) > 1e-2]) / np.complex128(CONTROL_PERIOD))
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How much a loop bears at one angle."""
+    """Stability margins of a loop at one angle."""
 
     stable: bool
     gain_up: float  # factor above 1, infinite if there is none
