@@ -65,7 +65,7 @@ physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in
 	$(BIN)/python eval/convergence.py
 	$(BIN)/python eval/crosscheck.py --out docs/crosscheck $(ARGS)
 
-paper: $(READY)  ## Regenerate the paper's figures and conclusion in docs/paper
+paper: $(READY)  ## Regenerate the paper's figures and tables in docs/paper
 	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
 
 loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines

@@ -1,50 +1,28 @@
-"""Classical controllers: each a module, called as Stable-Baselines3 calls a policy, batched over a leading axis."""
+"""Classical controllers: each a module, called as Stable-Baselines3 calls a policy, batched over a leading axis.
+
+Names are imported on first use: commands import this package to say in one line that a package is not installed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from baselines.gains import Tunable, tuned
-from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.optimal.lqg import LqgController, LqgGains
-from baselines.optimal.mpc import MpcController, MpcGains
-from baselines.optimal.preview import PreviewController, PreviewGains
-from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
-from baselines.servo.paper import PaperController, PaperGains, rigid_controller
-from baselines.servo.retuned import RetunedController, RetunedGains
-from baselines.servo.shaping import GAINS as SHAPING_GAINS
-from baselines.servo.shaping import ShapingController
-from baselines.servo.smooth import SmoothController, SmoothGains
+if TYPE_CHECKING:
+    from baselines.registry import CONTROLLERS, TUNABLE, tuned_controller
+    from baselines.servo.paper import PaperController, PaperGains, rigid_controller
 
-TUNABLE = {
-    "retuned": Tunable(RetunedController, RetunedGains),
-    **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
-    "smooth": Tunable(SmoothController, SmoothGains),
-    "disturbance": Tunable(DisturbanceController, DisturbanceGains),
-    "lqg": Tunable(LqgController, LqgGains),
-    "preview": Tunable(PreviewController, PreviewGains),
-    "mpc": Tunable(MpcController, MpcGains),
-    "adaptive": Tunable(AdaptiveController, AdaptiveGains),
-}
-"""Controllers that `baselines/tune.py` tunes, by name."""
-
-
-def tuned_controller(name: str) -> Any:
-    """One of `TUNABLE` with its gains of `gains.json`.
-
-    Raises:
-        ValueError: If the file of gains is damaged or out of date.
-    """
-    return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains))
-
-
-CONTROLLERS: dict[str, Callable[[], Any]] = {
-    "paper": PaperController,
-    "rigid": rigid_controller,
-    **{name: partial(tuned_controller, name) for name in TUNABLE},
-}
-"""Controllers by the name used on command lines, in results and in policy bundles; call without arguments."""
 
 __all__ = ["CONTROLLERS", "TUNABLE", "PaperController", "PaperGains", "rigid_controller", "tuned_controller"]
+
+_HOME = {
+    **dict.fromkeys(("CONTROLLERS", "TUNABLE", "tuned_controller"), "baselines.registry"),
+    **dict.fromkeys(("PaperController", "PaperGains", "rigid_controller"), "baselines.servo.paper"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name where it is defined."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)

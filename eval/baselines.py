@@ -1,7 +1,7 @@
-"""The classical controllers in numbers: `python eval/baselines.py` writes margins, costs, times and where each breaks.
+"""Classical controllers in numbers: `python eval/baselines.py` writes margins, costs, times and limits.
 
-Writes summary.md (gains; closed-loop poles and margins over the joint angle; cost, metrics and time; cost where one
-constant is moved; gap to the clairvoyant optimum) and its pictures.
+Writes summary.md (gains; closed-loop poles and margins over the joint angle; cost, metrics and time; cost with one
+constant changed; gap to the clairvoyant optimum) and its pictures.
 """
 
 from __future__ import annotations

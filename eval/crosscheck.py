@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -17,35 +17,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import one_line_errors, stop_without
 
 try:
-    import numpy as np
     import tyro
-    from numpy.typing import NDArray
 
-    from baselines import PaperController
     from baselines.tools.files import require_writable, write_text
-    from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
-    from beltarm_env.arm import FIELDS
-    from beltarm_env.mujoco.model import load_model, mujoco, read_state, write_state
-    from beltarm_env.rollout import rollout
-    from eval.verification.crosscheck_report import MUJOCOS_OWN, REGIMES, Outcome, markdown, save_picture
-    from eval.verification.event_located import tip
+    from eval.verification.crosscheck import crosscheck
+    from eval.verification.crosscheck_report import markdown, save_picture
 except ModuleNotFoundError as error:
     stop_without("eval/crosscheck.py", error)
-
-Floats = NDArray[np.float64]
-
-STEPS = (1, 2, 4, 8)
-"""MuJoCo steps per control period."""
-SETTINGS = {
-    "RK4": {"integrator": "rk4"},
-    "implicitfast": {"integrator": "implicitfast"},
-    "Euler": {"integrator": "euler"},
-    MUJOCOS_OWN: {"integrator": "rk4", "friction_impedance": 0.9, "friction_rate": 100.0},
-    "RK4, d = 0.9999, b = 100/s": {"integrator": "rk4", "friction_impedance": 0.9999, "friction_rate": 100.0},
-    "RK4, d = 0.9999, b = 400/s": {"integrator": "rk4", "friction_impedance": 0.9999, "friction_rate": 400.0},
-}
-"""Arguments of `load_model`. The first three have its friction, d = 0.9999 and b in proportion to 1 / step; the others
-differ from the first in friction alone, beginning with MuJoCo's own."""
 
 
 @dataclass(frozen=True)
@@ -71,107 +49,16 @@ class Config:
             raise ValueError(f"--seed must not be negative, got {self.seed}")
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """One arm, the torques it is given and where the kernel's full arm goes."""
-
-    params: ArmParams
-    torques: Floats  # [N m]     (T,)
-    start: Floats  # x at the beginning     (4,)
-    tips: Floats  # after each sample [m]     (T, 2)
-    stops: int  # samples in which the motor came to rest
-
-
-def motions(regime: str, arms: int, seed: int) -> list[Motion]:
-    """What to compare.
-
-    Args:
-        regime: "smooth", without Coulomb friction; "moves", as the benchmark has them; or "stick-slip", a torque that
-            goes back and forth.
-        arms: How many arms.
-        seed: Of the first.
-    """
-    env = BeltArmVectorEnv(arms, randomization="train")
-    env.reset(seed=seed)
-    params = [replace(p, coulomb_friction=0.0) if regime == "smooth" else p for p in env.params]
-    moves = env.moves
-    starts = np.zeros((arms, 4))
-    starts[:, 0] = [p.gear_ratio for p in params] * moves[:, 0]
-    if regime == "stick-slip":
-        starts[:, 0] = params[0].gear_ratio * np.pi / 4
-        periods = 2 * np.pi * CONTROL_PERIOD * np.arange(EPISODE_STEPS)[:, None]
-        friction = np.array([p.coulomb_friction for p in params])
-        torques = 1.5 * friction * np.sin(np.linspace(2.0, 5.0, arms) * periods)
-    else:
-        torques = _under_the_papers_controller(params, moves, friction=regime != "smooth")
-    return _in_the_kernel(params, starts, torques)
-
-
-def _options(params: list[ArmParams]) -> dict[str, Floats]:
-    return {name: np.array([getattr(p, name) for p in params]) for name in FIELDS}
-
-
-def _under_the_papers_controller(params: list[ArmParams], moves: Floats, friction: bool) -> Floats:
-    controller = PaperController(ArmParams() if friction else ArmParams(coulomb_friction=0.0))
-    names = ("start", "goal", "duration", "ramp_time")
-    options = {"params": _options(params), "move": dict(zip(names, moves.T, strict=True))}
-    return rollout(controller, len(params), seed=0, options=options, model="lagrangian").torque
-
-
-def _in_the_kernel(params: list[ArmParams], starts: Floats, torques: Floats) -> list[Motion]:
-    env = BeltArmVectorEnv(len(params), model="lagrangian", autoreset_mode="Disabled")
-    env.reset(seed=0, options={"params": _options(params), "state": starts})
-    limits = np.array([p.torque_limit for p in params])
-    states = np.empty((len(torques), len(params), 4))
-    for k, torque in enumerate(torques):
-        _, _, terminated, _, _ = env.step((torque / limits)[:, None])  # pyright: ignore[reportArgumentType]
-        if terminated.any():
-            raise ValueError(f"arm {int(np.argmax(terminated))} left the workspace: choose another --seed")
-        states[k] = env.state
-    at_rest = states[:, :, 1] == 0
-    stops = np.sum(at_rest[1:] & ~at_rest[:-1], axis=0)
-    tips = [np.array([tip(p, x) for x in states[:, arm]]) for arm, p in enumerate(params)]
-    arms = zip(params, torques.T, starts, tips, stops.tolist(), strict=True)
-    return [Motion(*arm) for arm in arms]
-
-
-def distance(motion: Motion, steps: int, **settings: object) -> float:
-    """Largest distance of MuJoCo's tip from the kernel's [m]."""
-    model = load_model(motion.params, CONTROL_PERIOD / steps, **settings)  # pyright: ignore[reportArgumentType]
-    data = mujoco.MjData(model)
-    write_state(data, motion.params, motion.start)
-    worst = 0.0
-    for torque, there in zip(motion.torques.tolist(), motion.tips, strict=True):
-        data.ctrl[0] = torque
-        mujoco.mj_step(model, data, steps)
-        worst = max(worst, float(np.linalg.norm(tip(motion.params, read_state(data, motion.params)) - there)))
-    return worst
-
-
-def crosscheck(arms: int, seed: int) -> list[Outcome]:
-    """All regimes under all settings that matter to them."""
-    outcomes = []
-    for regime in REGIMES:
-        cases = motions(regime, arms, seed)
-        stops = sum(motion.stops for motion in cases)
-        for name, setting in SETTINGS.items():
-            if regime == "smooth" and "friction_rate" in setting:
-                continue
-            worst = [1e3 * max(distance(motion, steps, **setting) for motion in cases) for steps in STEPS]
-            outcomes.append(Outcome(regime, name, stops, dict(zip(STEPS, worst, strict=True))))
-    return outcomes
-
-
 def main() -> None:
     """Command line."""
     began = time.perf_counter()
-    config = tyro.cli(Config, description=__doc__)
     with one_line_errors("eval/crosscheck.py"):
+        config = tyro.cli(Config, description=__doc__)
         config.check()
         require_writable(config.out)
         results = crosscheck(config.arms, config.seed)
         save_picture(results, config.out / "distance.png")
-        text = markdown(results, config.arms, config.seed, mujoco.__version__, time.perf_counter() - began)
+        text = markdown(results, config.arms, config.seed, time.perf_counter() - began)
         write_text(config.out / "summary.md", text)
         print(text)
 

@@ -1,47 +1,35 @@
 """Is this really the paper? `python eval/paper.py` regenerates what it shows.
 
 Writes the motor's and the tip's motion with and without vibration feedback (Figs. 4b and 8b), root loci (Fig. 6), a map
-of the damping over K4 and M2, and summary.md: ringing before and after, and what becomes of the paper's conclusion over
-the range of everything that it does not print.
+of the damping over K4 and M2, and tables.md: ringing before and after, poles, and the alternatives to everything that
+the paper does not print. docs/paper.md says what follows from them.
 """
 
 from __future__ import annotations
 
-import os
+import math
 import sys
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import math
-
-
-def _end(message: str, status: int) -> NoReturn:
-    print(f"eval/paper.py: {message}", file=sys.stderr)
-    sys.exit(status)
-
+from baselines.tools.command import one_line_errors, stop_without
 
 try:
     import tyro
 
     from baselines.tools.files import require_writable, write_text
     from beltarm_env.task.reference import MoveShape
-    from eval.reproduction.cases import USUAL_MOVE
+    from eval.reproduction.assumptions import USUAL_MOVE
     from eval.reproduction.loop import ServoGains
     from eval.reproduction.response_plots import save_pictures
     from eval.reproduction.runs import check_move
     from eval.reproduction.study import run_study
-    from eval.reproduction.summary import markdown, verdict
+    from eval.reproduction.tables import answer_table, markdown
 except ModuleNotFoundError as error:
-    package = (error.name or "a package").split(".")[0]
-    _end(f"{package} is not installed; run `make setup`, or `pip install -e '.[checkout]'`", 2)
-except KeyboardInterrupt:
-    _end("interrupted", 130)
-
+    stop_without("eval/paper.py", error)
 
 _TABLE_2 = ServoGains()
 
@@ -51,7 +39,7 @@ class Config:
     """Regenerate the paper's figures and conclusion."""
 
     out: Path = Path("results/paper")
-    """Folder for summary.md and the pictures."""
+    """Folder for tables.md and the pictures."""
     k4: float = _TABLE_2.k4
     """Gain K4 of the torsional velocity [N m s/rad], 0 to 1; Table 2 has 0.15."""
     natural_frequency: float = _TABLE_2.natural_frequency
@@ -92,7 +80,7 @@ class Config:
 
 
 def report(config: Config) -> None:
-    """Run everything and write it to the folder.
+    """Run everything, write it to the folder and print the answers.
 
     Raises:
         ValueError: If a gain, an angle or the move is not allowed.
@@ -103,26 +91,15 @@ def report(config: Config) -> None:
     require_writable(config.out)
     study = run_study(gains, move)
     pictures = save_pictures(study, config.out)
-    write_text(config.out / "summary.md", markdown(study, pictures, time.perf_counter() - began))
-    _tell([*verdict(study), f"written to {config.out}: summary.md, {len(pictures)} pictures"])
-
-
-def _tell(lines: Iterable[str]) -> None:
-    """Print, unless whoever reads it has gone."""
-    try:
-        print("\n".join(lines), flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python complains on exit
+    write_text(config.out / "tables.md", markdown(study, pictures, time.perf_counter() - began))
+    print(f"Does K4 = {gains.k4:g} remove the tip's ringing?", answer_table(study), sep="\n\n")
+    print(f"written to {config.out}: tables.md, {len(pictures)} pictures", flush=True)
 
 
 def main() -> None:
     """Command line."""
-    try:
+    with one_line_errors("eval/paper.py"):
         report(tyro.cli(Config, description=__doc__))
-    except KeyboardInterrupt:
-        _end("interrupted", 130)
-    except (OSError, ValueError) as error:
-        _end(str(error), 2)
 
 
 if __name__ == "__main__":

@@ -7,21 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import mistake
+from commands import mistake, stopped
 
 pytest.importorskip("mujoco")
 
 from eval import convergence, crosscheck
-from eval.convergence import STEPS, Convergence, table
-from eval.crosscheck import SETTINGS, distance, motions
+from eval.verification.convergence import STEPS, Convergence, measure_convergence, table
+from eval.verification.crosscheck import SETTINGS, distance, motions
 from eval.verification.event_located import EventLocatedArm, tip
 
 ROOT = Path(__file__).parents[1]
-
-
-def run(*arguments: str, cwd: Path, code: str = "") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *(["-c", code] if code else []), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True)
 
 
 @pytest.mark.parametrize("regime", ["smooth", "moves", "stick-slip"])
@@ -57,12 +52,10 @@ def test_smooth_motion_stays_within_a_tenth_of_a_millimetre():
         assert distance(motion, 16, **SETTINGS["implicitfast"]) < 1e-4
 
 
-def test_report_of_a_run(tmp_path: Path):
-    script = str(ROOT / "eval/crosscheck.py")
-    result = run(script, "--arms", "1", "--out", "cross", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+def test_report_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert stopped(crosscheck.main, ("--arms", "1", "--out", "cross"), tmp_path) == (0, "")
     text = (tmp_path / "cross/summary.md").read_text(encoding="utf-8")
-    assert text.strip() == result.stdout.strip()
+    assert text.strip() == capsys.readouterr().out.strip()
     assert text.count("| RK4 |") == 3 and "0.9999" in text
     assert (tmp_path / "cross/distance.png").read_bytes().startswith(b"\x89PNG")
 
@@ -91,7 +84,7 @@ sys.modules["mujoco"] = None
 sys.argv = [{str(script)!r}]
 runpy.run_path({str(script)!r}, run_name="__main__")
 """
-    result = run(cwd=tmp_path, code=code)
+    result = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 2
     assert result.stderr == "eval/crosscheck.py: the MuJoCo arm needs mujoco: pip install 'beltarm-env[mujoco]'\n"
 
@@ -110,16 +103,16 @@ def test_committed_order_is_what_the_command_measures():
     text = (ROOT / "docs/physics.md").read_text(encoding="utf-8")
     (row,) = [line for line in text.splitlines() if line.startswith("| lumped | 11 stops |")]
     cells = [float(cell) for cell in row.split("|")[3:8]]
-    result = convergence.convergence("lumped", "stick-slip")
+    result = measure_convergence("lumped", "stick-slip")
     np.testing.assert_allclose(1e9 * result.errors, cells[:4], rtol=0.06)
     assert result.orders.mean() == pytest.approx(cells[4], abs=0.01) and result.stops == 11
 
 
-def test_convergence_prints_every_model_and_regime(tmp_path: Path):
-    result = run(str(ROOT / "eval/convergence.py"), "--samples", "60", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+def test_convergence_prints_every_model_and_regime(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert stopped(convergence.main, ("--samples", "60"), tmp_path) == (0, "")
+    printed = capsys.readouterr().out
     for name in ("lumped", "lagrangian", "smooth", "stick-slip"):
-        assert result.stdout.count(name) == 2
+        assert printed.count(name) == 2
 
 
 def test_order_is_that_of_the_errors():

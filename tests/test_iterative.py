@@ -1,13 +1,11 @@
 """Iterative learning: the norm-optimal change against independent solutions, the controllers, and the command."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import mistake
+from commands import mistake, stopped
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
@@ -23,7 +21,8 @@ from beltarm_env.arm import params_table
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import MoveShape
-from eval.iterative import main, metrics, repeated
+from eval.iterative import main
+from eval.repetition.study import metrics, repeated
 
 ROOT = Path(__file__).parents[1]
 SEED = 4_200_000
@@ -282,9 +281,7 @@ def test_motors_error_is_that_of_the_joint():
 
 
 def test_report_of_a_run(tmp_path: Path):
-    command = [sys.executable, str(ROOT / "eval/iterative.py"), "--arms", "4", "--repetitions", "2", "--out", "out"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
+    assert stopped(main, ("--arms", "4", "--repetitions", "2", "--out", "out"), tmp_path) == (0, "")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cost.png", "results.json", "summary.md"]
     rows = json.loads((tmp_path / "out/results.json").read_text())["rows"]
     assert len(rows) == 2 * (3 * 2 + 3)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -12,7 +10,7 @@ from typing import Any, cast
 import control
 import numpy as np
 import pytest
-from commands import mistake
+from commands import mistake, stopped
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
@@ -28,7 +26,6 @@ from eval.loops.gains import MEANING
 from eval.loops.laws import law_of
 from eval.loops.models import (
     NYQUIST,
-    arm_model,
     closed_poles,
     delayed,
     is_stable,
@@ -36,6 +33,7 @@ from eval.loops.models import (
     loop_model,
     margins,
     response,
+    sampled_arm,
 )
 
 Floats = NDArray[np.float64]
@@ -101,7 +99,7 @@ def check_pulse(name: str, k: int, **changed: Any) -> None:
     controller, pulse = frictionless(name), 1e-6
     motion = at_work(name, controller, k, pulse, **changed) - at_work(name, controller, k, 0.0, **changed)
     law = delayed(changed.get("gain", 1.0) * law_model(law_of(controller, k)), changed.get("delay", 0))
-    closed: Any = control.feedback(arm_model(FRICTIONLESS, k), cast("Any", law), sign=1)
+    closed: Any = control.feedback(sampled_arm(FRICTIONLESS, ANGLES[k]), cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
@@ -226,11 +224,11 @@ def test_a_controller_without_a_law_is_refused():
         law_of(object(), 0)
 
 
-def test_the_command_writes_the_page(tmp_path: Path):
+def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     shown = ("paper", "ei", "adaptive")
-    command = [sys.executable, str(ROOT / "eval/baselines.py"), *shown, "--arms", "4", "--batch", "2", "--out", "out"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
-    assert result.returncode == 0, result.stderr
+    arguments = (*shown, "--arms", "4", "--batch", "2", "--out", "out")
+    code, errors = stopped(baselines.main, arguments, tmp_path)
+    assert code == 0, errors
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"summary.md", "margins.png", "poles.png", "breaks.png"}
     page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
@@ -239,7 +237,7 @@ def test_the_command_writes_the_page(tmp_path: Path):
         assert page.count(f"\n| {name} | ") == 5
     assert page.count("not ranked") == 3
     assert "nan" not in page
-    assert "stable at all angles" in result.stdout
+    assert "stable at all angles" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

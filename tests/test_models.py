@@ -28,7 +28,7 @@ from beltarm_env.physics.models import (
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import fastest_arms, fastest_rate, integration_substeps
 from beltarm_env.task.ranges import TRAIN_RANGES, range_bounds
-from eval.convergence import convergence
+from eval.verification.convergence import measure_convergence
 from eval.verification.event_located import EventLocatedArm, tip
 from eval.verification.symbolic_arm import derive
 
@@ -191,7 +191,7 @@ class TestMotion:
     @pytest.mark.parametrize("regime", ["smooth", "stick-slip"])
     @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
     def test_fourth_order(self, model: str, regime: str):
-        result = convergence(model, regime, 400)
+        result = measure_convergence(model, regime, 400)
         np.testing.assert_allclose(result.orders[:2], 4.0, atol=0.1)
         assert result.errors[0] < 1e-7
         assert result.stops >= 3 if regime == "stick-slip" else result.stops == 0

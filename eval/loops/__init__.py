@@ -1,1 +1,1 @@
-"""What `eval/baselines.py` shows of every classical controller: linear loops, costs, times, and where it breaks."""
+"""Linear loops, costs, times and limits of every classical controller; `eval/baselines.py` is the command."""

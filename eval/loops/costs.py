@@ -1,4 +1,4 @@
-"""What every controller costs: on arms of the training ranges, where one constant is moved, and against the optimum.
+"""Costs of every controller: on arms of the training ranges, with one constant changed, and against the optimum.
 
 Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits.
 """
@@ -23,7 +23,7 @@ from beltarm_env.task.reference import MoveShape
 Floats = NDArray[np.float64]
 
 SEED = 7_500_000
-"""Arm i is seeded with this + i."""
+"""Of the first arm; arm i has this + i."""
 PRIVILEGED = "privileged"
 """Name of the yardstick that knows arm and state; never ranked."""
 _NOMINAL = ArmParams()
@@ -57,13 +57,13 @@ CHANGES = (
     Change("1000 counts", settings={"encoder_counts": 1000}),
     Change("full arm", settings={"model": "lagrangian"}),
 )
-"""What is moved, one at a time."""
+"""Changes of the nominal arm, made one at a time."""
 
 Maker = Callable[[list[ArmParams]], Controller]
 
 
 def makers(names: Sequence[str]) -> dict[str, Maker]:
-    """Controllers by name, made for arms; only the one added, `PRIVILEGED`, looks at them.
+    """Constructors of controllers for given arms, by name; only the one added, `PRIVILEGED`, looks at the arms.
 
     Raises:
         ValueError: If the file of gains is damaged.
@@ -76,7 +76,7 @@ def _blind(controller: Controller) -> Maker:
 
 
 def run_arms(name: str, make: Maker, arms: list[ArmParams], **settings: Any) -> Recording:
-    """Episodes on given arms, arm i with the move that seed `SEED + i` draws."""
+    """Run episodes on given arms, arm i with the move that seed `SEED + i` draws."""
     if name == PRIVILEGED:
         settings["sensors"] = "full"
     params = {field: [getattr(arm, field) for arm in arms] for field in FIELDS}
@@ -85,7 +85,7 @@ def run_arms(name: str, make: Maker, arms: list[ArmParams], **settings: Any) -> 
 
 
 def drawn_arms(count: int) -> list[ArmParams]:
-    """Arms of the training ranges."""
+    """Draw arms of the training ranges."""
     env = BeltArmVectorEnv(count, randomization="train")
     env.reset(seed=SEED)
     return list(env.params)
@@ -93,7 +93,7 @@ def drawn_arms(count: int) -> list[ArmParams]:
 
 @dataclass(frozen=True)
 class Break:
-    """What a change does to a controller, on the same moves."""
+    """Effect of a change on a controller, on the same moves."""
 
     ratio: float  # mean cost over that on the nominal arm
     failures: int  # episodes in which the arm left the workspace
@@ -101,7 +101,7 @@ class Break:
 
 @dataclass(frozen=True)
 class Costs:
-    """What one controller costs."""
+    """Metrics of one controller, and the effect of each change on its cost."""
 
     nominal: dict[str, Floats]  # metrics on nominal arms, each of shape (n,)
     randomized: dict[str, Floats]  # on arms of the training ranges
@@ -110,7 +110,7 @@ class Costs:
 
 
 def measure(name: str, make: Maker, count: int) -> Costs:
-    """Run a controller on everything, `count` arms each."""
+    """Run a controller on `count` nominal, changed and randomized arms each, and in the optimum's scenarios."""
     nominal = run_arms(name, make, [_NOMINAL] * count)
     breaks = []
     for change in CHANGES:
@@ -127,18 +127,18 @@ def _on_oracle_scenarios(name: str, make: Maker) -> Floats:
 
 
 @dataclass(frozen=True)
-class Oracle:
-    """The clairvoyant optimum's scenarios and what it costs there."""
+class OracleCosts:
+    """The clairvoyant optimum's scenarios, and its cost in each."""
 
     names: list[str]
     costs: Floats
 
 
-def oracle() -> Oracle:
-    """As stored in `baselines/oracle.json`.
+def oracle() -> OracleCosts:
+    """Read the clairvoyant optimum from `baselines/oracle.json`.
 
     Raises:
         ValueError: If the file is damaged.
     """
     rows = read_file()[0]["scenarios"]
-    return Oracle([f"{row['kind']}:{row['seed']}" for row in rows], np.array([row[METRICS[0]] for row in rows]))
+    return OracleCosts([f"{row['kind']}:{row['seed']}" for row in rows], np.array([row[METRICS[0]] for row in rows]))

@@ -1,4 +1,4 @@
-"""Tuned gains as a table: symbol, unit, value, range, and where they come from."""
+"""Tuned gains as a table: symbol, unit, value, range, provenance."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _limits(metadata: Any) -> str:
 
 
 def gains_table(name: str) -> str:
-    """Gains of a controller of `CONTROLLERS` with their units, and where they come from.
+    """Table of the gains of one of `CONTROLLERS` with units and provenance.
 
     Raises:
         ValueError: If the file of gains is damaged or out of date.

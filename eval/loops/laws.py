@@ -50,14 +50,14 @@ class Law(NamedTuple):
     step: Step  # angle [rad], speed [rad/s], last torque [N m], memory (size,) -> torque [N m], memory
 
 
-def _torsion_feedback(params: ArmParams, k: int, inertia: float, gains: Any) -> Law:
-    """Eq. (11) with torsion simulated; memory: torsion, its rate and the joint's speed of the last sample."""
-    simulation = TorsionSimulation(params)
+def torsion_feedback(params: ArmParams, theta_1: float, inertia: float, gains: Any) -> Law:
+    """Eq. (11) at a joint angle [rad], torsion simulated; memory: torsion, its rate, the joint's last speed."""
+    simulation, at = TorsionSimulation(params), np.array([theta_1])
 
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
         joint_speed = speed / params.gear_ratio
         torsion, rate, before = memory[:, None]
-        torsion, rate = simulation.advance(torsion, rate, joint_speed - before, ANGLES[[k]])
+        torsion, rate = simulation.advance(torsion, rate, joint_speed - before, at)
         servo = -inertia * (gains.speed * speed + gains.angle * angle)
         torque = servo + params.motor_viscous_friction * speed - gains.torsion_speed * rate[0]
         return torque, np.array([torsion[0], rate[0], joint_speed])
@@ -78,13 +78,13 @@ def paper_law(controller: PaperController, k: int) -> Law:
     params, gains = controller.params, controller.gains
     if gains.torsion_speed == 0:
         return _without_torsion(params, gains)
-    return _torsion_feedback(params, k, params.motor_inertia, gains)
+    return torsion_feedback(params, ANGLES[k], params.motor_inertia, gains)
 
 
 def retuned_law(controller: RetunedController, k: int) -> Law:
     """The same with the inertia of the links."""
     inertia = float(RigidArm(controller.params).inertia(ANGLES[k]))
-    return _torsion_feedback(controller.params, k, inertia, controller.gains)
+    return torsion_feedback(controller.params, ANGLES[k], inertia, controller.gains)
 
 
 def pid_law(controller: Any, k: int) -> Law:

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, root_scalar
 
-from baselines.models.linear import ANGLES, linear_arm
-from beltarm_env import CONTROL_PERIOD, ArmParams
+from baselines.models.linear import ANGLES
+from beltarm_env import CONTROL_PERIOD, ArmParams, state_space
 from eval.loops.laws import Law, law_of
 
 Floats = NDArray[np.float64]
@@ -35,10 +35,16 @@ NYQUIST = np.pi / CONTROL_PERIOD
 _FREQUENCIES = np.append(np.geomspace(0.05, 0.9999 * NYQUIST, 4000), NYQUIST)
 
 
-def arm_model(params: ArmParams, k: int) -> control.StateSpace:
-    """The arm at `ANGLES[k]` from torque [N m] to motor angle [rad], torque held over a sample."""
-    a, b = (part[0, k] for part in linear_arm(params)[:2])
-    return control.StateSpace(a, b[:, None], [[1.0, 0, 0, 0]], 0, CONTROL_PERIOD)
+def sampled_arm(params: ArmParams, theta_1: float, model: str = "lumped") -> control.StateSpace:
+    """The arm at a joint angle [rad] from torque [N m] to motor angle [rad], torque held over a sample.
+
+    Args:
+        params: The arm.
+        theta_1: Joint angle [rad].
+        model: Whose equations of motion it has, as of `state_space`.
+    """
+    a, b, _ = state_space(params, theta_1, model)
+    return control.c2d(control.StateSpace(a, b, [[1.0, 0, 0, 0]], 0), CONTROL_PERIOD, method="zoh")
 
 
 def law_model(law: Law) -> control.StateSpace:
@@ -59,11 +65,11 @@ def law_model(law: Law) -> control.StateSpace:
 def loop_model(controller: Any, k: int, params: ArmParams | None = None) -> control.StateSpace:
     """L of a controller at `ANGLES[k]`, on the arm that it believes in or on another."""
     model = law_model(law_of(controller, k))
-    return -(model * arm_model(params or controller.params, k))
+    return -(model * sampled_arm(params or controller.params, ANGLES[k]))
 
 
 def delayed(loop: control.StateSpace, samples: int) -> control.StateSpace:
-    """The loop with a delay of whole samples in it."""
+    """Insert a delay of whole samples into the loop."""
     if samples == 0:
         return loop
     chain = np.eye(samples, k=-1)
@@ -82,15 +88,19 @@ def is_stable(loop: control.StateSpace, gain: float = 1.0) -> bool:
     return bool(np.abs(closed_poles(loop, gain)).max() < 1)
 
 
-def continuous(z: Poles) -> Poles:
-    """Poles s = ln(z) / period [1/s], slowest first, without those that are gone after a few samples."""
-    s = np.log(z[np.abs(z) > 1e-2]) / np.complex128(CONTROL_PERIOD)
+def slowest_first(s: Poles) -> Poles:
+    """Poles [1/s] in the order of their decay."""
     return s[np.argsort(-s.real, kind="stable")]
+
+
+def continuous(z: Poles) -> Poles:
+    """Poles s = ln(z) / period [1/s], slowest first, without those that decay within a few samples."""
+    return slowest_first(np.log(z[np.abs(z) > 1e-2]) / np.complex128(CONTROL_PERIOD))
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How much a loop bears at one angle."""
+    """Stability margins of a loop at one angle."""
 
     stable: bool
     gain_up: float  # factor above 1, infinite if there is none

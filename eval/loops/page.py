@@ -11,9 +11,9 @@ from eval.comparison.estimates import Estimate, estimate
 from eval.loops.costs import CHANGES, PRIVILEGED, SEED
 from eval.loops.gains import gains_table
 from eval.loops.models import Margins, Poles
-from eval.loops.study import Study, at_angle, worst
-from eval.reproduction.words import number
+from eval.loops.study import LoopStudy, at_angle, worst
 from eval.style.markdown_table import markdown_table
+from eval.style.text import number, poles_text
 
 _SHOWN = (0, 45, 90)
 _METRICS = {"cost": ("cost", 0), "tip_rms_mm": ("tip RMS (mm)", 1), "residual_pp_mm": ("residual p-p (mm)", 1)}
@@ -22,7 +22,7 @@ _MOST_POLES = 3
 
 
 def factor(value: float) -> str:
-    """A gain margin; a dash where there is none."""
+    """A gain margin as text; a dash where there is none."""
     if not np.isfinite(value) or value == 0:
         return "–"
     return f"×{value:.3g}"
@@ -35,16 +35,12 @@ def _cells(margin: Margins) -> list[str]:
     return [*texts, number(margin.delay, 1), number(margin.modulus, 2)]
 
 
-def poles_text(poles: Poles) -> str:
-    """The slowest poles [1/s], each conjugate pair once with its damping ratio."""
-    upper = poles[poles.imag > -1e-6][:_MOST_POLES]
-    return ", ".join(
-        f"{number(p.real, 1)} ± {number(p.imag, 1)}j (ζ {-p.real / abs(p):.2f})" if p.imag > 1e-6 else number(p.real, 1)
-        for p in upper
-    )
+def _slowest(poles: Poles) -> str:
+    """The slowest poles [1/s]."""
+    return poles_text(poles[poles.imag > -1e-6][:_MOST_POLES])
 
 
-def margins_table(study: Study) -> str:
+def margins_table(study: LoopStudy) -> str:
     """Each margin's worst over the angles, with the angle."""
     titles = ["controller", "gain up", "gain down", "phase (°)", "delay (samples)", "modulus", "slowest pole (1/s)"]
     rows = []
@@ -65,8 +61,8 @@ def margins_table(study: Study) -> str:
     return markdown_table(titles, rows)
 
 
-def stability_line(study: Study) -> str:
-    """Which loops are stable at all angles."""
+def stability_line(study: LoopStudy) -> str:
+    """Name the loops that are not stable at all angles."""
     unstable = [name for name, found in study.scans.items() if not all(margin.stable for margin in found.margins)]
     total = len(study.scans)
     if not unstable:
@@ -74,8 +70,8 @@ def stability_line(study: Study) -> str:
     return f"Not stable at all angles: {', '.join(unstable)}; the other {total - len(unstable)} loops are."
 
 
-def delay_lines(study: Study) -> list[str]:
-    """Whether the delay margin foretells what a delayed encoder does to the arm with friction."""
+def delay_lines(study: LoopStudy) -> list[str]:
+    """Costs with a delayed encoder beside the delay margins: does the linear loop predict the arm with friction?"""
     lines = []
     for samples in (1, 2):
         title = f"delay {samples} sample" + ("s" if samples > 1 else "")
@@ -92,7 +88,7 @@ def delay_lines(study: Study) -> list[str]:
     return lines
 
 
-def _ratios(study: Study, names: list[str], column: int) -> str:
+def _ratios(study: LoopStudy, names: list[str], column: int) -> str:
     return ", ".join(f"{name} {_ratio(study.costs[name].breaks[column].ratio)}" for name in names)
 
 
@@ -108,7 +104,7 @@ def _interval(value: Estimate, digits: int) -> str:
     return f"{value.iqm:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
 
 
-def costs_table(study: Study) -> str:
+def costs_table(study: LoopStudy) -> str:
     """Metrics on nominal and randomized arms."""
     titles = [
         "controller",
@@ -125,7 +121,7 @@ def costs_table(study: Study) -> str:
     return markdown_table(titles, rows)
 
 
-def times_table(study: Study) -> str:
+def times_table(study: LoopStudy) -> str:
     """Wall-clock per action."""
     titles = [
         "controller", "one arm, p50 (µs)", "p99 (µs)", f"per action, batch of {study.batch} (µs)",
@@ -138,8 +134,8 @@ def times_table(study: Study) -> str:
     return markdown_table(titles, rows)
 
 
-def breaks_table(study: Study) -> str:
-    """Cost ratios, and on how many arms the workspace was left."""
+def breaks_table(study: LoopStudy) -> str:
+    """Cost ratios, and the number of arms that left the workspace."""
     rows = []
     for name, costs in study.costs.items():
         cells = [_ratio(b.ratio) + (f" ({b.failures} left)" if b.failures else "") for b in costs.breaks]
@@ -147,8 +143,8 @@ def breaks_table(study: Study) -> str:
     return markdown_table(["controller", *(change.title for change in CHANGES)], rows)
 
 
-def gap_table(study: Study) -> str:
-    """Costs over the clairvoyant optimum's, scenario by scenario and in the mean of each kind."""
+def gap_table(study: LoopStudy) -> str:
+    """Costs over those of the clairvoyant optimum, scenario by scenario and in the mean of each kind."""
     optimum = study.oracle
     kinds = [name.split(":")[0] for name in optimum.names]
     groups = {kind: np.array([other == kind for other in kinds]) for kind in dict.fromkeys(kinds)}
@@ -161,18 +157,18 @@ def gap_table(study: Study) -> str:
     return markdown_table(titles, rows)
 
 
-def controller_section(study: Study, name: str) -> str:
+def controller_section(study: LoopStudy, name: str) -> str:
     """Gains, and margins and poles at some angles, of one controller."""
     found = study.scans[name]
     titles = ["angle", "gain up", "gain down", "phase (°)", "delay (samples)", "modulus", "slowest poles (1/s)"]
     rows = []
     for degrees in _SHOWN:
         margin, k = at_angle(found, degrees)
-        rows.append([f"{degrees}°", *_cells(margin), poles_text(found.poles[k])])
+        rows.append([f"{degrees}°", *_cells(margin), _slowest(found.poles[k])])
     return f"### {name}\n\n{gains_table(name)}\n\n{markdown_table(titles, rows)}"
 
 
-def markdown(study: Study, pictures: Sequence[Path], origin: str) -> str:
+def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
     """The content of `summary.md`."""
     shown = {path.stem: f"![{path.stem}]({path.name})" for path in pictures}
     parts = [

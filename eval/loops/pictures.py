@@ -1,4 +1,4 @@
-"""Pictures: margins over the angle, poles, and where each controller breaks."""
+"""Pictures: margins over the angle, poles, and the effect of each change."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from baselines.models.linear import ANGLES
 from baselines.tools.files import write_atomically
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.models import Scan
-from eval.loops.study import Study
+from eval.loops.study import LoopStudy
 from eval.style.colours import BLUE, VERMILION
 
 _DEGREES = np.degrees(ANGLES)
@@ -32,10 +32,10 @@ _COLUMNS = (
     ("modulus", "modulus margin", (0.0, 1.05)),
 )
 _LEAST = {"gain_up": 6.0, "phase": 30.0, "delay": 1.0, "modulus": 0.5}
-"""Lines to compare with: usual demands, and for the delay one sample."""
+"""Usual requirements, drawn as lines; for the delay one sample."""
 
 
-def save_pictures(study: Study, folder: Path) -> list[Path]:
+def save_pictures(study: LoopStudy, folder: Path) -> list[Path]:
     """Draw all pictures into `folder`."""
     figures: dict[str, Callable[[], Figure]] = {
         "margins.png": lambda: _margins(study.scans),
@@ -123,7 +123,7 @@ def _poles(scans: dict[str, Scan]) -> Figure:
     return figure
 
 
-def _breaks(study: Study) -> Figure:
+def _breaks(study: LoopStudy) -> Figure:
     """Cost ratios as a map, numbers in the cells."""
     names = list(study.costs)
     ratios = np.array([[found.ratio for found in study.costs[name].breaks] for name in names])
@@ -148,5 +148,5 @@ def _breaks(study: Study) -> Figure:
 
 
 def _wrapped(title: str) -> str:
-    """A title in lines: all its words where it ends with a factor, else the first apart from a number and its unit."""
+    """Break a title into lines, a number and its unit on one."""
     return title.replace(" ", "\n", -1 if "×" in title else 1)

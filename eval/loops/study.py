@@ -1,4 +1,4 @@
-"""Everything that the page shows of the controllers, computed."""
+"""The study of the controllers' loops, costs and times: everything that the page shows."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from baselines import CONTROLLERS
 from baselines.models.linear import ANGLES
 from eval.comparison.timing import Times, measure_times
-from eval.loops.costs import SEED, Costs, Oracle, makers, measure, oracle
+from eval.loops.costs import SEED, Costs, OracleCosts, makers, measure, oracle
 from eval.loops.models import Margins, Scan, scan
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Study:
+class LoopStudy:
     """Results by controller; `costs` also has the privileged yardstick, last."""
 
     arms: int  # per cost
@@ -27,11 +27,11 @@ class Study:
     scans: dict[str, Scan]
     costs: dict[str, Costs]
     times: dict[str, Times]
-    oracle: Oracle
+    oracle: OracleCosts
 
 
-def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str], object]) -> Study:
-    """Compute everything about some of `CONTROLLERS`, telling what is done.
+def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str], object]) -> LoopStudy:
+    """Compute everything about some of `CONTROLLERS`, reporting progress with `tell`.
 
     Raises:
         ValueError: If gains or the oracle's file are damaged, or a controller has no linear law.
@@ -44,7 +44,7 @@ def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str],
         costs[name] = _told(f"{name}: costs", tell, lambda name=name, make=make: measure(name, make, arms))
     for name in names:
         times[name] = _told(f"{name}: times", tell, lambda name=name: measure_times(known[name]([]), batch, SEED))
-    return Study(arms, batch, scans, costs, times, oracle())
+    return LoopStudy(arms, batch, scans, costs, times, oracle())
 
 
 def _told(what: str, tell: Callable[[str], object], work: Callable[[], Result]) -> Result:
@@ -55,13 +55,13 @@ def _told(what: str, tell: Callable[[str], object], work: Callable[[], Result]) 
 
 
 def worst(found: Scan, name: str) -> tuple[float, float]:
-    """The worst of a margin over the angles, and the angle [degrees]; only that of `gain_down` is the largest."""
+    """Worst value of a margin over the angles, and its angle [degrees]; only of `gain_down` is it the largest."""
     values = np.array([getattr(margin, name) for margin in found.margins])
     k = int(values.argmax() if name == "gain_down" else values.argmin())
     return float(values[k]), float(np.degrees(ANGLES[k]))
 
 
 def at_angle(found: Scan, degrees: float) -> tuple[Margins, int]:
-    """The margins at the angle of the tables nearest to one [degrees], and its place in them."""
+    """Margins at the tabulated angle nearest to one [degrees], and the index of that angle."""
     k = int(np.abs(np.degrees(ANGLES) - degrees).argmin())
     return found.margins[k], k

@@ -1,1 +1,1 @@
-"""Iterative learning measured: the same moves again and again."""
+"""Iterative learning over repeated moves; `eval/iterative.py` is the command."""

@@ -1,10 +1,9 @@
-"""What `eval/iterative.py` found, as Markdown, as data and as a picture."""
+"""Results of the repetitions as Markdown, as data and as a picture."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict
 from pathlib import Path
 
 import matplotlib
@@ -20,55 +19,27 @@ from numpy.typing import NDArray
 from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
-from eval.comparison.estimates import Estimate, estimate, interquartile_mean, paired
+from eval.comparison.estimates import interquartile_mean, paired
+from eval.repetition.study import ARM, KINDS, MOTOR, TORQUE, RepetitionResult
 from eval.style.colours import BLUE, ORANGE, VERMILION
 from eval.style.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
 _Label = tuple[float, str, str]  # value at the end of a curve, name, colour
 
-TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
 COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
 _LABEL_HEIGHT = 0.05  # least distance of two labels, of the axes' height
-METRICS = {
+_COLUMNS = {
     "cost": ("cost", 1),
     "tip_rms_mm": ("tip RMS (mm)", 2),
     "residual_pp_mm": ("residual p-p (mm)", 2),
     "motor_rms_mrad": ("motor RMS (mrad at the joint)", 2),
 }
-"""Title and decimals."""
+"""Title and decimals of each metric."""
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of arms."""
-
-    randomization: str
-    description: str
-
-
-KINDS = {
-    "nominal": Kind("off", "the nominal arm"),
-    "randomized": Kind("train", "arms of the training ranges"),
-}
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """One controller on one kind of arms: metrics of each repetition, each of shape (n,)."""
-
-    kind: str
-    name: str
-    repetitions: list[dict[str, Floats]]
-
-    @cached_property
-    def estimates(self) -> list[dict[str, Estimate]]:
-        """Interquartile means over the arms, with intervals."""
-        return [{name: estimate(values[None]) for name, values in run.items()} for run in self.repetitions]
-
-
-def _of(outcomes: list[Outcome], kind: str, name: str) -> Outcome:
-    return next(outcome for outcome in outcomes if (outcome.kind, outcome.name) == (kind, name))
+def _of(results: list[RepetitionResult], kind: str, name: str) -> RepetitionResult:
+    return next(result for result in results if (result.kind, result.name) == (kind, name))
 
 
 def _against(ours: Floats, other: Floats) -> str:
@@ -78,14 +49,14 @@ def _against(ours: Floats, other: Floats) -> str:
     return f"{wins} ({d.iqm:+.1f} [{d.low:+.1f}, {d.high:+.1f}]; lower on {100 * found.win_rate.iqm:.0f} % of the arms)"
 
 
-def verdict(outcomes: list[Outcome], kind: str) -> str:
-    """What became of the learning, in a few sentences."""
-    runs, motor = _of(outcomes, kind, TORQUE).repetitions, _of(outcomes, kind, MOTOR)
+def verdict(results: list[RepetitionResult], kind: str) -> str:
+    """What is learnt over the repetitions, in a few sentences."""
+    runs, motor = _of(results, kind, TORQUE).repetitions, _of(results, kind, MOTOR)
     costs = np.array([run["cost"] for run in runs])
-    means = [run["cost"].iqm for run in _of(outcomes, kind, TORQUE).estimates]
+    means = [run["cost"].iqm for run in _of(results, kind, TORQUE).estimates]
     rise = max(0.0, float(np.max(np.diff(means) / means[:-1])))
-    alone = _of(outcomes, kind, ARM).repetitions[-1]["cost"]
-    known = _of(outcomes, kind, "privileged").repetitions[0]["cost"]
+    alone = _of(results, kind, ARM).repetitions[-1]["cost"]
+    known = _of(results, kind, "privileged").repetitions[0]["cost"]
     first, last = motor.estimates[0], motor.estimates[-1]
     return (
         f"the cost falls from {means[0]:.0f} to {means[1]:.0f} with the second repetition and {means[-1]:.0f} with the "
@@ -101,22 +72,22 @@ def _ordinal(number: int) -> str:
     return f"{number}{'th' if number % 100 in (11, 12, 13) else {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th')}"
 
 
-def _table(outcomes: list[Outcome], kind: str) -> str:
+def _table(results: list[RepetitionResult], kind: str) -> str:
     rows = []
-    for outcome in (outcome for outcome in outcomes if outcome.kind == kind):
-        for number, found in enumerate(outcome.estimates, start=1):
+    for result in (result for result in results if result.kind == kind):
+        for number, found in enumerate(result.estimates, start=1):
             cells = [
                 f"{found[name].iqm:.{digits}f} [{found[name].low:.{digits}f}, {found[name].high:.{digits}f}]"
-                for name, (_, digits) in METRICS.items()
+                for name, (_, digits) in _COLUMNS.items()
             ]
-            which = str(number) if len(outcome.repetitions) > 1 else "each"
-            rows.append([outcome.name, which, *cells])
-    return markdown_table(["controller", "repetition", *(title for title, _ in METRICS.values())], rows)
+            which = str(number) if len(result.repetitions) > 1 else "each"
+            rows.append([result.name, which, *cells])
+    return markdown_table(["controller", "repetition", *(title for title, _ in _COLUMNS.values())], rows)
 
 
-def markdown(outcomes: list[Outcome], seed: int, seconds: float) -> str:
+def markdown(results: list[RepetitionResult], seed: int, seconds: float) -> str:
     """The content of summary.md."""
-    arms = len(outcomes[0].repetitions[0]["cost"])
+    arms = len(results[0].repetitions[0]["cost"])
     parts = [
         "# Iterative learning",
         "The same move on the same arm, again and again; encoder observations and nominal constants beforehand. "
@@ -133,39 +104,39 @@ def markdown(outcomes: list[Outcome], seed: int, seconds: float) -> str:
     ]
     for kind, of_kind in KINDS.items():
         parts += [f"## {kind}", f"{arms} scenarios: {of_kind.description}, random moves, seeds from {seed}."]
-        parts += [f"**In short**, {verdict(outcomes, kind)}", _table(outcomes, kind)]
+        parts += [f"**In short**, {verdict(results, kind)}", _table(results, kind)]
     parts.append(f"`{command_line()}`, commit {commit()}, {seconds:.0f} s.")
     return "\n\n".join(parts) + "\n"
 
 
-def as_json(outcomes: list[Outcome], seed: int) -> str:
+def as_json(results: list[RepetitionResult], seed: int) -> str:
     """The content of results.json."""
     rows = [
         {
-            "method": outcome.name,
-            "split": outcome.kind,
-            "repetition": number if len(outcome.repetitions) > 1 else None,
-            "episodes": len(outcome.repetitions[0]["cost"]),
+            "method": result.name,
+            "split": result.kind,
+            "repetition": number if len(result.repetitions) > 1 else None,
+            "episodes": len(result.repetitions[0]["cost"]),
             "metrics": {name: {k: round(v, 4) for k, v in asdict(value).items()} for name, value in found.items()},
         }
-        for outcome in outcomes
-        for number, found in enumerate(outcome.estimates, start=1)
+        for result in results
+        for number, found in enumerate(result.estimates, start=1)
     ]
     provenance = {"command": command_line(), "beltarm": __version__, "commit": commit(), "seed": seed}
     return json.dumps({"provenance": provenance, "rows": rows}, indent=1) + "\n"
 
 
-def save_picture(outcomes: list[Outcome], path: Path) -> None:
+def save_picture(results: list[RepetitionResult], path: Path) -> None:
     """Draw the cost over the repetitions, over each arm's first and as it is, for all kinds of arms."""
     figure, grid = plt.subplots(2, len(KINDS), figsize=(11, 7.2), sharey="row", squeeze=False, layout="constrained")
     labels = {}
     for column, (kind, of_kind) in enumerate(KINDS.items()):
         relative, whole = grid[:, column]
-        first = _costs(outcomes, kind, TORQUE)[0]
+        first = _costs(results, kind, TORQUE)[0]
         relative.set_title(f"{kind}: {of_kind.description}", fontsize=10)
-        labels[relative] = _draw(relative, outcomes, kind, (TORQUE, ARM, "adaptive", "privileged"), 0.01 * first)
+        labels[relative] = _draw(relative, results, kind, (TORQUE, ARM, "adaptive", "privileged"), 0.01 * first)
         whole.set_yscale("log")
-        labels[whole] = _draw(whole, outcomes, kind, (TORQUE, MOTOR, "paper", "adaptive"), np.ones_like(first))
+        labels[whole] = _draw(whole, results, kind, (TORQUE, MOTOR, "paper", "adaptive"), np.ones_like(first))
         whole.set_yticks([100, 200, 500, 1000, 2000])
         whole.yaxis.set_major_formatter(ScalarFormatter())
         whole.yaxis.set_minor_formatter(NullFormatter())
@@ -179,14 +150,14 @@ def save_picture(outcomes: list[Outcome], path: Path) -> None:
     plt.close(figure)
 
 
-def _costs(outcomes: list[Outcome], kind: str, name: str) -> Floats:
-    return np.array([run["cost"] for run in _of(outcomes, kind, name).repetitions])
+def _costs(results: list[RepetitionResult], kind: str, name: str) -> Floats:
+    return np.array([run["cost"] for run in _of(results, kind, name).repetitions])
 
 
-def _draw(axes: Axes, outcomes: list[Outcome], kind: str, names: tuple[str, ...], unit: Floats) -> list[_Label]:
+def _draw(axes: Axes, results: list[RepetitionResult], kind: str, names: tuple[str, ...], unit: Floats) -> list[_Label]:
     labels = []
     for name in names:
-        costs, colour = _costs(outcomes, kind, name) / unit, COLOURS.get(name, "#444444")
+        costs, colour = _costs(results, kind, name) / unit, COLOURS.get(name, "#444444")
         means = [interquartile_mean(row) for row in costs]
         labels.append((means[-1], name, colour))
         if len(costs) == 1:

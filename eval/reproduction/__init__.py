@@ -1,1 +1,1 @@
-"""The paper's figures and claims, regenerated from the environment; `eval/paper.py` is the command."""
+"""The paper's figures and claims, regenerated in the environment; `eval/paper.py` is the command."""

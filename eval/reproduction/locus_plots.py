@@ -17,9 +17,9 @@ from eval.reproduction.loop import (
     damping_map,
     k4_locus,
     natural_frequency_locus,
+    nominal_m2,
     poles,
 )
-from eval.reproduction.study import nominal_m2
 from eval.style.colours import VERMILION
 
 _POINTS = 241
@@ -83,7 +83,7 @@ def _draw_locus(axis: Axes, locus: Poles, parameter: Floats, chosen: Poles, gain
 
 
 def _arrow(axis: Axes, locus: Poles) -> None:
-    """An arrowhead on the oscillating branch, the way it goes as the parameter grows."""
+    """Draw an arrowhead on the oscillating branch, in the direction of the growing parameter."""
     branch = [row[row.imag.argmax()] for row in locus if row.imag.max() > 1]
     if len(branch) < 20:
         return
@@ -99,7 +99,7 @@ def _arrow(axis: Axes, locus: Poles) -> None:
 
 
 def _damping_grid(axis: Axes) -> None:
-    """Lines of equal damping ratio, labelled where they leave the picture."""
+    """Draw lines of equal damping ratio, labelled where they leave the picture."""
     left, top = axis.get_xlim()[0], axis.get_ylim()[1]
     for ratio in _GRID_DAMPING:
         slope = np.sqrt(1 - ratio**2) / ratio
@@ -147,7 +147,7 @@ def damping_picture(gains: ServoGains) -> Figure:
 
 
 def _mark_inertias(axis: Axes) -> None:
-    """Lines at the nominal arm's inertias, named on a second axis."""
+    """Draw lines at the nominal arm's inertias, named on a second axis."""
     m2 = [nominal_m2(0), nominal_m2(np.pi / 2), nominal_m2(np.pi / 2, 0.2)]
     for value in m2:
         axis.axhline(value, color="white", lw=1.6, ls=":")

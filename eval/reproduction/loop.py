@@ -7,6 +7,7 @@ Coulomb friction is left out, as in the paper. With the feedforward of (8) taken
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import cast
 
@@ -15,8 +16,12 @@ import numpy as np
 from control.pzmap import PoleZeroData
 from numpy.typing import NDArray
 
-from baselines.servo.paper import PaperGains, TorsionSimulation
-from beltarm_env import CONTROL_PERIOD, ArmParams, state_space
+from baselines.servo.paper import PaperGains
+from beltarm_env import ArmParams, state_space
+from beltarm_env.arm import params_table, plant_of
+from beltarm_env.physics.lumped import inverse_inertia
+from eval.loops.laws import torsion_feedback
+from eval.loops.models import closed_poles, continuous, law_model, sampled_arm, slowest_first
 
 Floats = NDArray[np.float64]
 Poles = NDArray[np.complex128]
@@ -53,8 +58,13 @@ class ServoGains:
 
     @property
     def feedback(self) -> PaperGains:
-        """The same as K_4, K_p and K_v."""
+        """K_4, K_p and K_v of these gains."""
         return PaperGains(self.k4, self.natural_frequency**2, 2 * self.damping * self.natural_frequency)
+
+
+def without_and_with(gains: ServoGains) -> tuple[ServoGains, ServoGains]:
+    """The gains with K_4 = 0, and as they are."""
+    return replace(gains, k4=0.0), gains
 
 
 def feedback_row(arm: ArmParams, gains: ServoGains) -> Floats:
@@ -85,8 +95,7 @@ def closed_loop(
 
 def poles(a: Floats) -> Poles:
     """Eigenvalues [1/s], slowest first."""
-    values = control.StateSpace(a, np.zeros((4, 1)), np.eye(4), 0).poles()
-    return values[np.argsort(np.abs(values), kind="stable")]
+    return slowest_first(control.StateSpace(a, np.zeros((4, 1)), np.eye(4), 0).poles())
 
 
 def k4_locus(arm: ArmParams, theta_1: float, gains: ServoGains, k4: Floats) -> Poles:
@@ -139,35 +148,21 @@ def best_gain(gains: ServoGains, m2: float) -> tuple[float, float]:
 
 def sampled_poles(arm: ArmParams, theta_1: float, gains: ServoGains) -> Poles:
     """Poles [1/s] of the loop with torque held over the control period and all states measured: ln(z) / period."""
-    a, b, _ = state_space(arm, theta_1)
-    sampled = control.c2d(control.StateSpace(a, b, np.eye(4), 0), CONTROL_PERIOD, method="zoh")
-    return _continuous(np.asarray(sampled.A) - np.asarray(sampled.B) @ feedback_row(arm, gains))
+    sampled = sampled_arm(arm, theta_1)
+    closed = np.asarray(sampled.A) - np.asarray(sampled.B) @ feedback_row(arm, gains)
+    return continuous(np.linalg.eigvals(closed).astype(np.complex128))
 
 
 def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains, *, model: str = "lumped") -> Poles:
     """Poles [1/s] of the loop as a drive runs it: torque held, speed by differencing, torsion simulated from it.
 
-    The state is (x, theta_a one sample ago, joint speed one sample ago, simulated theta_s and its rate). Encoder
-    resolution is left out. The simulation is that of the lumped arm, whatever `model` the arm itself has.
+    Encoder resolution is left out. The simulation is that of the lumped arm, whatever `model` the arm itself has.
     """
-    a, b, _ = state_space(arm, theta_1, model)
-    sampled = control.c2d(control.StateSpace(a, b, np.eye(4), 0), CONTROL_PERIOD, method="zoh")
-    simulation, gear, k = TorsionSimulation(arm), arm.gear_ratio, feedback_row(arm, gains)[0]
-
-    def advance(state: Floats) -> Floats:
-        x, previous, joint_speed, torsion, rate = state[:4], state[4], state[5], state[6], state[7]
-        speed = (x[0] - previous) / CONTROL_PERIOD
-        change = np.array([speed / gear - joint_speed])
-        torsion, rate = simulation.advance(np.array([torsion]), np.array([rate]), change, np.array([theta_1]))
-        torque = -(k[0] * x[0] + k[1] * speed + k[3] * rate[0])
-        following = np.asarray(sampled.A) @ x + np.asarray(sampled.B)[:, 0] * torque
-        return np.array([*following, x[0], speed / gear, torsion[0], rate[0]])
-
-    return _continuous(np.array([advance(unit) for unit in np.eye(8)]).T)  # linear: its columns are images of units
+    law = law_model(torsion_feedback(arm, theta_1, arm.motor_inertia, gains.feedback))
+    return continuous(closed_poles(-(law * sampled_arm(arm, theta_1, model))))
 
 
-def _continuous(z: Floats) -> Poles:
-    """Poles s = ln(z) / period of a sampled loop, without those at z = 0, gone after a sample or two."""
-    values = np.linalg.eigvals(z).astype(np.complex128)
-    values = np.log(values[np.abs(values) > 1e-6]) / np.complex128(CONTROL_PERIOD)
-    return values[np.argsort(np.abs(values), kind="stable")]
+def nominal_m2(angle: float, payload: float = 0.0) -> float:
+    """M2 [kg m^2] of the nominal arm at an angle [rad], with a payload [kg]."""
+    plant = plant_of(params_table([ArmParams(payload_mass=payload)])[0])
+    return 1 / inverse_inertia(math.cos(angle), plant)[2]

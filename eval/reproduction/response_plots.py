@@ -1,4 +1,4 @@
-"""Pictures of the paper's figures and of what became of its conclusion: time responses."""
+"""Pictures of the study: time responses as in Figs. 4(b) and 8(b), alternatives, other moves."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from baselines.tools.files import write_atomically
-from eval.reproduction.effects import CLEAR, GONE, Compared
 from eval.reproduction.locus_plots import damping_picture, locus_picture
 from eval.reproduction.loop import PAPER_ARM, k4_locus
-from eval.reproduction.runs import PHASES, Response
-from eval.reproduction.study import AS_ANALYSED, MAIN, RANDOM_MOVES, REAL, STANDARD, TO_0, Scene, Study
-from eval.reproduction.words import degrees
+from eval.reproduction.responses import Response
+from eval.reproduction.ringing import PHASES, REDUCED, REMOVED, Suppression
+from eval.reproduction.study import AS_ANALYSED, FRICTION, MAIN, RANDOM_MOVES, STANDARD, TO_0, PaperStudy, Scene
 from eval.style.colours import BLUE, GREEN, ORANGE, PINK
+from eval.style.text import degrees
 
 WITHOUT, SUPPRESSED = ORANGE, BLUE
 """Colours of K4 = 0 and of the gain given."""
 _PHASE_SHADE = "#F0F0F0"
 _DPI = 100
-_STYLES: dict[str, dict[str, Any]] = {AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, REAL: {"lw": 1.5}}
+_STYLES: dict[str, dict[str, Any]] = {AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, FRICTION: {"lw": 1.5}}
 """How lines as analysed and with friction are drawn: both can be seen where they coincide."""
 
 _RADIAL = (
@@ -43,16 +43,16 @@ _LATERAL = (
 )
 
 
-def save_pictures(study: Study, folder: Path) -> list[Path]:
+def save_pictures(study: PaperStudy, folder: Path) -> list[Path]:
     """Draw all pictures into `folder`, each atomically.
 
     Raises:
         OSError: If the folder cannot be written to.
     """
     figures = {
-        "responses_standard.png": lambda: _responses(study, STANDARD, REAL, _RADIAL),
+        "responses_standard.png": lambda: _responses(study, STANDARD, FRICTION, _RADIAL),
         "responses_standard_as_analysed.png": lambda: _responses(study, STANDARD, AS_ANALYSED, _RADIAL),
-        "responses_to_0.png": lambda: _responses(study, TO_0, REAL, _LATERAL),
+        "responses_to_0.png": lambda: _responses(study, TO_0, FRICTION, _LATERAL),
         "root_locus_90.png": lambda: locus_picture(study.gains, 90.0),
         "root_locus_0.png": lambda: locus_picture(study.gains, 0.0),
         "damping_map.png": lambda: damping_picture(study.gains),
@@ -72,7 +72,7 @@ def _write(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=_DPI, format="png", pil_kwargs={"optimize": True})
 
 
-def _responses(study: Study, place: str, view: str, rows: tuple[tuple[str, str, str | None], ...]) -> Figure:
+def _responses(study: PaperStudy, place: str, view: str, rows: tuple[tuple[str, str, str | None], ...]) -> Figure:
     """Motor and tip over time, Figs. 4(b) and 8(b) side by side."""
     scene = study.scenes[place, view]
     figure, axes = plt.subplots(
@@ -119,22 +119,22 @@ def _signal(
     axis.grid(alpha=0.3)
 
 
-def _assumptions(study: Study) -> Figure:
+def _assumptions(study: PaperStudy) -> Figure:
     """Ratio of ringing with to without vibration feedback, one row per value of each assumption."""
-    rows: list[tuple[str, dict[str, Compared]]] = [("standard move", {view: study.standard(view) for view in MAIN})]
+    rows: list[tuple[str, dict[str, Suppression]]] = [("standard move", {view: study.standard(view) for view in MAIN})]
     breaks = [0.5]
-    for question in study.questions:
-        rows += [(v.label, {view: study.found[view][v.label] for view in MAIN}) for v in question.variants]
+    for assumption in study.assumptions:
+        rows += [(a.label, {view: study.found[view][a.label] for view in MAIN}) for a in assumption.alternatives]
         breaks.append(len(rows) - 0.5)
     figure, axes = plt.subplots(1, 2, figsize=(9, 9.8), layout="constrained", sharey=True, sharex=True)
     for axis, (phase, title) in zip(axes, (("stop", PHASES["stop"]), ("end", PHASES["end"])), strict=True):
-        for view, colour, marker in ((AS_ANALYSED, GREEN, "o"), (REAL, PINK, "D")):
+        for view, colour, marker in ((AS_ANALYSED, GREEN, "o"), (FRICTION, PINK, "D")):
             ratios = np.array([found[view].ratio(phase) for _, found in rows])
             shown = np.isfinite(ratios)
             axis.scatter(ratios[shown], np.flatnonzero(shown), color=colour, marker=marker, s=32, zorder=2, label=view)
         for position in breaks[:-1]:
             axis.axhline(position, color="0.85", lw=0.8)
-        for bound in (GONE, CLEAR):
+        for bound in (REMOVED, REDUCED):
             axis.axvline(bound, color="0.4", lw=1, ls=":")
         axis.axvline(1, color="0.4", lw=1)
         axis.set(xscale="log", xlabel=f"ringing with K4 = {study.gains.k4:g} over that with 0", title=title)
@@ -148,7 +148,7 @@ def _assumptions(study: Study) -> Figure:
     return figure
 
 
-def _moves(study: Study) -> Figure:
+def _moves(study: PaperStudy) -> Figure:
     """Ringing over the ramp time, and the share of random moves that vibration feedback calms."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.8), layout="constrained")
     _ramp_sweep(left, study)
@@ -156,7 +156,7 @@ def _moves(study: Study) -> Figure:
     return figure
 
 
-def _ramp_sweep(axis: Axes, study: Study) -> None:
+def _ramp_sweep(axis: Axes, study: PaperStudy) -> None:
     for view, style in _STYLES.items():
         pair = study.sweep[view]
         for ringing, colour, gain in (
@@ -177,12 +177,12 @@ def _ramp_sweep(axis: Axes, study: Study) -> None:
     _legend_below(axis)
 
 
-def _title(study: Study) -> str:
+def _title(study: PaperStudy) -> str:
     start, goal = study.move[:2]
     return f"{degrees(start)} to {degrees(goal)} in {study.move.duration:g} s"
 
 
-def _distribution(axis: Axes, study: Study) -> None:
+def _distribution(axis: Axes, study: PaperStudy) -> None:
     for phase, colour, name in (("cruise", GREEN, "cruise"), ("stop", PINK, "after the stop")):
         for view, style in _STYLES.items():
             ratios = study.random[view].ratios(phase)
@@ -190,7 +190,7 @@ def _distribution(axis: Axes, study: Study) -> None:
             share = 100 * (np.arange(len(ratios)) + 1) / len(ratios)
             axis.plot(ratios, share, color=colour, label=f"{name}, {view}", **style)
     axis.axvline(1, color="0.5", lw=1, ls=":")
-    axis.axvspan(CLEAR, 1 / CLEAR, color=_PHASE_SHADE, zorder=0)
+    axis.axvspan(REDUCED, 1 / REDUCED, color=_PHASE_SHADE, zorder=0)
     axis.set_xscale("log")
     axis.set(xlabel=f"ringing with K4 = {study.gains.k4:g} over that with 0", ylabel="share of moves up to here (%)")
     axis.set(xlim=(0.08, 8), ylim=(0, 100))

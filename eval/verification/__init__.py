@@ -1,1 +1,1 @@
-"""Checks of the plant against independent solutions."""
+"""Checks of the plant against independent solutions; `eval/convergence.py` and `eval/crosscheck.py` are commands."""

@@ -1,8 +1,7 @@
-"""What `eval/crosscheck.py` found, as Markdown and as a picture."""
+"""Distances of the two engines as Markdown and as a picture."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -13,40 +12,24 @@ import matplotlib.pyplot as plt
 
 from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
+from beltarm_env.mujoco.model import mujoco
 from eval.style.colours import COLOURS
 from eval.style.markdown_table import markdown_table
-
-REGIMES = {
-    "smooth": "no Coulomb friction",
-    "moves": "the benchmark's moves",
-    "stick-slip": "back and forth",
-}
-MUJOCOS_OWN = "RK4, d = 0.9, b = 100/s"
-"""The setting with the friction that MuJoCo has by default."""
+from eval.verification.crosscheck import MUJOCOS_OWN, REGIMES, EngineDistance
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """One regime under one setting of MuJoCo."""
-
-    regime: str
-    setting: str
-    stops: int  # of the motor, in all arms
-    distances: dict[int, float]  # largest over the arms [mm], by MuJoCo steps per sample
-
-
-def _table(outcomes: list[Outcome]) -> str:
-    steps = list(outcomes[0].distances)
+def _table(results: list[EngineDistance]) -> str:
+    steps = list(results[0].distances)
     rows = []
-    for outcome in outcomes:
-        cells = [f"{value:.2g}" if value >= 1e-4 else f"{value:.0e}" for value in outcome.distances.values()]
-        rows.append([outcome.setting, *cells])
+    for found in results:
+        cells = [f"{value:.2g}" if value >= 1e-4 else f"{value:.0e}" for value in found.distances.values()]
+        rows.append([found.setting, *cells])
     return markdown_table(["MuJoCo", *(f"{count} per sample" for count in steps)], rows)
 
 
-def verdict(outcomes: list[Outcome]) -> str:
-    """What became of the comparison, in one sentence."""
-    at_two = {(outcome.regime, outcome.setting): outcome.distances[2] for outcome in outcomes}
+def verdict(results: list[EngineDistance]) -> str:
+    """The distances that matter in one sentence."""
+    at_two = {(found.regime, found.setting): found.distances[2] for found in results}
     smooth, moves, back = (at_two[regime, "RK4"] for regime in REGIMES)
     soft_moves, soft_back = (at_two[regime, MUJOCOS_OWN] for regime in ("moves", "stick-slip"))
     return (
@@ -56,15 +39,15 @@ def verdict(outcomes: list[Outcome]) -> str:
     )
 
 
-def markdown(outcomes: list[Outcome], arms: int, seed: int, version: str, seconds: float) -> str:
+def markdown(results: list[EngineDistance], arms: int, seed: int, seconds: float) -> str:
     """The content of summary.md."""
     parts = [
         "# The full arm in two engines",
         f'Largest distance of MuJoCo\'s tip from that of the kernel (`model="lagrangian"`) over 1.8 s and {arms} arms '
-        f"of the training ranges, given the same torques without feedback. **{verdict(outcomes)}**",
+        f"of the training ranges, given the same torques without feedback. **{verdict(results)}**",
     ]
     for regime, what in REGIMES.items():
-        of_regime = [outcome for outcome in outcomes if outcome.regime == regime]
+        of_regime = [found for found in results if found.regime == regime]
         parts.append(f"## {regime.capitalize()}: {what}, {of_regime[0].stops} stops of the motor (mm)")
         parts.append(_table(of_regime))
     parts += [
@@ -78,22 +61,22 @@ def markdown(outcomes: list[Outcome], arms: int, seed: int, version: str, second
         "pull on the motor would cause without friction. Raising d alone removes the creep but not the late stop. With "
         "b = 2 per time step, which RK4 bears with a margin, both shrink with the step. The kernel has neither: it "
         "locates the instant of stopping.",
-        f"`{command_line()}`, seeds {seed} to {seed + arms - 1}, MuJoCo {version}, beltarm {commit()}, "
+        f"`{command_line()}`, seeds {seed} to {seed + arms - 1}, MuJoCo {mujoco.__version__}, beltarm {commit()}, "
         f"{seconds:.0f} s.",
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def save_picture(outcomes: list[Outcome], path: Path) -> None:
+def save_picture(results: list[EngineDistance], path: Path) -> None:
     """Distance over the number of steps, a panel per regime."""
-    names = list(dict.fromkeys(outcome.setting for outcome in outcomes))
-    steps = list(outcomes[0].distances)
+    names = list(dict.fromkeys(found.setting for found in results))
+    steps = list(results[0].distances)
     figure, axes = plt.subplots(1, len(REGIMES), figsize=(11, 4.2), sharey=True, layout="constrained")
     for axis, (regime, what) in zip(axes, REGIMES.items(), strict=True):
-        for outcome in outcomes:
-            if outcome.regime == regime:
-                style, colour = "o--" if "b =" in outcome.setting else "o-", COLOURS[names.index(outcome.setting)]
-                axis.plot(steps, list(outcome.distances.values()), style, color=colour, label=outcome.setting, ms=4)
+        for found in results:
+            if found.regime == regime:
+                style, colour = "o--" if "b =" in found.setting else "o-", COLOURS[names.index(found.setting)]
+                axis.plot(steps, list(found.distances.values()), style, color=colour, label=found.setting, ms=4)
         axis.axhline(0.1, color="0.5", lw=0.8, ls=":")
         axis.set_xscale("log", base=2)
         axis.set_yscale("log")

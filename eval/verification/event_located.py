@@ -1,4 +1,4 @@
-"""An independent solution of the arm: SciPy integrates the equations of motion between events that it locates.
+"""Independent solution of the arm's motion: SciPy integrates between events that it locates.
 
 In the coordinates q = (theta_1, phi), both models are
 
@@ -144,7 +144,7 @@ class EventLocatedArm:
         return [omega_1, omega_phi, motor, arm], friction
 
     def _advance_in_mode(self, torque: float, direction: int, start: float, end: float) -> tuple[float, bool]:
-        """Integrate until the mode changes, or to the end: time reached, and whether the mode changes there."""
+        """Integrate until the mode changes, or to the end; return the time reached, and whether the mode changed."""
 
         def stops(t: float, y: Floats) -> float:
             # Just broken away, the motor has no speed yet: that is not a stop.

@@ -1,4 +1,4 @@
-"""The full arm's equations of motion, derived by SymPy from where its parts are.
+"""The full arm's equations of motion, derived by SymPy from the positions of its parts.
 
 Coordinates are q = (theta_1, phi). Joint 1 is the origin; link 1 points along theta_1, link 2 along theta_1 - 2 phi.
 The kinetic energy comes from the velocities of the parts, and Lagrange's equations turn it into
@@ -18,7 +18,7 @@ from beltarm_env import ArmParams
 
 
 class Masses(NamedTuple):
-    """What moves."""
+    """Inertias and lengths of the moving parts."""
 
     motor: float  # G^2 M_a1 [kg m^2]   motor, gear and link 1 about joint 1
     link: float  # l         [m]        of each link
@@ -28,7 +28,7 @@ class Masses(NamedTuple):
 
 
 def masses_of(params: ArmParams) -> Masses:
-    """Link 2 takes as much of M2(0) and of its swing S as a uniform rod can; the hand or the pulley has the rest."""
+    """Distribute M2(0) and its swing S: link 2 takes what a uniform rod can, the hand or the pulley the rest."""
     l, m0, s = params.link_length, params.arm_inertia, params.arm_inertia_swing  # noqa: E741
     rod = min(s / (2 * l**2), 3 * m0 / l**2)
     end = max(0.0, (s - 6 * m0) / (4 * l**2)) + params.payload_mass

@@ -1,0 +1,48 @@
+"""The classical controllers by name, made with their tuned gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from baselines.gains import Tunable, tuned
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
+from baselines.optimal.lqg import LqgController, LqgGains
+from baselines.optimal.mpc import MpcController, MpcGains
+from baselines.optimal.preview import PreviewController, PreviewGains
+from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
+from baselines.servo.paper import PaperController, rigid_controller
+from baselines.servo.retuned import RetunedController, RetunedGains
+from baselines.servo.shaping import GAINS as SHAPING_GAINS
+from baselines.servo.shaping import ShapingController
+from baselines.servo.smooth import SmoothController, SmoothGains
+
+TUNABLE = {
+    "retuned": Tunable(RetunedController, RetunedGains),
+    **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
+    "smooth": Tunable(SmoothController, SmoothGains),
+    "disturbance": Tunable(DisturbanceController, DisturbanceGains),
+    "lqg": Tunable(LqgController, LqgGains),
+    "preview": Tunable(PreviewController, PreviewGains),
+    "mpc": Tunable(MpcController, MpcGains),
+    "adaptive": Tunable(AdaptiveController, AdaptiveGains),
+}
+"""Controllers that `baselines/tune.py` tunes, by name."""
+
+
+def tuned_controller(name: str) -> Any:
+    """One of `TUNABLE` with its gains of `gains.json`.
+
+    Raises:
+        ValueError: If the file of gains is damaged or out of date.
+    """
+    return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains))
+
+
+CONTROLLERS: dict[str, Callable[[], Any]] = {
+    "paper": PaperController,
+    "rigid": rigid_controller,
+    **{name: partial(tuned_controller, name) for name in TUNABLE},
+}
+"""Controllers by the name used on command lines, in results and in policy bundles; call without arguments."""

@@ -1,0 +1,82 @@
+"""Motor and tip over time, the signals of the paper's Figs. 4 and 8."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import CONTROL_PERIOD
+from beltarm_env.arm import plant_of
+from beltarm_env.physics.kinematics import reference_tip, tip_motion
+from beltarm_env.physics.state import ArmState
+from beltarm_env.rollout import Recording
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Signals of one move; SI units, each of shape (T,). NaN once the arm left its workspace."""
+
+    time: Floats
+    motor_speed: Floats
+    motor_speed_reference: Floats
+    radial_speed: Floats  # r', of r = 2 l + l_3 - x
+    radial_speed_reference: Floats  # of a rigid arm
+    lateral_speed: Floats  # y'; the reference has none
+    torque: Floats  # of the motor
+
+    @property
+    def radial_acceleration(self) -> Floats:
+        """Acceleration of r; as in the paper the tachometer's r' differentiated."""
+        return np.diff(self.radial_speed, prepend=0.0) / CONTROL_PERIOD
+
+    @property
+    def radial_acceleration_reference(self) -> Floats:
+        """Acceleration of r of a rigid arm."""
+        return np.diff(self.radial_speed_reference, prepend=0.0) / CONTROL_PERIOD
+
+    @property
+    def lateral_acceleration(self) -> Floats:
+        """Acceleration across the line of motion."""
+        return np.diff(self.lateral_speed, prepend=0.0) / CONTROL_PERIOD
+
+    @property
+    def motor_speed_error(self) -> float:
+        """RMS of the motor's speed error while the reference moves [rad/s]."""
+        moving = self.motor_speed_reference != 0
+        return float(np.sqrt(np.mean((self.motor_speed - self.motor_speed_reference)[moving] ** 2)))
+
+    @property
+    def cruising_speed(self) -> float:
+        """Largest speed of the motor's reference [rad/s]."""
+        return float(np.abs(self.motor_speed_reference).max())
+
+    @property
+    def peak_torque(self) -> float:
+        """Largest torque of the motor [N m]."""
+        return float(np.nanmax(np.abs(self.torque)))
+
+    @property
+    def stuck_share(self) -> float:
+        """Share of the time after the reference's stop that the motor sticks."""
+        after = self.time > self.time[np.flatnonzero(self.motor_speed_reference)[-1]]
+        known = after & np.isfinite(self.motor_speed)
+        return float(np.mean(self.motor_speed[known] == 0)) if known.any() else np.nan
+
+
+def response(recording: Recording, episode: int = 0) -> Response:
+    """Signals of one recorded move."""
+    plant = plant_of(recording.params[episode])
+    move = MoveShape(*recording.moves[episode].tolist())
+    states = recording.state[:, episode]
+    tips = np.array([tip_motion(ArmState(*row), plant) for row in states])
+    there = np.where(recording.finished[episode] | (states != states[-1]).any(axis=1), 1.0, np.nan)
+    references = [reference_at(TRAPEZOID, move, time) for time in recording.time]
+    rigid = np.array([reference_tip(reference.angle, reference.speed, plant)[1] for reference in references])
+    motor = plant.gear * np.array([reference.speed for reference in references])
+    motion = (there * states[:, 1], motor, there * -tips[:, 2], -rigid, there * tips[:, 3])
+    return Response(recording.time, *motion, there * recording.torque[:, episode])
