@@ -54,7 +54,7 @@ class RunFolder:
         """
         self.check(config)
         if config.overwrite:
-            self._delete_run()
+            self.delete_run()
         require_writable(self.folder)
         for path in (self.checkpoint, self.curve, self.config):
             for half_written in self.folder.glob(f".{path.stem}-*"):  # by a process that was killed
@@ -94,7 +94,7 @@ class RunFolder:
                 known = what.get(name, "another observation layout")
                 raise ValueError(f"the run in {self.folder} began with {known}: {remedy}")
 
-    def _delete_run(self) -> None:
+    def delete_run(self) -> None:
         """Delete what runs write, and nothing else."""
         for folder in (self.best, self.last):
             if folder.exists():
