@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,8 @@ from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, mak
 from agents.learners.sac import ClippedAdam
 from agents.policy.actor import actor_of
 from agents.policy.bundle import MAX_BYTES, load_controller, read_spec
-from agents.runs.checkpoint import RunFolder
+from agents.residual.env import ResidualVecEnv
+from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_task, runs_of
 from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.settings import MAX_SEED, SEED_SPACING, RunConfig, first_arm_seed
@@ -258,8 +260,6 @@ DAMAGES: dict[str, bytes] = {
     "empty": b"",
     "no pickle": b"not a pickle",
     "another pickle": pickle.dumps([1, 2]),
-    "another version": pickle.dumps({"version": 99}),
-    "a class that is gone": b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93.",
 }
 
 
@@ -267,14 +267,56 @@ DAMAGES: dict[str, bytes] = {
 def test_damaged_checkpoints(damage: str, copied: Path):
     path = copied / "checkpoint.pkl"
     path.write_bytes(DAMAGES.get(damage, path.read_bytes()[:-1000]))
-    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read.*--overwrite"):
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(.*\): choose another --out$"):
+        run(resumed(copied))
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a checkpoint holds."""
+    content = pickle.loads(path.read_bytes())
+    change(content)
+    path.write_bytes(pickle.dumps(content))
+
+
+MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
+    "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
+    "an attribute that is gone": (
+        lambda content: content["learner"]["variables"].update(gone=0),
+        "AttributeError: ",
+    ),
+    "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
+}
+
+
+@pytest.mark.parametrize("case", MISFITS)
+def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path):
+    """What did not fit is said, and who can go on; nothing is changed, and nobody is told to delete."""
+    change, words = MISFITS[case]
+    changed(copied / "checkpoint.pkl", change)
+    changed(
+        copied / "checkpoint.pkl", lambda content: content.update(written_by={"version": "9.9", "commit": "abc123"})
+    )
+    before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
+    with pytest.raises(
+        ValueError, match=rf"does not fit this version \(.*{words}.*beltarm 9\.9 at commit abc123"
+    ) as end:
+        run(resumed(copied))
+    assert "--overwrite" not in str(end.value)
+    assert {path.name: path.stat().st_mtime_ns for path in copied.iterdir()} == before
+
+
+def test_a_checkpoint_with_a_class_that_is_gone_names_the_writer_in_its_settings(copied: Path):
+    (copied / "checkpoint.pkl").write_bytes(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93.")
+    commit = json.loads((copied / "config.json").read_text())["written_by"]["commit"]
+    with pytest.raises(ValueError, match=rf"does not fit this version \(AttributeError.*Gone.* at commit {commit}, or"):
         run(resumed(copied))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"identity": 3}', '{"identity": {"options": 3}}'])
 def test_damaged_settings(text: str, copied: Path):
     (copied / "config.json").write_text(text)
-    with pytest.raises(ValueError, match=r"config\.json is damaged.*--overwrite"):
+    with pytest.raises(ValueError, match=r"config\.json is damaged.*choose another --out"):
         run(resumed(copied))
 
 
@@ -386,6 +428,18 @@ def test_gradients_are_clipped():
 def test_weights_that_diverge_are_said_to(tmp_path: Path):
     with pytest.raises(ValueError, match=r"diverged at .* steps.*--learning-rate"):
         run(tiny("ppo", tmp_path, learning_rate=1e30))
+
+
+@pytest.mark.parametrize("message", ["infeasible", "no information", "must be finite"])
+def test_an_error_that_is_no_divergence_is_not_said_to_be_one(
+    message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def fail(*_: object) -> None:
+        raise ValueError(message)
+
+    monkeypatch.setattr(ResidualVecEnv, "step_wait", fail)
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        run(tiny("ppo", tmp_path))
 
 
 # Seeds

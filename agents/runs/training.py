@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import json
-import platform
 from dataclasses import asdict, replace
-from importlib.metadata import version
 
 import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.policy.bundle import BundleSpec, annotate, save_bundle
-from agents.runs.checkpoint import RunFolder
+from agents.runs.checkpoint import RunFolder, written_by
 from agents.runs.monitor import Maker, TrainingMonitor
 from agents.runs.settings import RunConfig
 from baselines.tools.parallel import Channel
-from baselines.tools.provenance import command_line, commit
-from beltarm_env import __version__
-
-_PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
+from baselines.tools.provenance import command_line
 
 
 def train(
@@ -49,6 +44,7 @@ def train(
     folder.begin(config)
     learner = make_learner(config)
     progress = folder.load(learner.restore) if config.resume else None
+    folder.note(config)
     suffix = f"_from_{learner.steps}" if config.resume else ""
     formats = [make_output_format(kind, str(config.out), suffix) for kind in ("csv", "tensorboard")]
     logger, spec = Logger(str(config.out), formats), config.spec(**_origin(config, command or command_line()))
@@ -77,8 +73,6 @@ def _origin(config: RunConfig, command: str) -> dict[str, object]:
     """Provenance of a policy."""
     return {
         "command": command,
-        "version": __version__,
-        "commit": commit(),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        **written_by(),
         "config": json.loads(json.dumps(asdict(config), default=str)),
     }
