@@ -10,28 +10,26 @@ from __future__ import annotations
 
 import difflib
 import shlex
-import signal
 import sys
-from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from multiprocessing import get_context
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baselines import TUNABLE
 from baselines.gains import FILE, read_file, write_entry
 from baselines.tools.files import require_writable
+from baselines.tools.parallel import BrokenOff, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
+from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
 from baselines.tuning.search import CHOICE_SEED, Found, State, search, split
+from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
 
 
@@ -89,6 +87,7 @@ def tune(config: Config, console: Console) -> None:
     Raises:
         ValueError: If an option or file is bad, or, once the others are through, if searches failed.
         OSError: If files cannot be written.
+        Interrupted: If a signal asked to stop; the journals are in order.
     """
     names = config.chosen()
     read_file(config.out)
@@ -96,66 +95,37 @@ def tune(config: Config, console: Console) -> None:
     require_writable(config.journals)
     if not config.resume:
         for name in names:
-            config.journal(name).unlink(missing_ok=True)
-    errors: list[str] = []
-    columns = (TextColumn("{task.description}"), TextColumn("{task.percentage:3.0f} %"), BarColumn(bar_width=16))
-    display = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[state]}"), console=console)
-    with display, closing(_run_all(names, config)) as all_news:
-        rows = {name: display.add_task(name, total=config.budget, start=False, state="") for name in names}
-        for name, news in all_news:
-            if isinstance(news, State):
-                display.start_task(rows[name])
-                display.update(
-                    rows[name], completed=news.steps, state=f"{news.trials} trials, best cost {news.best:.1f}"
-                )
-            elif isinstance(news, Found):
-                write_entry(name, TUNABLE[name].gains(**news.gains), provenance(config, news), config.out)
-                display.update(rows[name], completed=config.budget, state=summary(news))
-            else:
-                errors.append(f"{name}: {news}")
+            begin_anew(config.journal(name))
+    stop, errors = StopRequest(), list[str]()
+    searches = {
+        name: partial(search, TUNABLE[name], config.budget, config.seed, config.journal(name)) for name in names
+    }
+    with (
+        stop_on_signals(stop, lambda: console.print("stopping soon; once more to stop at once")),
+        progress_rows(names, config.budget, console) as rows,
+    ):
+
+        def tell(name: str, state: State) -> None:
+            rows.show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
+
+        outcomes = run_side_by_side(searches, config.jobs, stop=stop, tell=tell)
+        with closing(outcomes):
+            for name, found in outcomes:
+                if isinstance(found, Found):
+                    write_entry(name, TUNABLE[name].gains(**found.gains), provenance(config, found), config.out)
+                    rows.show(name, config.budget, summary(found))
+                elif not isinstance(found.error, Interrupted):
+                    errors.append(f"{name}: {_explained(found)}")
     if errors:
         raise ValueError("\n".join(errors))
+    if stop.made:
+        raise Interrupted
     console.print(f"written to {config.out}: {', '.join(names)}")
 
 
-def _run_all(names: list[str], config: Config) -> Generator[tuple[str, State | Found | str]]:
-    """Search in processes of their own, some at a time; yields what they tell: states, at last a find or an error."""
-    context = get_context("spawn")
-    waiting, running, processes = list(reversed(names)), dict[Connection, str](), list[BaseProcess]()
-    try:
-        while waiting or running:
-            while waiting and len(running) < config.jobs:
-                ours, theirs = context.Pipe(duplex=False)
-                processes.append(context.Process(target=_work, args=(waiting[-1], config, theirs)))
-                before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the new process inherits
-                processes[-1].start()
-                signal.signal(signal.SIGINT, before)
-                theirs.close()  # so that the end of the process ends what we read
-                running[ours] = waiting.pop()
-            for connection in wait(list(running)):
-                assert isinstance(connection, Connection)
-                try:
-                    news = connection.recv()
-                except EOFError:
-                    news = "the search broke off; to go on, use --resume"
-                yield running[connection], news
-                if not isinstance(news, State):
-                    del running[connection]
-    finally:
-        for connection in running:
-            connection.close()  # a search ends, with its journal in order, when there is nobody left to tell
-        for process in processes:
-            process.join()
-
-
-def _work(name: str, config: Config, connection: Connection) -> None:
-    """Body of a process: one search."""
-    try:
-        connection.send(search(TUNABLE[name], config.budget, config.seed, config.journal(name), connection.send))
-    except BrokenPipeError:
-        return
-    except (OSError, ValueError) as error:
-        connection.send(str(error))
+def _explained(failure: Failure) -> str:
+    """Why a search failed, and what to do where it was not to blame."""
+    return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
 
 
 def provenance(config: Config, found: Found) -> dict[str, object]:
@@ -186,10 +156,9 @@ def summary(found: Found) -> str:
 def main() -> None:
     """Command line."""
     config = tyro.cli(Config, description=__doc__)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         tune(config, Console())
-    except KeyboardInterrupt:
+    except (Interrupted, KeyboardInterrupt):
         arguments = [argument for argument in sys.argv[1:] if argument != "--resume"]
         command = shlex.join(["python", "baselines/tune.py", *arguments, "--resume"])
         print(f"interrupted; trials are kept in {config.journals}; to go on:\n  {command}")

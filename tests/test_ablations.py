@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import shutil
 import subprocess
@@ -19,15 +18,18 @@ import tyro
 from commands import mistake
 from matplotlib.axes import Axes
 
+from agents.learners import ppo
+from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import make_env
 from agents.runs.settings import MAX_SEED, SEED_SPACING, first_arm_seed
 from baselines import PaperController
-from eval.ablations import Config, main, run_all
+from eval.ablations import main
 from eval.learning import ablation_runs
-from eval.learning.ablation_report import COLUMNS, Outcome, Study, as_json, draw, markdown
-from eval.learning.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Run, score
+from eval.learning.ablation_report import COLUMNS, AblationStudy, VariantResult, as_json, draw, markdown
+from eval.learning.ablation_runs import AblationRun, score
+from eval.learning.ablations import AblationConfig, run_all
+from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Variant
 from eval.speed import training_loop
-from train import ppo
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICK = ("--quick", "--only", "default", "--seeds", "1", "--arms", "4")
@@ -57,10 +59,9 @@ def test_names_factors_and_folders_are_unique_and_known():
 
 
 @pytest.mark.parametrize("variant", [v for v in VARIANTS if v.common_budget], ids=lambda variant: variant.name)
-def test_a_variant_is_the_default_with_one_thing_changed(variant: ablation_runs.Variant):
+def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
     """Its options are the script's own, allowed, and none of them is what the default has anyway."""
-    script = importlib.import_module(f"train.{variant.script}")
-    config, default = tyro.cli(script.Config, args=list(variant.options)), ppo.Config()
+    config, default = tyro.cli(ALGORITHMS[variant.script].config, args=list(variant.options)), ppo.PpoConfig()
     config.check()
     if variant.script == "ppo":
         changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
@@ -69,8 +70,8 @@ def test_a_variant_is_the_default_with_one_thing_changed(variant: ablation_runs.
 
 
 @pytest.mark.parametrize("variant", [v for v in VARIANTS if v.factor == "hold"], ids=lambda variant: variant.name)
-def test_variants_of_the_hold_look_as_far_ahead(variant: ablation_runs.Variant):
-    config, default = tyro.cli(ppo.Config, args=list(variant.options)), ppo.Config()
+def test_variants_of_the_hold_look_as_far_ahead(variant: Variant):
+    config, default = tyro.cli(ppo.PpoConfig, args=list(variant.options)), ppo.PpoConfig()
     assert np.isclose(config.hold / np.log(config.gamma), default.hold / np.log(default.gamma), rtol=0.05)
 
 
@@ -83,7 +84,7 @@ def test_arms_that_score_are_used_for_nothing_else():
 
 def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
     variant = next(v for v in VARIANTS if v.name == "gamma-0.95")
-    command = Run(variant, 1, 1000, tmp_path).command
+    command = AblationRun(variant, 1, 1000, tmp_path).command
     assert command == "python train/ppo.py --total-steps 1000 --validation-every 100 --gamma 0.95 --seed 1"
 
 
@@ -103,20 +104,20 @@ def test_what_a_study_leaves(done: Path):
 
 
 def test_finished_runs_are_not_repeated(done: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(subprocess, "run", None)
-    config = Config(runs=done / "runs/ablations", only=("default",), quick=True, seeds=1, arms=4)
+    monkeypatch.setattr(ablation_runs, "train", None)
+    config = AblationConfig(runs=done / "runs/ablations", only=("default",), quick=True, seeds=1, arms=4)
     lines = list[str]()
-    outcomes = run_all(config, lines.append)
+    results = run_all(config, lines.append)
     assert lines == ["1 run, 1 finished before"]
     stored = json.loads((done / "out/ablations.json").read_text())["variants"]
-    assert [outcome.runs for outcome in outcomes] == [variant["runs"] for variant in stored]
+    assert [result.runs for result in results] == [variant["runs"] for variant in stored]
 
 
 def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
     """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
     runs = tmp_path / "runs"
     shutil.copytree(done / "runs/ablations", runs)
-    run = Run(DEFAULT, 0, 128, runs, quick=True)
+    run = AblationRun(DEFAULT, 0, 128, runs, quick=True)
     before = run.finished(4)
     assert before is not None
     (run.folder / "ablation.json").unlink()
@@ -126,7 +127,7 @@ def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
 
 
 def test_a_folder_with_another_run_is_refused(done: Path):
-    run = Run(DEFAULT, 0, 256, done / "runs/ablations", quick=True)
+    run = AblationRun(DEFAULT, 0, 256, done / "runs/ablations", quick=True)
     with pytest.raises(ValueError, match=r"holds `python train/ppo.py --total-steps 128 .*choose another --runs"):
         run.finished(4)
 
@@ -146,15 +147,15 @@ def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
 
 
 def test_a_training_that_fails_is_named(tmp_path: Path):
-    variant = ablation_runs.Variant("bad", "limit", "bad", ("--residual-limit", "3"))
-    with pytest.raises(ValueError, match=r"bad, seed 0: train/ppo.py: .*got 3.0"):
-        Run(variant, 0, 128, tmp_path, quick=True).finish(4)
+    variant = Variant("bad", "limit", "bad", ("--residual-limit", "3"))
+    with pytest.raises(ValueError, match=r"bad, seed 0: .*got 3.0"):
+        AblationRun(variant, 0, 128, tmp_path, quick=True).finish(4)
 
 
 # What is reported
 
 
-def made_up(seeds: int = 2) -> Study:
+def made_up(seeds: int = 2) -> AblationStudy:
     def run(cost: float, seed: int) -> dict[str, Any]:
         curve = [[0, 0.0, 2000.0], [500, 0.5, 2 * cost], [1000, 1.0, cost]]
         scores = {name: cost + 10 * seed for name in COLUMNS}
@@ -162,8 +163,8 @@ def made_up(seeds: int = 2) -> Study:
         return {**own, "base": "paper", "scores": scores, "curve": curve, "validation_of_base": 2000.0}
 
     costs = dict(zip(VARIANTS, np.linspace(300, 900, len(VARIANTS)), strict=True))
-    outcomes = [Outcome(variant, [run(cost, seed) for seed in range(seeds)]) for variant, cost in costs.items()]
-    return Study(outcomes, {"paper": dict.fromkeys(COLUMNS, 2000.0)}, 1000, 8, 210.0)
+    results = [VariantResult(variant, [run(cost, seed) for seed in range(seeds)]) for variant, cost in costs.items()]
+    return AblationStudy(results, {"paper": dict.fromkeys(COLUMNS, 2000.0)}, 1000, 8, 210.0)
 
 
 def test_the_page():
@@ -172,7 +173,7 @@ def test_the_page():
     for question in QUESTIONS.values():
         assert f"## {question}" in page
     assert page.count("(default) | – | 305 [300, 310] |") == len(QUESTIONS)
-    cost = study.outcomes[1].score("cost_mean")
+    cost = study.results[1].score("cost_mean")
     ratio = cost.mean() / 305
     assert f"| nothing | `--knowledge none` | {cost.mean():.0f} [{cost[0]:.0f}, {cost[1]:.0f}] |" in page
     assert f"| {ratio:.2f} | 1.0 |" in page
@@ -189,9 +190,9 @@ def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     panels = [axis for axis in figure.axes if isinstance(axis, Axes) and axis.get_visible()]
     assert [panel.get_title("left") for panel in panels] == list(QUESTIONS.values())
     assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
-    for panel, outcomes in zip(panels, study.factors().values(), strict=True):
+    for panel, results in zip(panels, study.factors().values(), strict=True):
         legend = panel.get_legend()
-        assert legend is not None and len(legend.get_texts()) == len(outcomes)
+        assert legend is not None and len(legend.get_texts()) == len(results)
         levels = [float(np.asarray(line.get_ydata())[0]) for line in panel.lines if len(line.get_xdata()) == 2]  # pyright: ignore[reportArgumentType]
         assert levels == [2000.0, 210.0]
     monkeypatch.undo()
@@ -226,14 +227,14 @@ def test_phases_are_timed_apart():
 
 
 def test_shares_of_a_run_add_up_and_none_is_missed():
-    found = training_loop.shares(ppo.Config(**TINY), 2)
+    found = training_loop.shares(ppo.PpoConfig(**TINY), 2)
     assert sum(found.values()) == pytest.approx(1.0)
     assert all(share > 0 for share in found.values())
 
 
 def test_watching_changes_nothing():
     """The timed model learns what the untimed one does."""
-    config = ppo.Config(**TINY)
+    config = ppo.PpoConfig(**TINY)
     timed, _ = training_loop.watched(config)
     timed.learn(32)
     env = make_env(config)
@@ -246,4 +247,4 @@ def test_watching_changes_nothing():
 
 def test_an_iteration_on_a_batch_and_on_single_arms():
     for make in (training_loop.iteration_on_batch, training_loop.iteration_on_single_arms):
-        make(ppo.Config(**TINY))()
+        make(ppo.PpoConfig(**TINY))()

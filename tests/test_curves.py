@@ -14,13 +14,13 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
+from agents.learners import ppo
+from agents.learners.registry import ALGORITHMS
 from agents.learners.spaces import SPACES
-from agents.policy.bundle import ALGORITHMS, BundleError
-from agents.runs.monitor import StopRequest
+from agents.learners.tuning import TuningConfig, counted, open_study, training_command, tune
+from agents.policy.bundle import BundleError
 from agents.runs.training import train
-from eval.curves import Curve, draw, find_curves
-from train import ppo
-from train.tune import Config, command, counted, open_study, tune
+from eval.learning.curves import Curve, draw, find_curves
 
 ROOT = Path(__file__).resolve().parent.parent
 TINY: dict[str, Any] = {
@@ -38,7 +38,7 @@ def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "ppo"
     for seed in range(2):
-        train(ppo.Config(out=folder / f"seed{seed}", seed=seed, **TINY), ppo.make_learner)
+        train(ppo.PpoConfig(out=folder / f"seed{seed}", seed=seed, **TINY), ppo.make_learner)
     return folder
 
 
@@ -95,16 +95,16 @@ def test_the_script_draws(runs: Path, tmp_path: Path):
 # The search for hyper-parameters
 
 
-def few(out: Path, **options: Any) -> Config:
+def few(out: Path, **options: Any) -> TuningConfig:
     common = {"trials": 2, "jobs": 1, "samples": 7680, "arms": 4, "validation_arms": 2}
-    return Config("sac", **{"out": out, **common, **options})
+    return TuningConfig("sac", **{"out": out, **common, **options})
 
 
 def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
     assert set(SPACES) == set(ALGORITHMS) - {"student"}
     for algorithm, space in SPACES.items():
-        config = Config(algorithm, out=tmp_path)
-        settings, own = config.own(), config.run({}, 3)
+        config = TuningConfig(algorithm, out=tmp_path)
+        settings, own = config.defaults(), config.run({}, 3)
         for name, distribution in space.items():
             assert distribution._contains(distribution.to_internal_repr(settings[name])), name
         assert config.run(settings, 3) == own and (own.seed, own.overwrite) == (503, True)
@@ -112,7 +112,7 @@ def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
 
 
 def test_trials_simulate_the_same_number_of_samples(tmp_path: Path):
-    config = Config("ppo", out=tmp_path, samples=80_000)
+    config = TuningConfig("ppo", out=tmp_path, samples=80_000)
     trials = [config.run({"hold": hold, "hidden": "64 32"}, 0) for hold in (4, 8)]
     assert [trial.total_steps for trial in trials] == [20_000, 10_000]
     assert [trial.validation_every for trial in trials] == [2_000, 1_000]
@@ -126,21 +126,21 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     assert result.returncode == 0, result.stderr
     study = open_study(config)
     first = study.get_trials()[0]
-    assert first.params == config.own(), "begins with the script's settings"
+    assert first.params == config.defaults(), "begins with the script's settings"
     assert len(counted(study)) == 2 and study.best_value == min(t.value for t in study.get_trials() if t.value)
     assert len(first.intermediate_values) > 5
     assert {path.name for path in tmp_path.iterdir()} == {"sac.csv", "sac.db"}, "runs of trials are not kept"
     assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
-    assert command(config, study).split()[:2] == result.stdout.split("\n  ")[1].split()[:2]
-    words = command(config, study).split()
+    assert training_command(config, study).split()[:2] == result.stdout.split("\n  ")[1].split()[:2]
+    words = training_command(config, study).split()
     assert words[:2] == ["python", "train/sac.py"]
     assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
     with pytest.raises(ValueError, match=r"holds a study already.*--resume"):
-        tune(config, StopRequest())
+        tune(config)
     with pytest.raises(ValueError, match=r"was begun with .*'arms': 4"):
-        tune(few(tmp_path, resume=True, arms=8), StopRequest())
+        tune(few(tmp_path, resume=True, arms=8))
     study.ask()  # left running by an interruption
-    again = tune(few(tmp_path, resume=True, trials=3), StopRequest())
+    again = tune(few(tmp_path, resume=True, trials=3))
     assert len(counted(again)) == 3
     assert not again.get_trials(states=(optuna.trial.TrialState.RUNNING,))
 
@@ -156,7 +156,7 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
 )
 def test_bad_options_of_the_search(options: dict[str, Any], message: str, tmp_path: Path):
     with pytest.raises((ValueError, OSError), match=message):
-        tune(few(tmp_path, **options), StopRequest())
+        tune(few(tmp_path, **options))
 
 
 def test_a_damaged_study(tmp_path: Path):

@@ -17,22 +17,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import agents.learners.imitation
+import agents.learners.student
 import agents.runs.monitor
-from agents.learners.imitation import Student
+from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advised, ask, practise
 from agents.policy.bundle import load_controller
 from agents.residual.controller import ResidualController, ResidualSettings
-from agents.runs.monitor import Interrupted, News, StopRequest, TrainingMonitor
+from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.settings import MAX_SEED, SEED_SPACING, first_arm_seed
 from agents.runs.training import train
 from baselines import CONTROLLERS
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.lesson import Lesson, Notes
+from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Controller, Recording, rollout
-from eval.curves import find_curves
-from train.student import Config
+from eval.learning.curves import find_curves
 
 ROOT = Path(__file__).resolve().parent.parent
 SEED = 5_700_000
@@ -119,12 +119,12 @@ def test_arms_that_have_left_are_not_asked_about(lesson: Lesson):
 # Runs
 
 
-def tiny(out: Path, **options: Any) -> Config:
-    return Config(**{"out": out, **OPTIONS, **options})
+def tiny(out: Path, **options: Any) -> StudentConfig:
+    return StudentConfig(**{"out": out, **OPTIONS, **options})
 
 
-def run(config: Config, stop: StopRequest | None = None) -> TrainingMonitor:
-    return train(config, Student, stop=stop)
+def run(config: StudentConfig, stop: StopRequest | None = None) -> TrainingMonitor:
+    return train(config, Student, Channel(stop=stop or StopRequest()))
 
 
 def weights(folder: Path) -> bytes:
@@ -145,7 +145,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("whole") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(agents.learners.imitation, "rollout", noted)
+        patch.setattr(agents.learners.student, "rollout", noted)
         run(tiny(folder))
     return folder
 
@@ -185,7 +185,7 @@ def test_more_rounds_go_on_from_the_last(whole: Path, tmp_path: Path):
     """And progress is told."""
     told: list[News] = []
     config = tiny(tmp_path, rounds=1)
-    train(config, Student, told.append)
+    train(config, Student, Channel(told.append))
     steps = [news.steps for news in told]
     assert steps == sorted(steps) and steps[0] == 0 and steps[-1] == config.length
     assert len([news for news in told if news.cost is not None]) == 2
@@ -210,7 +210,7 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
 
 def test_the_untrained_student_is_its_base(tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
-    config = Config(out=tmp_path)
+    config = StudentConfig(out=tmp_path)
     untrained = ResidualController(CONTROLLERS["adaptive"](), Student(config).actor(), config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
@@ -236,7 +236,7 @@ def test_every_round_has_arms_of_its_own(whole: Path):
 
 @given(st.integers(0, MAX_SEED), st.integers(1, 50), st.integers(1, SEED_SPACING))
 def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int, arms: int):
-    config = Config(seed=seed, rounds=rounds, arms=arms)
+    config = StudentConfig(seed=seed, rounds=rounds, arms=arms)
     if rounds * arms > SEED_SPACING:
         with pytest.raises(
             ValueError, match=f"--rounds times --arms must be at most {SEED_SPACING}, got {rounds} times"

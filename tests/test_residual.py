@@ -423,7 +423,7 @@ def test_ppo_learns_on_it():
 SPECS = [
     BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
     BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", 0, {"seed": 3, "note": "ζ"}),
-    BundleSpec("td3", "none", ResidualSettings(2.0, 10), (), "elu", "full", 0, {"nested": {"list": [1, 2.5, None]}}),
+    BundleSpec("sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", 0, {"nested": {"list": [1, 2.5, None]}}),
     BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
 ]
 

@@ -16,10 +16,10 @@ import pytest
 from commands import mistake, stopped
 from PIL import Image
 
+from agents.learners import ppo
 from agents.runs.command_line import main
 from eval import bench, check_controller, compare, readme, scenarios
 from eval.comparison.splits import SPLITS
-from train import ppo
 
 ROOT = Path(__file__).resolve().parent.parent
 TINY = (
@@ -38,7 +38,7 @@ TINY = (
 
 def train_ppo() -> None:
     """What `train/ppo.py` does, within this process."""
-    main(ppo.Config, ppo.make_learner, None)
+    main(ppo.PpoConfig, ppo.make_learner, None)
 
 
 def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:

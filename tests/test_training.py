@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,28 +27,30 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 import agents.residual.bases
 import agents.runs.monitor
-from agents.learners.off_policy import ClippedAdam
+from agents.learners.ppo import PpoConfig
+from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, make_env
+from agents.learners.sac import ClippedAdam
 from agents.policy.actor import actor_of
-from agents.policy.bundle import ALGORITHMS, MAX_BYTES, load_controller, read_spec
-from agents.runs.checkpoint import RunFolder
-from agents.runs.command_line import main, runs_of
-from agents.runs.monitor import Interrupted, News, StopRequest, TrainingMonitor
+from agents.policy.bundle import MAX_BYTES, load_controller, read_spec
+from agents.residual.env import ResidualVecEnv
+from agents.runs.checkpoint import VERSION, RunFolder
+from agents.runs.command_line import main, run_task, runs_of
+from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.settings import MAX_SEED, SEED_SPACING, RunConfig, first_arm_seed
 from agents.runs.training import train
+from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from beltarm_env.task.cost import MAX_COST
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = tuple(name for name in ALGORITHMS if name != "student")  # which has tests of its own
-MODULES = {name: importlib.import_module(f"train.{name}") for name in NAMES}
+MODULES = {name: importlib.import_module(f"agents.learners.{name}") for name in NAMES}  # for their models
 ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
 OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
 OWN: dict[str, dict[str, Any]] = {
     "ppo": ON_POLICY,
     "recurrent_ppo": {**ON_POLICY, "lstm_width": 8},
     "sac": OFF_POLICY,
-    "td3": OFF_POLICY,
-    "tqc": {**OFF_POLICY, "quantiles": 5},
 }
 SHORT = (
     "--arms",
@@ -69,7 +72,7 @@ TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 def tiny(name: str, out: Path, **options: Any) -> ReinforcementConfig:
     """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
     common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
-    return MODULES[name].Config(**{"out": out, **common, **OWN[name], **options})
+    return ALGORITHMS[name].config(**{"out": out, **common, **OWN[name], **options})
 
 
 def as_script(out: Path, **options: Any) -> ReinforcementConfig:
@@ -78,7 +81,7 @@ def as_script(out: Path, **options: Any) -> ReinforcementConfig:
 
 
 def run(config: RunConfig, stop: StopRequest | None = None) -> TrainingMonitor:
-    return train(config, MODULES[config.algorithm].make_learner, stop=stop)
+    return train(config, MODULES[config.algorithm].make_learner, Channel(stop=stop or StopRequest()))
 
 
 class StopAt(StopRequest):
@@ -257,8 +260,6 @@ DAMAGES: dict[str, bytes] = {
     "empty": b"",
     "no pickle": b"not a pickle",
     "another pickle": pickle.dumps([1, 2]),
-    "another version": pickle.dumps({"version": 99}),
-    "a class that is gone": b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93.",
 }
 
 
@@ -266,14 +267,56 @@ DAMAGES: dict[str, bytes] = {
 def test_damaged_checkpoints(damage: str, copied: Path):
     path = copied / "checkpoint.pkl"
     path.write_bytes(DAMAGES.get(damage, path.read_bytes()[:-1000]))
-    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read.*--overwrite"):
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(.*\): choose another --out$"):
+        run(resumed(copied))
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a checkpoint holds."""
+    content = pickle.loads(path.read_bytes())
+    change(content)
+    path.write_bytes(pickle.dumps(content))
+
+
+MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
+    "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
+    "an attribute that is gone": (
+        lambda content: content["learner"]["variables"].update(gone=0),
+        "AttributeError: ",
+    ),
+    "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
+}
+
+
+@pytest.mark.parametrize("case", MISFITS)
+def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path):
+    """What did not fit is said, and who can go on; nothing is changed, and nobody is told to delete."""
+    change, words = MISFITS[case]
+    changed(copied / "checkpoint.pkl", change)
+    changed(
+        copied / "checkpoint.pkl", lambda content: content.update(written_by={"version": "9.9", "commit": "abc123"})
+    )
+    before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
+    with pytest.raises(
+        ValueError, match=rf"does not fit this version \(.*{words}.*beltarm 9\.9 at commit abc123"
+    ) as end:
+        run(resumed(copied))
+    assert "--overwrite" not in str(end.value)
+    assert {path.name: path.stat().st_mtime_ns for path in copied.iterdir()} == before
+
+
+def test_a_checkpoint_with_a_class_that_is_gone_names_the_writer_in_its_settings(copied: Path):
+    (copied / "checkpoint.pkl").write_bytes(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93.")
+    commit = json.loads((copied / "config.json").read_text())["written_by"]["commit"]
+    with pytest.raises(ValueError, match=rf"does not fit this version \(AttributeError.*Gone.* at commit {commit}, or"):
         run(resumed(copied))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"identity": 3}', '{"identity": {"options": 3}}'])
 def test_damaged_settings(text: str, copied: Path):
     (copied / "config.json").write_text(text)
-    with pytest.raises(ValueError, match=r"config\.json is damaged.*--overwrite"):
+    with pytest.raises(ValueError, match=r"config\.json is damaged.*choose another --out"):
         run(resumed(copied))
 
 
@@ -387,6 +430,18 @@ def test_weights_that_diverge_are_said_to(tmp_path: Path):
         run(tiny("ppo", tmp_path, learning_rate=1e30))
 
 
+@pytest.mark.parametrize("message", ["infeasible", "no information", "must be finite"])
+def test_an_error_that_is_no_divergence_is_not_said_to_be_one(
+    message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def fail(*_: object) -> None:
+        raise ValueError(message)
+
+    monkeypatch.setattr(ResidualVecEnv, "step_wait", fail)
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        run(tiny("ppo", tmp_path))
+
+
 # Seeds
 
 
@@ -420,7 +475,7 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     (many / "seed5").write_text("a file")
     monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
     with pytest.raises(SystemExit) as end:
-        main(MODULES["ppo"].Config, MODULES["ppo"].make_learner, None)
+        main(PpoConfig, MODULES["ppo"].make_learner, None)
     told = capsys.readouterr().err.splitlines()
     assert end.value.code == 2 and len(told) == 2
     assert "seed5: cannot write to" in told[0] and "1 other runs" in told[1]
@@ -428,6 +483,19 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     assert bundle_weights(many / "seed4/last") == bundle_weights(tmp_path / "alone/last")
     with pytest.raises(ValueError, match="seed4 holds a run already"):
         runs_of(as_script(many, seed=4, seeds=2))
+
+
+def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """With the very options that it was begun with, which are not those of resuming."""
+    config = as_script(tmp_path / "run")
+    with pytest.raises(Interrupted):
+        run(config, StopAt(128, monkeypatch))
+    monkeypatch.undo()
+    end = run_task(config, MODULES["ppo"].make_learner, "python train/ppo.py --seeds 2", Channel())
+    assert end.steps == 256
+    run(as_script(tmp_path / "whole"))
+    assert bundle_weights(tmp_path / "run/last") == bundle_weights(tmp_path / "whole/last")
+    assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 
 
 def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
@@ -446,7 +514,8 @@ def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
 
 def test_progress_is_told(tmp_path: Path):
     told: list[News] = []
-    train(tiny("ppo", tmp_path, total_steps=256, validation_every=128), MODULES["ppo"].make_learner, told.append)
+    config = tiny("ppo", tmp_path, total_steps=256, validation_every=128)
+    train(config, MODULES["ppo"].make_learner, Channel(told.append))
     validated = [news for news in told if news.cost is not None]
     assert [news.steps for news in validated] == [0, 128, 256]
     assert all("of the base" in news.scores for news in validated)
@@ -485,9 +554,7 @@ def test_bad_options(case: str, tmp_path: Path):
 OWN_BAD: list[tuple[str, dict[str, Any], str]] = [
     ("sac", {"buffer_size": 10}, "--buffer-size must be at least 64"),
     ("sac", {"exploration": 0.0}, "--exploration must be finite and above 0"),
-    ("td3", {"tau": 2.0}, "--tau must be at most 1"),
-    ("td3", {"policy_delay": 0}, "--policy-delay must be at least 1"),
-    ("tqc", {"dropped_quantiles": 5}, "--dropped-quantiles must lie within 0 and"),
+    ("sac", {"tau": 2.0}, "--tau must be at most 1"),
     ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width must be at least 1"),
     ("ppo", {"epochs": 0}, "--epochs must be at least 1"),
 ]
@@ -502,7 +569,7 @@ def test_bad_options_of_an_algorithm(name: str, options: dict[str, Any], message
 @pytest.mark.parametrize("name", NAMES)
 def test_scripts_explain_their_options(name: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as end:
-        tyro.cli(MODULES[name].Config, args=["--help"])
+        tyro.cli(ALGORITHMS[name].config, args=["--help"])
     assert end.value.code == 0
     shown = capsys.readouterr().out
     for option in ("--base", "--knowledge", "--seeds", "--resume", "--overwrite", "--device"):

@@ -18,6 +18,7 @@ import pytest
 
 from baselines import TUNABLE, PaperController, PaperGains
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
+from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from baselines.tune import Config, main
 from baselines.tuning.search import (
     CHOICE_SEED,
@@ -31,7 +32,7 @@ from baselines.tuning.search import (
     search,
     split,
 )
-from baselines.tuning.study import rounded, space
+from baselines.tuning.study import begin_anew, rounded, space
 from beltarm_env import EPISODE_STEPS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -78,7 +79,7 @@ class Fragile(Counting):
 def test_budget_is_kept_and_counted(budget: int, tmp_path: Path):
     Counting.steps = 0
     told: list[State] = []
-    found = search(Tunable(Counting, OneGain), budget, 0, tmp_path / "journal", told.append)
+    found = search(Tunable(Counting, OneGain), budget, 0, tmp_path / "journal", Channel(told.append))
     assert found.steps == Counting.steps == told[-1].steps <= budget
     assert split(budget).search - BATCH < told[-1].steps
     assert found.cost <= found.cost_untuned
@@ -99,7 +100,7 @@ def test_interrupted_search_goes_on(tmp_path: Path):
 
     journal, kind = tmp_path / "journal", Tunable(Counting, OneGain)
     with pytest.raises(KeyboardInterrupt):
-        search(kind, 4 * MIN_BUDGET, 0, journal, interrupt)
+        search(kind, 4 * MIN_BUDGET, 0, journal, Channel(interrupt))
     Counting.steps = 0
     found = search(kind, 4 * MIN_BUDGET, 0, journal)
     assert 4 * BATCH <= found.steps - Counting.steps <= 5 * BATCH  # all but the batch that was interrupted
@@ -121,9 +122,44 @@ def test_search_interrupted_in_its_first_trial_begins_with_the_untuned_gains(tmp
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        search(Tunable(Counting, OneGain), MIN_BUDGET, 0, tmp_path / "journal", interrupt)
+        search(Tunable(Counting, OneGain), MIN_BUDGET, 0, tmp_path / "journal", Channel(interrupt))
     found = search(Tunable(Counting, OneGain), MIN_BUDGET, 0, tmp_path / "journal")
     assert found.gains == asdict(OneGain()) and found.trials == 1
+
+
+def test_search_that_is_asked_to_stop_does_so_after_the_batch(tmp_path: Path):
+    stop = StopRequest()
+    stop.made = True
+    Counting.steps = 0
+    with pytest.raises(Interrupted):
+        search(Tunable(Counting, OneGain), MIN_BUDGET, 0, tmp_path / "journal", Channel(stop=stop))
+    assert Counting.steps == BATCH
+
+
+def test_journal_of_another_search_is_left_alone(tmp_path: Path):
+    """Its journal, and the lock by which Optuna writes to it."""
+    journal, optuna_lock = tmp_path / "journal", tmp_path / "journal.lock"
+    code = f"""
+import sys, time
+sys.path.insert(0, {str(ROOT)!r})
+from pathlib import Path
+from baselines.tuning.study import own
+with own(Path({str(journal)!r})):
+    print("held", flush=True)
+    time.sleep(300)
+"""
+    other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert other.stdout is not None and other.stdout.readline() == "held\n"
+    journal.write_text("theirs")
+    optuna_lock.write_text("")
+    for attempt in (lambda: search(Tunable(Counting, OneGain), MIN_BUDGET, 0, journal), lambda: begin_anew(journal)):
+        with pytest.raises(ValueError, match=r"another process tunes with .*journal: wait for it"):
+            attempt()
+    assert journal.read_text() == "theirs" and optuna_lock.exists()
+    other.kill()
+    other.communicate()
+    begin_anew(journal)
+    assert not journal.exists() and not optuna_lock.exists()
 
 
 def test_controllers_that_fail_are_survived(tmp_path: Path):

@@ -10,64 +10,12 @@ Memory, 1997.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from sb3_contrib import RecurrentPPO
-
-from agents.learners.on_policy import OnPolicyConfig
-from agents.learners.reinforcement import ModelLearner
-from agents.residual.env import ResidualVecEnv
-from agents.residual.knowledge import Knowledge
+from agents.learners.recurrent_ppo import RecurrentPpoConfig, make_learner
 from agents.runs.command_line import main
 
-
-@dataclass(frozen=True)
-class Config(OnPolicyConfig):
-    """Train a residual recurrent PPO policy."""
-
-    algorithm: ClassVar[str] = "recurrent_ppo"
-
-    out: Path = Path("runs/recurrent_ppo")
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
-    knowledge: Knowledge = "none"
-    """What the agent is told besides the observation: nothing, for its LSTM is to find out, or what is identified."""
-    hidden: tuple[int, ...] = (64,)
-    """Hidden layers after the LSTM."""
-    lstm_width: int = 64
-    """Width of the LSTMs of policy and value."""
-    rollout_steps: int = 50
-    """Agent steps per arm between two updates: half an episode, through which gradients go back."""
-    batch_size: int = 5120
-    """Samples per gradient step."""
-    epochs: int = 4
-    """Passes over each rollout."""
-    entropy: float = 0.001
-    """Weight of the entropy bonus, which keeps exploration from dying early."""
-
-    @property
-    def lstm(self) -> int:
-        """Width of the actor's LSTM."""
-        return self.lstm_width
-
-    def check(self) -> None:
-        """Check the options, see `RunConfig.check`."""
-        self.at_least(1, "lstm_width")
-        super().check()
-
-
-def make_model(config: Config, env: ResidualVecEnv) -> RecurrentPPO:
-    """An untrained model, whose learning rate will fall linearly to zero."""
-    return RecurrentPPO("MlpLstmPolicy", env, **config.arguments(lstm_hidden_size=config.lstm_width))
-
-
-def make_learner(config: Config) -> ModelLearner:
-    """An untrained learner."""
-    return ModelLearner(config, make_model)
-
-
 if __name__ == "__main__":
-    main(Config, make_learner, __doc__)
+    main(RecurrentPpoConfig, make_learner, __doc__)

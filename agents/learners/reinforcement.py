@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -94,8 +96,8 @@ class ModelLearner:
         remaining = config.total_steps - model.num_timesteps
         try:
             model.learn(remaining, _Pauses(monitor), config.log_interval, reset_num_timesteps=not config.resume)
-        except ValueError as error:
-            if any(word in str(error) for word in ("nan", "inf", "finite")):
+        except ValueError:
+            if _diverged(model):
                 message = f"diverged at {model.num_timesteps} steps: begin anew with a smaller --learning-rate"
                 raise ValueError(message) from None
             raise
@@ -131,6 +133,20 @@ class ModelLearner:
     def close(self) -> None:
         """Close the arms."""
         self.env.close()
+
+
+def _diverged(model: BaseAlgorithm) -> bool:
+    """Whether weights or actions of the policy are not finite."""
+    if not all(torch.isfinite(weights).all() for weights in model.policy.parameters()):
+        return True
+    seen: Any = model._last_obs
+    if seen is None:
+        return False
+    try:
+        actions, _ = model.policy.predict(seen)
+    except ValueError:  # of a distribution that has no such parameters
+        return True
+    return not np.isfinite(actions).all()
 
 
 _ATTRIBUTES = (

@@ -1,4 +1,4 @@
-"""What `train/tune.py` varies of each algorithm's options, and within what.
+"""Search spaces of the algorithms' options, for `train/tune.py`.
 
 Ranges are as wide as docs/learning.md leaves them sensible: what costs half as much again there is not searched again.
 Hidden layers are written as on the command line, "128 128".
@@ -10,7 +10,7 @@ from typing import Literal
 
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 
-Algorithm = Literal["ppo", "recurrent_ppo", "sac", "td3", "tqc"]
+Searched = Literal["ppo", "recurrent_ppo", "sac"]
 
 _EVERYWHERE: dict[str, BaseDistribution] = {
     "learning_rate": FloatDistribution(1e-4, 3e-3, log=True),
@@ -37,28 +37,15 @@ _RECURRENT: dict[str, BaseDistribution] = {
     "hold": CategoricalDistribution([4, 8, 12]),
     "lstm_width": CategoricalDistribution([32, 64, 128]),
 }
-_OFF_POLICY: dict[str, BaseDistribution] = {
+_SAC: dict[str, BaseDistribution] = {
     **_EVERYWHERE,
     "gamma": FloatDistribution(0.85, 0.98),
     "residual_limit": FloatDistribution(0.3, 1.0, log=True),
     "hold": CategoricalDistribution([4, 8, 12, 16]),
     "gradient_steps": CategoricalDistribution([2, 4, 8]),
     "tau": FloatDistribution(0.002, 0.05, log=True),
-}
-_SOFT: dict[str, BaseDistribution] = {
-    **_OFF_POLICY,
     "exploration": FloatDistribution(0.1, 0.6),
     "target_entropy": FloatDistribution(-4.0, -1.0),
 }
-SPACES: dict[Algorithm, dict[str, BaseDistribution]] = {
-    "ppo": _PPO,
-    "recurrent_ppo": _RECURRENT,
-    "sac": _SOFT,
-    "tqc": _SOFT,
-    "td3": {
-        **_OFF_POLICY,
-        "noise": FloatDistribution(0.05, 0.6),
-        "restraint": FloatDistribution(0.01, 1.0, log=True),
-    },
-}
-"""What is varied, by algorithm; everything else is as the script has it."""
+SPACES: dict[Searched, dict[str, BaseDistribution]] = {"ppo": _PPO, "recurrent_ppo": _RECURRENT, "sac": _SAC}
+"""Ranges of the options that are searched, by algorithm; everything else is as the script has it."""

@@ -1,4 +1,4 @@
-"""A practised teacher beside its student: what `agents.learners.imitation` learns from."""
+"""A practised teacher beside its student: what `agents.learners.student` learns from."""
 
 from __future__ import annotations
 

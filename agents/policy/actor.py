@@ -105,8 +105,8 @@ def actor_of(policy: Any, shape: ActorShape) -> Actor:
     actor = Actor(shape)
     if hasattr(policy, "mlp_extractor"):  # PPO's
         parts = [policy.mlp_extractor.policy_net, policy.action_net]
-    else:  # of TD3, or of SAC and its kind, whose mean is a layer of its own
-        parts = [part for part in (getattr(policy.actor, "latent_pi", None), policy.actor.mu) if part is not None]
+    else:  # SAC's, whose mean is a layer of its own
+        parts = [policy.actor.latent_pi, policy.actor.mu]
     theirs = [module for part in parts for module in part.modules() if isinstance(module, nn.Linear)]
     ours = [module for module in actor.layers if isinstance(module, nn.Linear)]
     if len(theirs) != len(ours) or (actor.lstm is None) != (not hasattr(policy, "lstm_actor")):

@@ -41,7 +41,7 @@ MANIFEST = "policy.json"
 CARD = "README.md"
 MAX_BYTES = 1_000_000
 """Of each file of a bundle; larger ones are neither written nor read."""
-ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "td3": True, "tqc": True, "student": False}
+ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": False}
 """Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
 
 

@@ -1,8 +1,9 @@
-"""The folder of a run, and checkpoints from which a run goes on bit for bit as if it had not been interrupted.
+"""Folder of a run, and checkpoints from which a run goes on bit for bit as if it had not been interrupted.
 
-    config.json       every option, and what makes the run this one
+    config.json       every option, what makes the run this one, and the software that writes it
     checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
-                      and data), random generators, and the run's progress
+                      and data), random generators, the run's progress, and the software
+                      that wrote it
     validation.csv    the learning curve
     best/, last/      policy bundles: lowest validation cost, and end of the run
     progress*.csv, events*   training log, as CSV and for TensorBoard
@@ -29,8 +30,16 @@ import torch
 
 from agents.runs.settings import RunConfig
 from baselines.tools.files import require_writable, write_atomically, write_text
+from baselines.tools.provenance import software
 
-VERSION = 3
+VERSION = 4
+"""Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
+_PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
+
+
+def written_by() -> dict[str, Any]:
+    """The software of this process, as it is noted with what it writes."""
+    return software(*_PACKAGES)
 
 
 class RunFolder:
@@ -43,6 +52,7 @@ class RunFolder:
         self.curve = folder / "validation.csv"
         self.best = folder / "best"
         self.last = folder / "last"
+        self._software = written_by()
 
     def begin(self, config: RunConfig) -> None:
         """Make the folder ready for a new run, or for going on with the one that it holds.
@@ -54,12 +64,15 @@ class RunFolder:
         """
         self.check(config)
         if config.overwrite:
-            self._delete_run()
+            self.delete_run()
         require_writable(self.folder)
         for path in (self.checkpoint, self.curve, self.config):
             for half_written in self.folder.glob(f".{path.stem}-*"):  # by a process that was killed
                 half_written.unlink(missing_ok=True)
-        content = {"config": asdict(config), "identity": config.identity()}
+
+    def note(self, config: RunConfig) -> None:
+        """Write the options of the run, once a checkpoint that it goes on from has been read."""
+        content = {"config": asdict(config), "identity": config.identity(), "written_by": self._software}
         write_text(self.config, json.dumps(content, indent=2, default=str) + "\n")
 
     def check(self, config: RunConfig) -> None:
@@ -77,24 +90,24 @@ class RunFolder:
     def _require_same(self, config: RunConfig) -> None:
         if not (self.checkpoint.exists() and self.config.exists()):
             raise FileNotFoundError(f"nothing to resume in {self.folder}: run once without --resume")
-        remedy = "choose another --out, or begin anew with --overwrite"
         try:
-            before = json.loads(self.config.read_text(encoding="utf-8"))["identity"]
-            options = dict(before["options"])
+            content = json.loads(self.config.read_text(encoding="utf-8"))
+            before, options = content["identity"], dict(content["identity"]["options"])
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{self.config} is damaged ({error!r}): {remedy}") from None
+            raise ValueError(f"{self.config} is damaged ({error!r}): choose another --out") from None
         now = json.loads(json.dumps(config.identity(), default=str))
         for name, value in now["options"].items():
             if options.get(name) != value:
                 option = f"--{name.replace('_', '-')}"
+                remedy = "give the same options, or choose another --out"
                 raise ValueError(f"the run in {self.folder} has {option} {options.get(name)}, not {value}: {remedy}")
         for name in ("algorithm", "base_hash", "layout", "entries"):
             if before.get(name) != now[name]:
                 what = {"algorithm": "another algorithm", "base_hash": "other gains of the base"}
-                known = what.get(name, "another observation layout")
+                known, remedy = what.get(name, "another observation layout"), _remedy(content.get("written_by"))
                 raise ValueError(f"the run in {self.folder} began with {known}: {remedy}")
 
-    def _delete_run(self) -> None:
+    def delete_run(self) -> None:
         """Delete what runs write, and nothing else."""
         for folder in (self.best, self.last):
             if folder.exists():
@@ -114,6 +127,7 @@ class RunFolder:
             OSError: If they cannot be written; the last checkpoint stays.
         """
         content = {"version": VERSION, "progress": progress, "learner": learner, "generators": _generators()}
+        content["written_by"] = self._software
         try:
             write_atomically(self.checkpoint, lambda path: _dump(content, path))
             write_text(self.curve, _table(progress["curve"]))
@@ -132,25 +146,54 @@ class RunFolder:
             The run's progress.
 
         Raises:
-            ValueError: If the checkpoint is damaged, or of another version.
+            ValueError: If the checkpoint is damaged, or of a version that this one does not go on from.
         """
+        content, origin = self._read(), None
         try:
-            with self.checkpoint.open("rb") as file:
-                content = pickle.load(file)
+            origin = content.get("written_by")
             if content["version"] != VERSION:
-                raise ValueError(f"version {content['version']}, this release reads {VERSION}")
+                raise ValueError(f"format {content['version']}, this version has {VERSION}")
             restore(content["learner"])
             _set_generators(content["generators"])
             return content["progress"]
-        except _DAMAGES as error:
-            message = str(error).splitlines()[0] if str(error) else repr(error)
-            raise ValueError(f"{self.checkpoint} cannot be read ({message}): begin anew with --overwrite") from None
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            raise self._misfit(error, origin) from error
+
+    def _read(self) -> dict[str, Any]:
+        """What the checkpoint holds."""
+        try:
+            with self.checkpoint.open("rb") as file:
+                content = pickle.load(file)
+        except (ImportError, AttributeError) as error:  # a class that this version does not have
+            raise self._misfit(error, self._noted()) from error
+        except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, KeyError, TypeError, IndexError) as error:
+            raise ValueError(f"{self.checkpoint} cannot be read ({_words(error)}): choose another --out") from None
+        if not (isinstance(content, dict) and "version" in content):
+            raise ValueError(f"{self.checkpoint} cannot be read (no checkpoint of a run): choose another --out")
+        return content
+
+    def _misfit(self, error: Exception, origin: Any) -> ValueError:
+        """A checkpoint that is sound, but not for this version."""
+        return ValueError(f"{self.checkpoint} does not fit this version ({_words(error)}): {_remedy(origin)}")
+
+    def _noted(self) -> Any:
+        """The software that wrote the run, as its settings have it."""
+        try:
+            return json.loads(self.config.read_text(encoding="utf-8"))["written_by"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
 
 
-_DAMAGES = (
-    *(pickle.UnpicklingError, EOFError, ImportError, AttributeError),
-    *(RuntimeError, ValueError, KeyError, TypeError, IndexError),
-)
+def _words(error: Exception) -> str:
+    """Kind and first line of an error."""
+    return f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}"
+
+
+def _remedy(origin: Any) -> str:
+    """How to go on with a run of another version, without losing it."""
+    known = isinstance(origin, dict) and {"version", "commit"} <= set(origin)
+    writer = f"beltarm {origin['version']} at commit {origin['commit']}" if known else "the version that wrote it"
+    return f"go on with it by {writer}, or choose another --out"
 
 
 def _generators() -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""The command line of all training scripts: one run in this process, or several seeds side by side in their own.
+"""Command line of all training scripts: one run in this process, or several seeds side by side in their own.
 
 Ctrl-C and SIGTERM stop runs between two updates and save them; a second one stops at once, with what the last
 checkpoint has.
@@ -6,40 +6,35 @@ checkpoint has.
 
 from __future__ import annotations
 
-import os
 import shlex
-import signal
 import sys
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
-from multiprocessing import get_context
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from agents.runs.checkpoint import RunFolder
-from agents.runs.monitor import Interrupted, Maker, News, StopRequest
+from agents.runs.monitor import Maker, News
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-ASKING = (signal.SIGINT, signal.SIGTERM)
-
-
-class Ended(NamedTuple):
-    """How a run ended."""
-
-    how: Literal["finished", "interrupted", "failed"]
-    message: str
+from baselines.tools.parallel import (
+    BrokenOff,
+    Channel,
+    Failure,
+    Interrupted,
+    StopRequest,
+    run_side_by_side,
+    stop_on_signals,
+)
+from baselines.tools.progress import progress_rows
+from baselines.tools.provenance import command_line
 
 
 def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
-    """Command line of a training script.
+    """Run a training script.
 
     Args:
         kind: The script's options, a `RunConfig`.
@@ -69,40 +64,16 @@ def _resume_command(script: str) -> str:
     return shlex.join(["python", script, *arguments, "--resume"])
 
 
-def _display(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), TextColumn("{task.percentage:3.0f} %"), BarColumn(bar_width=16))
-    return Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[scores]}"), console=console)
-
-
-@contextmanager
-def stoppable(stop: StopRequest, signals: tuple[signal.Signals, ...], console: Console | None = None) -> Iterator[None]:
-    """Let signals ask a run to stop; the second of them raises KeyboardInterrupt."""
-
-    def ask(*_: object) -> None:
-        if stop.made:
-            raise KeyboardInterrupt
-        stop.made = True
-        if console is not None:
-            console.print("stopping after this update; once more to stop at once")
-
-    before = {number: signal.signal(number, ask) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _stop_on_signals(stop: StopRequest, console: Console) -> Any:
+    return stop_on_signals(stop, lambda: console.print("stopping after this update; once more to stop at once"))
 
 
 def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
-    """One run, in this process."""
-    stop = StopRequest()
-    with stoppable(stop, ASKING, console), _display(console) as display:
-        row = display.add_task(config.algorithm, total=config.length, scores="")
-
-        def show(news: News) -> None:
-            display.update(row, completed=news.steps, scores=news.scores)
-
-        monitor = train(config, make_learner, show, stop)
+    """Run one training, in this process."""
+    stop, name = StopRequest(), config.algorithm
+    with _stop_on_signals(stop, console), progress_rows([name], config.length, console) as rows:
+        channel = Channel(lambda news: rows.show(name, news.steps, news.scores), stop)
+        monitor = train(config, make_learner, channel)
     steps, seconds, _ = monitor.curve[-1]
     print(f"{steps} steps in {seconds:.0f} s; best policy: {config.out / 'best'}")
     print(f"compare it: python eval/compare.py --policy {config.out / 'best'}")
@@ -127,19 +98,26 @@ def runs_of(config: RunConfig) -> dict[str, RunConfig]:
 
 
 def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None:
-    """Several runs, in processes of their own; one that fails leaves the others alone."""
-    runs, stop, ends = runs_of(config), StopRequest(), dict[str, Ended]()
-    news_of_all = run_all(runs, make_learner, config.jobs, stop)
-    with stoppable(stop, ASKING, console), _display(console) as display, closing(news_of_all):
-        rows = {name: display.add_task(name, total=config.length, start=False, scores="") for name in runs}
-        for name, news in news_of_all:
-            display.start_task(rows[name])
-            if isinstance(news, Ended):
-                ends[name] = news
-                display.update(rows[name], scores=news.message)
-            else:
-                display.update(rows[name], completed=news.steps, scores=news.scores)
-    failed = [f"{name}: {end.message}" for name, end in ends.items() if end.how == "failed"]
+    """Run several trainings, in processes of their own; one that fails leaves the others alone."""
+    runs, stop, failed = runs_of(config), StopRequest(), list[str]()
+    if config.overwrite:  # once: a run that is begun again is not to delete itself
+        for name, run in runs.items():
+            RunFolder(run.out).delete_run()
+            runs[name] = replace(run, overwrite=False)
+    tasks = {name: partial(run_task, run, make_learner, command_line()) for name, run in runs.items()}
+    with _stop_on_signals(stop, console), progress_rows(runs, config.length, console) as rows:
+
+        def tell(name: str, news: News) -> None:
+            rows.show(name, news.steps, news.scores)
+
+        with closing(run_side_by_side(tasks, config.jobs, threads=config.threads, stop=stop, tell=tell)) as outcomes:
+            for name, end in outcomes:
+                if isinstance(end, Failure):
+                    rows.show(name, state=end.message)
+                    if not isinstance(end.error, Interrupted):
+                        failed.append(f"{name}: {_explained(end)}")
+                else:
+                    rows.show(name, end.steps, f"done, {end.scores}")
     if failed:
         raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))
     if stop.made:
@@ -149,81 +127,26 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
     print(f"compare them: python eval/compare.py {policies}")
 
 
-def run_all(
-    runs: dict[str, RunConfig], make_learner: Maker, jobs: int, stop: StopRequest
-) -> Generator[tuple[str, News | Ended]]:
-    """Run trainings in processes of their own, some at a time; yields what they tell, an `Ended` at last."""
-    waiting, running, processes = list(reversed(runs)), dict[Connection, str](), list[BaseProcess]()
-    asked = False
-    try:
-        while running or (waiting and not stop.made):
-            while waiting and len(running) < jobs and not stop.made:
-                name = waiting.pop()
-                process, connection = _start(runs[name], make_learner)
-                processes.append(process)
-                running[connection] = name
-            if stop.made and not asked:
-                asked = True
-                for process in processes:
-                    process.terminate()
-            for connection in wait(list(running), timeout=0.5):
-                assert isinstance(connection, Connection)
-                try:
-                    news = connection.recv()
-                except EOFError:
-                    how = "interrupted" if stop.made else "failed"
-                    news = Ended(how, "the process broke off; to go on, use --resume")
-                yield running[connection], news
-                if isinstance(news, Ended):
-                    del running[connection]
-    finally:
-        for connection in running:
-            connection.close()  # a run stops, and is saved, when there is nobody left to tell
-        for process in processes:
-            process.join(5)
-            process.kill()
+def _explained(failure: Failure) -> str:
+    """Why a run failed, and what to do where it was not to blame."""
+    return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
 
 
-def _start(config: RunConfig, make_learner: Maker) -> tuple[BaseProcess, Connection]:
-    """Start a run in a process of its own, which tells its news to the connection."""
-    ours, theirs = get_context("spawn").Pipe(duplex=False)
-    process = start_process(_work, (config, make_learner, theirs), config.threads)
-    theirs.close()  # so that the end of the process ends what we read
-    return process, ours
+def run_task(config: RunConfig, make_learner: Maker, command: str, channel: Channel) -> News:
+    """Train as a task of `run_side_by_side`: begun again after its process died, it goes on from its checkpoint.
 
+    Args:
+        config: Options.
+        make_learner: Makes the untrained learner.
+        command: What the run was started with.
+        channel: Gets `News`.
 
-def start_process(body: Callable[..., None], arguments: tuple[Any, ...], threads: int) -> BaseProcess:
-    """Start a process whose libraries keep to so many threads, and which leaves Ctrl-C to this one."""
-    process = get_context("spawn").Process(target=body, args=arguments)
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, str(threads)))
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the new process inherits
-    process.start()
-    signal.signal(signal.SIGINT, handler)
-    for name, value in before.items():
-        if value is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = value
-    return process
+    Returns:
+        How far the run has come.
 
-
-def _work(config: RunConfig, make_learner: Maker, connection: Connection) -> None:
-    """Body of a process: one run."""
-    stop = StopRequest()
-
-    def tell(news: News | Ended) -> None:
-        try:
-            connection.send(news)
-        except OSError:  # nobody listens any more
-            stop.made = True
-
-    with stoppable(stop, (signal.SIGTERM,)):
-        try:
-            monitor = train(config, make_learner, tell, stop)
-            tell(News(monitor.curve[-1][0], monitor.progress["scores"]))
-            tell(Ended("finished", f"done, {monitor.progress['scores']}"))
-        except Interrupted as interruption:
-            tell(Ended("interrupted", str(interruption)))
-        except (OSError, ValueError) as error:
-            tell(Ended("failed", str(error).replace("\n", " ")))
+    Raises:
+        Interrupted, ValueError, OSError: As `train` does.
+    """
+    resume = config.resume or RunFolder(config.out).checkpoint.exists()
+    monitor = train(replace(config, resume=resume), make_learner, channel, command)
+    return News(monitor.curve[-1][0], monitor.progress["scores"])

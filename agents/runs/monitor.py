@@ -16,6 +16,7 @@ from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.checkpoint import RunFolder
 from agents.runs.settings import RunConfig
+from baselines.tools.parallel import Channel, Interrupted
 from beltarm_env.rollout import Controller, rollout
 
 VALIDATION_SEED = 7_000_000
@@ -37,17 +38,6 @@ class News(NamedTuple):
     steps: int
     scores: str  # of the last validation, in words
     cost: float | None = None  # of a validation just made
-
-
-class StopRequest:
-    """Asks a run to stop between two updates, where it loses nothing."""
-
-    def __init__(self) -> None:
-        self.made = False
-
-
-class Interrupted(Exception):  # noqa: N818
-    """A run stopped because it was asked to, and is saved."""
 
 
 class Learner(Protocol):
@@ -95,8 +85,7 @@ class TrainingMonitor:
         learner: What is trained.
         spec: What the policy is; its provenance is completed with what was reached.
         logger: The training log.
-        report: Called with news, twice a second at most, and after every validation.
-        stop: Whether to stop.
+        channel: Gets news, twice a second at most, and after every validation; asks the run to stop.
         progress: What an interrupted run had reached.
     """
 
@@ -107,8 +96,7 @@ class TrainingMonitor:
         learner: Learner,
         spec: BundleSpec,
         logger: Logger,
-        report: Callable[[News], object],
-        stop: StopRequest,
+        channel: Channel,
         progress: dict[str, Any] | None = None,
     ) -> None:
         self.config = config
@@ -116,8 +104,7 @@ class TrainingMonitor:
         self.learner = learner
         self.spec = spec
         self.logger = logger
-        self.report = report
-        self.stop = stop
+        self.channel = channel
         base = validate(make_base(config.base), config.validation_arms, config.sensors)
         self.progress: dict[str, Any] = progress or {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
         self.base_scores = base
@@ -146,7 +133,7 @@ class TrainingMonitor:
             Interrupted: If it was asked to.
             OSError: If the checkpoint cannot be written.
         """
-        if self.stop.made:
+        if self.channel.stop.made:
             if save:
                 self.save()
             raise Interrupted(f"interrupted at {self.learner.steps} steps, saved in {self.config.out}")
@@ -155,7 +142,7 @@ class TrainingMonitor:
         """Report so many steps, unless something was reported just now."""
         if time.perf_counter() - self._told >= _NEWS_EVERY:
             self._told = time.perf_counter()
-            self.report(News(steps, self.progress["scores"]))
+            self.channel.report(News(steps, self.progress["scores"]))
 
     def evaluate(self) -> None:
         """Validate, log, keep the policy if it is the best so far, and save a checkpoint; once for every state."""
@@ -176,7 +163,7 @@ class TrainingMonitor:
             self.progress["best_cost"] = scores["cost"]
             save_bundle(self.folder.best, self._completed_spec(scores), actor)
         self.save()
-        self.report(News(steps, self.progress["scores"], scores["cost"]))
+        self.channel.report(News(steps, self.progress["scores"], scores["cost"]))
 
     def save(self) -> None:
         """Save a checkpoint."""

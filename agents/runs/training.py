@@ -3,37 +3,32 @@
 from __future__ import annotations
 
 import json
-import platform
-from collections.abc import Callable
 from dataclasses import asdict, replace
-from importlib.metadata import version
 
 import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.policy.bundle import BundleSpec, annotate, save_bundle
-from agents.runs.checkpoint import RunFolder
-from agents.runs.monitor import Maker, News, StopRequest, TrainingMonitor
+from agents.runs.checkpoint import RunFolder, written_by
+from agents.runs.monitor import Maker, TrainingMonitor
 from agents.runs.settings import RunConfig
-from baselines.tools.provenance import command_line, commit
-from beltarm_env import __version__
-
-_PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
+from baselines.tools.parallel import Channel
+from baselines.tools.provenance import command_line
 
 
 def train(
     config: RunConfig,
     make_learner: Maker,
-    report: Callable[[News], object] = lambda _: None,
-    stop: StopRequest | None = None,
+    channel: Channel | None = None,
+    command: str | None = None,
 ) -> TrainingMonitor:
     """Run a training, from the beginning or from its checkpoint, to its end.
 
     Args:
         config: Options.
         make_learner: Makes the untrained learner.
-        report: Called with news.
-        stop: Whether to stop early, saving what there is.
+        channel: Gets `News`; a request to stop saves what there is.
+        command: What the policies' provenance says made them; by default the command of this process.
 
     Returns:
         The monitor, which knows what came out.
@@ -49,10 +44,11 @@ def train(
     folder.begin(config)
     learner = make_learner(config)
     progress = folder.load(learner.restore) if config.resume else None
+    folder.note(config)
     suffix = f"_from_{learner.steps}" if config.resume else ""
     formats = [make_output_format(kind, str(config.out), suffix) for kind in ("csv", "tensorboard")]
-    logger, spec = Logger(str(config.out), formats), config.spec(**_origin(config))
-    monitor = TrainingMonitor(config, folder, learner, spec, logger, report, stop or StopRequest(), progress)
+    logger, spec = Logger(str(config.out), formats), config.spec(**_origin(config, command or command_line()))
+    monitor = TrainingMonitor(config, folder, learner, spec, logger, channel or Channel(), progress)
     try:
         if learner.steps < config.length:
             learner.learn(monitor)
@@ -73,12 +69,10 @@ def _finish(monitor: TrainingMonitor, spec: BundleSpec) -> None:
     annotate(folder.best, **known)
 
 
-def _origin(config: RunConfig) -> dict[str, object]:
-    """Where a policy comes from."""
+def _origin(config: RunConfig, command: str) -> dict[str, object]:
+    """Provenance of a policy."""
     return {
-        "command": command_line(),
-        "version": __version__,
-        "commit": commit(),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "command": command,
+        **written_by(),
         "config": json.loads(json.dumps(asdict(config), default=str)),
     }

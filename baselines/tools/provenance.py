@@ -1,11 +1,15 @@
-"""Where written results come from: the command, and the state of the sources."""
+"""Provenance of written results: the command, and the software that wrote them."""
 
 from __future__ import annotations
 
+import platform
 import shlex
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
+
+from beltarm_env import __version__
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,3 +30,9 @@ def commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return described.stdout.strip()
+
+
+def software(*packages: str) -> dict[str, object]:
+    """Version and commit of this project, and versions of Python and of packages."""
+    versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    return {"version": __version__, "commit": commit(), "versions": versions}

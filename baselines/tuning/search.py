@@ -26,7 +26,6 @@ The budget counts simulated control periods of single arms, those of pruned and 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -37,7 +36,8 @@ from numpy.typing import NDArray
 from optuna.trial import FrozenTrial, TrialState
 
 from baselines.gains import Tunable
-from baselines.tuning.study import open_study, rounded, space
+from baselines.tools.parallel import Channel, Interrupted
+from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
@@ -123,9 +123,7 @@ def hopeless(costs: Floats, best: Floats) -> bool:
     return bool(difference.mean() > MARGIN * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
-def search(
-    tunable: Tunable, budget: int, seed: int, journal: Path, report: Callable[[State], object] = lambda _: None
-) -> Found:
+def search(tunable: Tunable, budget: int, seed: int, journal: Path, channel: Channel | None = None) -> Found:
     """Find gains, going on with what the journal holds.
 
     Args:
@@ -133,24 +131,26 @@ def search(
         budget: Simulated steps, those in the journal included.
         seed: Of the optimiser.
         journal: File in which every trial is noted as it runs.
-        report: Called after every batch of arms.
+        channel: Gets a `State` after every batch of arms.
 
     Raises:
-        ValueError: If the budget is too small, the controller fails with its untuned gains, or the journal belongs to
-            another search.
+        ValueError: If the budget is too small, the controller fails with its untuned gains, the journal belongs to
+            another search, or another process searches with it.
+        Interrupted: If asked to stop; the journal is in order.
     """
     parts = split(budget)
-    study = open_study(tunable.gains, seed, journal)
-    if study.user_attrs.get("budget") == budget:
-        return Found(**study.user_attrs["found"])
-    run = _Search(tunable, study, report)
-    if run.steps > parts.search:
-        raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
-    while run.steps + RUNGS[0] * EPISODE_STEPS <= parts.search:
-        run.trial(parts.search)
-    found = run.choose(parts.arms)
-    study.set_user_attr("found", asdict(found))
-    study.set_user_attr("budget", budget)
+    with own(journal):
+        study = open_study(tunable.gains, seed, journal)
+        if study.user_attrs.get("budget") == budget:
+            return Found(**study.user_attrs["found"])
+        run = _Search(tunable, study, channel or Channel())
+        if run.steps > parts.search:
+            raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
+        while run.steps + RUNGS[0] * EPISODE_STEPS <= parts.search:
+            run.trial(parts.search)
+        found = run.choose(parts.arms)
+        study.set_user_attr("found", asdict(found))
+        study.set_user_attr("budget", budget)
     return found
 
 
@@ -164,14 +164,14 @@ class _Search:
     Args:
         tunable: What to tune.
         study: Where trials are kept; a complete one has the `costs` of its arms, a failed one its `failure`.
-        report: Called after every batch of arms.
+        channel: Gets a `State` after every batch of arms.
     """
 
-    def __init__(self, tunable: Tunable, study: optuna.Study, report: Callable[[State], object]) -> None:
+    def __init__(self, tunable: Tunable, study: optuna.Study, channel: Channel) -> None:
         self._tunable = tunable
         self._untuned = asdict(tunable.gains())
         self._study = study
-        self._report = report
+        self._channel = channel
         self._space = space(tunable.gains)
         self.steps = EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
 
@@ -237,7 +237,10 @@ class _Search:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error
             raise _FailureError(f"{type(error).__name__}: {error}") from error
         complete = self._complete()
-        self._report(State(self.steps, len(self._trials()), (complete[0].value if complete else None) or np.inf))
+        best = (complete[0].value if complete else None) or np.inf
+        self._channel.report(State(self.steps, len(self._trials()), best))
+        if self._channel.stop.made:
+            raise Interrupted("interrupted")
         return costs
 
     def _trials(self) -> list[FrozenTrial]:

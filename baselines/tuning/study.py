@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 
 import optuna
+from filelock import FileLock, Timeout
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
@@ -27,15 +30,39 @@ def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
     return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
 
 
+@contextmanager
+def own(journal: Path) -> Iterator[None]:
+    """Hold the journal for this process alone; the lock of a process that was killed is free.
+
+    Raises:
+        ValueError: If another process holds it.
+    """
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(f"{journal}.owner")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ValueError(f"another process tunes with {journal}: wait for it, or choose another --journals") from None
+    try:
+        Path(f"{journal}.lock").unlink(missing_ok=True)  # Optuna's own, left by a process that was killed
+        yield
+    finally:
+        lock.release()
+
+
+def begin_anew(journal: Path) -> None:
+    """Delete a journal, unless another process tunes with it; raises as `own`."""
+    with own(journal):
+        journal.unlink(missing_ok=True)
+
+
 def open_study(kind: type[Gains], seed: int, journal: Path) -> optuna.Study:
-    """The study that a journal holds, or a new one; it begins with the untuned gains.
+    """Open the study that a journal of this process's own holds, or begin one with the untuned gains.
 
     Raises:
         ValueError: If the journal is damaged, or was begun with another seed or other gains.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    journal.parent.mkdir(parents=True, exist_ok=True)
-    Path(f"{journal}.lock").unlink(missing_ok=True)  # of a process that was killed; Optuna would wait for it
     remedy = "tune anew, without --resume"
     try:
         backend = JournalFileBackend(str(journal), JournalFileOpenLock(str(journal)))

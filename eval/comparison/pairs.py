@@ -9,16 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
 import re
-import signal
 import zipfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,7 +24,9 @@ from numpy.typing import NDArray
 import agents
 import baselines
 import beltarm_env
+from baselines.tools import parallel
 from baselines.tools.files import write_atomically
+from baselines.tools.parallel import default_jobs as default_jobs
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import rollout
 from eval.comparison.custom import digest_of_sources
@@ -136,11 +134,6 @@ def run_and_keep(pair: Pair, folder: Path) -> Metrics | Failure:
     return metrics
 
 
-def default_jobs() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def run_pairs(pairs: list[Pair], folder: Path, jobs: int, done: Callable[[Pair], object]) -> list[Metrics | Failure]:
     """Results of all pairs, in their order: those that are kept are read, the others run and kept.
 
@@ -151,7 +144,7 @@ def run_pairs(pairs: list[Pair], folder: Path, jobs: int, done: Callable[[Pair],
         done: Called as each pair is there.
 
     Raises:
-        OSError: If a result cannot be written, or a process was killed.
+        OSError: If a result cannot be written, or a pair broke off its process twice.
     """
     results: dict[int, Metrics | Failure] = {}
     for k, pair in enumerate(pairs):
@@ -159,38 +152,23 @@ def run_pairs(pairs: list[Pair], folder: Path, jobs: int, done: Callable[[Pair],
         if kept is not None:
             results[k] = kept
             done(pair)
-    left = [k for k in range(len(pairs)) if k not in results]
-    fresh = _in_turn(pairs, left, folder) if min(jobs, len(left)) <= 1 else _spread(pairs, left, folder, jobs)
-    for k, result in fresh:
-        results[k] = result
-        done(pairs[k])
+    left = {str(k): partial(_run_task, pairs[k], folder) for k in range(len(pairs)) if k not in results}
+    with closing(parallel.run_side_by_side(left, jobs)) as fresh:
+        for name, result in fresh:
+            if isinstance(result, parallel.Failure):
+                raise _explained(result, jobs)
+            results[int(name)] = result
+            done(pairs[int(name)])
     return [results[k] for k in range(len(pairs))]
 
 
-def _in_turn(pairs: list[Pair], left: list[int], folder: Path) -> Iterator[tuple[int, Metrics | Failure]]:
-    for k in left:
-        yield k, run_and_keep(pairs[k], folder)
+def _run_task(pair: Pair, folder: Path, _: parallel.Channel) -> Metrics | Failure:
+    return run_and_keep(pair, folder)
 
 
-def _spread(pairs: list[Pair], left: list[int], folder: Path, jobs: int) -> Iterator[tuple[int, Metrics | Failure]]:
-    context = multiprocessing.get_context("spawn")  # torch and numba do not survive a fork for certain
-    with ProcessPoolExecutor(min(jobs, len(left)), mp_context=context, initializer=_begin_worker) as pool:
-        futures: dict[Future[Metrics | Failure], int] = {pool.submit(run_and_keep, pairs[k], folder): k for k in left}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BrokenProcessPool:
-            raise OSError(
-                f"a process was killed, for want of memory perhaps; what is done is kept: try again with --jobs "
-                f"{max(1, jobs // 2)}"
-            ) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _begin_worker() -> None:
-    """Die quietly on Ctrl-C, and leave the other cores to the other processes."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    import torch
-
-    torch.set_num_threads(1)
+def _explained(failure: parallel.Failure, jobs: int) -> Exception:
+    """The error of a pair, with a remedy where its process died."""
+    if isinstance(failure.error, parallel.BrokenOff):
+        kept = f"what is done is kept: try again with --jobs {max(1, jobs // 2)}"
+        return OSError(f"{failure.message}; {kept}")
+    return failure.error

@@ -1,4 +1,4 @@
-"""What `eval/ablations.py` found, as Markdown, as data and as a picture."""
+"""Results of the ablations as Markdown, as data and as a picture."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
-from eval.curves import BEST_CLASSICAL
-from eval.learning.ablation_runs import DEFAULT, DEFAULTS, QUESTIONS, SEED, Variant, described
+from eval.learning.ablation_runs import SEED, described
+from eval.learning.curves import BEST_CLASSICAL
+from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, Variant
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import COLOURS
 from eval.style.markdown_table import markdown_table
@@ -35,15 +36,15 @@ COLUMNS = {
     "residual_pp_mm_mean": ("residual p-p (mm)", 2),
     "left_percent": ("left (%)", 1),
 }
-"""Title and decimals of what is shown of the scores."""
+"""Title and decimals of the scores that are shown."""
 _ACROSS = 4  # panels side by side
 _TOP = 5  # of the picture, over the base's cost: room for names; what is above has lost arms
 _DASHES = ("--", ":")
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """A variant and what its runs found, a dictionary per training seed; see `Run.finish`."""
+class VariantResult:
+    """Results of a variant's runs, a dictionary per training seed; see `AblationRun.finish`."""
 
     variant: Variant
     runs: list[dict[str, Any]]
@@ -64,27 +65,27 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Study:
-    """Everything that is reported; the default run is the first outcome."""
+class AblationStudy:
+    """Everything that is reported; the default run is the first result."""
 
-    outcomes: list[Outcome]
+    results: list[VariantResult]
     references: dict[str, dict[str, float]]  # scores of bases and of the best classical controller
     steps: int
     arms: int
     classical_validated: float  # cost of the best classical controller on the validation arms
 
-    def factors(self) -> dict[str, list[Outcome]]:
+    def factors(self) -> dict[str, list[VariantResult]]:
         """Outcomes by what is varied; the default is the first of each."""
-        default, *others = self.outcomes
+        default, *others = self.results
         grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in QUESTIONS}
         return {factor: [default, *group] for factor, group in grouped.items() if group}
 
 
-def _label(outcome: Outcome, factor: str) -> str:
-    return f"{DEFAULTS[factor]} (default)" if outcome.variant == DEFAULT else outcome.variant.label
+def _label(result: VariantResult, factor: str) -> str:
+    return f"{DEFAULTS[factor]} (default)" if result.variant == DEFAULT else result.variant.label
 
 
-def as_json(study: Study) -> str:
+def as_json(study: AblationStudy) -> str:
     """The content of `ablations.json`."""
     content = {
         "provenance": {
@@ -95,14 +96,14 @@ def as_json(study: Study) -> str:
             "scored_on": {"arms": study.arms, "first_seed": SEED, "randomization": "train"},
         },
         "references": study.references,
-        "variants": [{**described(outcome.variant), "runs": outcome.runs} for outcome in study.outcomes],
+        "variants": [{**described(result.variant), "runs": result.runs} for result in study.results],
     }
     return json.dumps(content, indent=1) + "\n"
 
 
-def markdown(study: Study, seconds: float) -> str:
+def markdown(study: AblationStudy, seconds: float) -> str:
     """The content of `ablations.md`."""
-    seeds = len(study.outcomes[0].runs)
+    seeds = len(study.results[0].runs)
     parts = [
         "# What makes learning work: ablations",
         f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: {study.steps:,} "
@@ -117,30 +118,30 @@ def markdown(study: Study, seconds: float) -> str:
         f"`{_common(study)}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
         "![curves](curves.png)",
         f"Cost on validation arms while learning: every run a thin line, a variant's geometric mean a thick one. "
-        f"Dashed: the default's base, `{study.outcomes[0].base}`; dotted: `{BEST_CLASSICAL}`, the best controller "
+        f"Dashed: the default's base, `{study.results[0].base}`; dotted: `{BEST_CLASSICAL}`, the best controller "
         "that does not learn.",
     ]
-    for factor, outcomes in study.factors().items():
-        parts += [f"## {QUESTIONS[factor]}", _table(study, factor, outcomes)]
+    for factor, results in study.factors().items():
+        parts += [f"## {QUESTIONS[factor]}", _table(study, factor, results)]
     parts += ["## On the same arms, without learning", _references(study)]
-    took = sum(outcome.minutes * len(outcome.runs) for outcome in study.outcomes)
+    took = sum(result.minutes * len(result.runs) for result in study.results)
     parts += [f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s; the runs took {took:.0f} min."]
     return "\n\n".join(parts) + "\n"
 
 
-def _common(study: Study) -> str:
+def _common(study: AblationStudy) -> str:
     """The default's command without its seed."""
-    return study.outcomes[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
+    return study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
 
 
-def _table(study: Study, factor: str, outcomes: list[Outcome]) -> str:
-    default = float(study.outcomes[0].score("cost_mean").mean())
+def _table(study: AblationStudy, factor: str, results: list[VariantResult]) -> str:
+    default = float(study.results[0].score("cost_mean").mean())
     titles = ["", "changed", *(title for title, _ in COLUMNS.values()), "vs default", "minutes"]
     rows = []
-    for outcome in outcomes:
-        cells = [_cell(outcome.score(name), decimals) for name, (_, decimals) in COLUMNS.items()]
-        ratio = f"{float(outcome.score('cost_mean').mean()) / default:.2f}"
-        rows.append([_label(outcome, factor), _changed(outcome.variant), *cells, ratio, f"{outcome.minutes:.1f}"])
+    for result in results:
+        cells = [_cell(result.score(name), decimals) for name, (_, decimals) in COLUMNS.items()]
+        ratio = f"{float(result.score('cost_mean').mean()) / default:.2f}"
+        rows.append([_label(result, factor), _changed(result.variant), *cells, ratio, f"{result.minutes:.1f}"])
     return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
 
@@ -154,7 +155,7 @@ def _cell(values: Floats, decimals: int) -> str:
     return shown if len(values) == 1 else f"{shown} [{values.min():.{decimals}f}, {values.max():.{decimals}f}]"
 
 
-def _references(study: Study) -> str:
+def _references(study: AblationStudy) -> str:
     rows = []
     for name, scores in study.references.items():
         cells = [f"{scores[key]:.{decimals}f}" for key, (_, decimals) in COLUMNS.items()]
@@ -162,16 +163,16 @@ def _references(study: Study) -> str:
     return markdown_table(["controller", *(title for title, _ in COLUMNS.values())], rows)
 
 
-def draw(study: Study, path: Path) -> None:
+def draw(study: AblationStudy, path: Path) -> None:
     """Draw the curves of every factor, on common axes, into a file."""
-    factors = study.factors() or {"": [study.outcomes[0]]}
+    factors = study.factors() or {"": [study.results[0]]}
     across = min(_ACROSS, len(factors))
     down = -(-len(factors) // across)
     size = (3.4 * across + 0.8, 3.1 * down + 0.5)
     figure, grid = plt.subplots(down, across, figsize=size, layout="constrained", sharey=True, squeeze=False)
     panels = list(grid.flat)
-    for axis, (factor, outcomes) in zip(panels, factors.items(), strict=False):
-        _panel(axis, study, factor, outcomes)
+    for axis, (factor, results) in zip(panels, factors.items(), strict=False):
+        _panel(axis, study, factor, results)
     for axis in panels[len(factors) :]:
         axis.set_visible(False)
     _scale(panels, study)
@@ -181,21 +182,21 @@ def draw(study: Study, path: Path) -> None:
     plt.close(figure)
 
 
-def _panel(axis: Axes, study: Study, factor: str, outcomes: list[Outcome]) -> None:
-    default = study.outcomes[0]
+def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantResult]) -> None:
+    default = study.results[0]
     levels = {default.base: default.runs[0]["validation_of_base"], BEST_CLASSICAL: study.classical_validated}
     for (name, level), dashes, place in zip(levels.items(), _DASHES, ("bottom", "top"), strict=True):
         axis.axhline(level, color="0.45", lw=1, ls=dashes, zorder=1)
         end = axis.get_yaxis_transform()
         backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
         axis.text(0.99, level, name, transform=end, color="0.35", va=place, ha="right", fontsize=7, bbox=backing)
-    for outcome, colour in zip(outcomes, ("0.2", *COLOURS), strict=False):
-        curves = [np.array(run["curve"]) for run in outcome.runs]
+    for result, colour in zip(results, ("0.2", *COLOURS), strict=False):
+        curves = [np.array(run["curve"]) for run in result.runs]
         for curve in curves:
             axis.plot(curve[:, 0] / 1e6, curve[:, 2], color=colour, lw=0.6, alpha=0.6)
         shortest = min(len(curve) for curve in curves)
         middle = np.exp(np.mean([np.log(curve[:shortest, 2]) for curve in curves], axis=0))
-        name = _label(outcome, factor) if factor else outcome.variant.label
+        name = _label(result, factor) if factor else result.variant.label
         axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=name)
     axis.set_title(QUESTIONS.get(factor, ""), fontsize=9, loc="left")
     axis.legend(fontsize=7, loc="upper right", framealpha=0.9, borderpad=0.3, handlelength=1.2)
@@ -203,10 +204,10 @@ def _panel(axis: Axes, study: Study, factor: str, outcomes: list[Outcome]) -> No
     axis.tick_params(labelsize=8)
 
 
-def _scale(panels: list[Axes], study: Study) -> None:
+def _scale(panels: list[Axes], study: AblationStudy) -> None:
     """One scale for all: from below the best to above the base."""
-    lowest = min(point[2] for outcome in study.outcomes for run in outcome.runs for point in run["curve"])
-    base = study.outcomes[0].runs[0]["validation_of_base"]
+    lowest = min(point[2] for result in study.results for run in result.runs for point in run["curve"])
+    base = study.results[0].runs[0]["validation_of_base"]
     for axis in panels:
         axis.set(yscale="log", xlim=(0, None), ylim=(0.7 * min(lowest, study.classical_validated), _TOP * base))
         mark_one_two_five(axis.yaxis)

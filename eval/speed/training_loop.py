@@ -19,11 +19,11 @@ from rich.table import Table
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from agents.learners.ppo import PpoConfig, make_model
 from agents.learners.reinforcement import make_env
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualEnv
 from agents.runs.settings import first_arm_seed
-from train.ppo import Config, make_model
 
 ARMS, INFORMED, ADAPTER = "arms", "base controller and identification", "rest of the environment's step"
 POLICY, BUFFER, REST, OPTIMISER = "policy network", "rollout buffer", "rest of the rollout", "optimiser"
@@ -73,7 +73,7 @@ class Stopwatch:
         setattr(owner, method, timed)
 
 
-def watched(config: Config) -> tuple[PPO, Stopwatch]:
+def watched(config: PpoConfig) -> tuple[PPO, Stopwatch]:
     """The model of a run, and the stopwatch that times it."""
     env = make_env(config)
     env.seed(first_arm_seed(config.seed))
@@ -91,7 +91,7 @@ def watched(config: Config) -> tuple[PPO, Stopwatch]:
     return model, watch
 
 
-def shares(config: Config, iterations: int) -> dict[str, float]:
+def shares(config: PpoConfig, iterations: int) -> dict[str, float]:
     """Share of each phase in the wall-clock of so many iterations of PPO, after two that warm up."""
     torch.set_num_threads(config.threads)
     model, watch = watched(config)
@@ -104,14 +104,14 @@ def shares(config: Config, iterations: int) -> dict[str, float]:
     return {phase: watch.seconds[phase] / whole for phase in PHASES}
 
 
-def iteration_on_batch(config: Config) -> Callable[[], object]:
+def iteration_on_batch(config: PpoConfig) -> Callable[[], object]:
     """One iteration of PPO, rollout and update, on the batch of arms."""
     env = make_env(config)
     env.seed(first_arm_seed(config.seed))
     return _iteration(make_model(config, env), config)
 
 
-def iteration_on_single_arms(config: Config) -> Callable[[], object]:
+def iteration_on_single_arms(config: PpoConfig) -> Callable[[], object]:
     """One of the same PPO with as many samples per update, on single arms in a `DummyVecEnv`."""
     count = min(SINGLE_ARMS, config.arms)
 
@@ -125,12 +125,12 @@ def iteration_on_single_arms(config: Config) -> Callable[[], object]:
     return _iteration(PPO("MlpPolicy", env, **longer.arguments()), config)
 
 
-def _iteration(model: PPO, config: Config) -> Callable[[], object]:
+def _iteration(model: PPO, config: PpoConfig) -> Callable[[], object]:
     torch.set_num_threads(config.threads)
     return lambda: model.learn(config.arms * config.rollout_steps, reset_num_timesteps=False)
 
 
-def shares_table(config: Config, iterations: int) -> Table:
+def shares_table(config: PpoConfig, iterations: int) -> Table:
     """Where the wall-clock of PPO goes, for the terminal."""
     found = shares(config, iterations)
     title = f"PPO's wall-clock, {iterations} iterations"

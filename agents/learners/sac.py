@@ -1,6 +1,6 @@
-"""What training scripts of off-policy algorithms share: SAC, TD3 and TQC, with hundreds of arms side by side.
+"""SAC, soft actor-critic, as learner, with hundreds of arms side by side: its options, defaults and model.
 
-Three things differ from what these algorithms do by default, so that a residual on a base that works stays harmless
+Three things differ from what the algorithm does by default, so that a residual on a base that works stays harmless
 while nothing has been learnt: the actor's last layer begins near zero, exploration from the first step on is the
 actor's own plus noise (not uniform torques, which throw the arm out of its workspace), and gradients are clipped, for
 an arm that does leave costs as much as a hundred that do not.
@@ -11,16 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, log
+from pathlib import Path
 from typing import Any, ClassVar, overload
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3 import SAC
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from agents.learners.reinforcement import ReinforcementConfig
+from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.actor import ACTIVATIONS
+from agents.residual.env import ResidualVecEnv
 from beltarm_env.task.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
@@ -28,11 +30,14 @@ _MAX_GRADIENT = 1.0
 
 
 @dataclass(frozen=True)
-class OffPolicyConfig(ReinforcementConfig):
-    """Options of off-policy algorithms."""
+class SacConfig(ReinforcementConfig):
+    """Options of `train/sac.py`."""
 
+    algorithm: ClassVar[str] = "sac"
     log_interval: ClassVar[int] = 1000
 
+    out: Path = Path("runs/sac")
+    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
     total_steps: int = 2_000_000
     """Agent steps, each of `hold` samples."""
     residual_limit: float = 0.5
@@ -55,14 +60,20 @@ class OffPolicyConfig(ReinforcementConfig):
     """Gradient steps after each agent step of all arms."""
     learning_starts: int = 25_000
     """Agent steps before the first gradient step, one episode of most arms."""
-    noise: float = 0.1
-    """Standard deviation of the noise added to actions; the residual's range is -1 to 1."""
+    noise: float = 0.0
+    """Standard deviation of noise added to actions, beside the policy's own exploration."""
+    exploration: float = 0.4
+    """Standard deviation of the policy at first; the residual's range is -1 to 1."""
+    initial_entropy_weight: float = 0.01
+    """Weight of the entropy at first; it is learnt from there on."""
+    target_entropy: float = -2.0
+    """Entropy of the policy that its weight is learnt for; -2 is a standard deviation of 0.03 within -1 to 1."""
     tau: float = 0.01
     """Share by which target networks follow, per gradient step."""
 
     @property
     def worst_reward(self) -> float:
-        """What the highest cost for ever would be worth: leaving, charged for all samples at once, is as bad as that.
+        """Reward floor: discounted value of the maximum cost forever, which leaving the workspace is charged with.
 
         The critics have to tell residuals apart whose values differ by a thousandth of the whole charge.
         """
@@ -73,7 +84,7 @@ class OffPolicyConfig(ReinforcementConfig):
         super().check()
         self.at_least(1, "batch_size", "gradient_steps")
         self.at_least(0, "learning_starts", "noise")
-        self.positive("tau")
+        self.positive("tau", "exploration", "initial_entropy_weight")
         if self.tau > 1:
             raise ValueError(f"--tau must be at most 1, got {self.tau}")
         if self.buffer_size < max(self.arms, self.batch_size):
@@ -81,7 +92,7 @@ class OffPolicyConfig(ReinforcementConfig):
             raise ValueError(f"--buffer-size must be at least {least}, for --arms and a batch, got {self.buffer_size}")
 
     def arguments(self) -> dict[str, Any]:
-        """Arguments that the algorithms have in common."""
+        """Arguments of the Stable-Baselines3 model."""
         return {
             "learning_rate": self.learning_rate,
             "buffer_size": self.buffer_size,
@@ -97,33 +108,11 @@ class OffPolicyConfig(ReinforcementConfig):
                 "activation_fn": ACTIVATIONS[self.activation],
                 "optimizer_class": ClippedAdam,
             },
+            "ent_coef": f"auto_{self.initial_entropy_weight}",
+            "target_entropy": self.target_entropy,
             "seed": self.seed,
             "device": self.device,
         }
-
-
-@dataclass(frozen=True)
-class SoftConfig(OffPolicyConfig):
-    """Options of SAC and TQC, whose policies are stochastic and whose entropy is rewarded."""
-
-    noise: float = 0.0
-    """Standard deviation of noise added to actions, beside the policy's own exploration."""
-    exploration: float = 0.4
-    """Standard deviation of the policy at first."""
-    initial_entropy_weight: float = 0.01
-    """Weight of the entropy at first; it is learnt from there on."""
-    target_entropy: float = -2.0
-    """Entropy of the policy that its weight is learnt for; -2 is a standard deviation of 0.03 within -1 to 1."""
-
-    def check(self) -> None:
-        """Check the options, see `RunConfig.check`."""
-        super().check()
-        self.positive("exploration", "initial_entropy_weight")
-
-    def arguments(self) -> dict[str, Any]:
-        """Arguments that the algorithms have in common, see `OffPolicyConfig.arguments`."""
-        entropy = {"ent_coef": f"auto_{self.initial_entropy_weight}", "target_entropy": self.target_entropy}
-        return {**super().arguments(), **entropy}
 
 
 class ClippedAdam(torch.optim.Adam):
@@ -140,8 +129,8 @@ class ClippedAdam(torch.optim.Adam):
         return super().step(closure)
 
 
-class ExploringFromTheBase(OffPolicyAlgorithm):
-    """Mixed into an algorithm: the first actions come from the untrained actor, not from a uniform distribution."""
+class ResidualSAC(SAC):
+    """SAC whose first actions come from the untrained actor, not from a uniform distribution."""
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
@@ -149,19 +138,18 @@ class ExploringFromTheBase(OffPolicyAlgorithm):
         return super()._sample_action(0, action_noise, n_envs)
 
 
-def begin_near_zero(model: OffPolicyAlgorithm, exploration: float | None = None) -> None:
-    """Shrink the actor's last layer, so that the untrained agent is its base.
-
-    Args:
-        model: The untrained model.
-        exploration: Standard deviation of a stochastic actor at first.
-    """
-    actors = [getattr(model, name) for name in ("actor", "actor_target") if getattr(model, name, None) is not None]
+def make_model(config: SacConfig, env: ResidualVecEnv) -> ResidualSAC:
+    """Make an untrained model whose mean residual is near zero."""
+    model = ResidualSAC("MlpPolicy", env, **config.arguments())
+    actor = model.actor
     with torch.no_grad():
-        for actor in actors:
-            last = [module for module in actor.mu.modules() if isinstance(module, torch.nn.Linear)][-1]
-            last.weight.mul_(_NEAR_ZERO)
-            last.bias.zero_()
-            if exploration is not None:
-                actor.log_std.weight.mul_(_NEAR_ZERO)
-                actor.log_std.bias.fill_(log(exploration))
+        actor.mu.weight.mul_(_NEAR_ZERO)
+        actor.mu.bias.zero_()
+        actor.log_std.weight.mul_(_NEAR_ZERO)
+        actor.log_std.bias.fill_(log(config.exploration))
+    return model
+
+
+def make_learner(config: SacConfig) -> ModelLearner:
+    """Make an untrained learner."""
+    return ModelLearner(config, make_model)

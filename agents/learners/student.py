@@ -43,7 +43,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -64,9 +65,21 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class ImitationConfig(RunConfig):
-    """Options of imitation."""
+class StudentConfig(RunConfig):
+    """Options of `train/student.py`."""
 
+    algorithm: ClassVar[str] = "student"
+
+    out: Path = Path("runs/student")
+    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    base: str = "adaptive"
+    """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
+    learning_rate: float = 1e-3
+    """Learning rate of the optimiser, from which it falls to zero in each fit."""
+    residual_limit: float = 0.3
+    """Largest residual, as a share of the torque limit."""
+    hold: int = 4
+    """Samples for which a residual is held: 6 ms."""
     rounds: int = 6
     """Rounds of practice, of asking the teacher, and of fitting; a run that is resumed may have more."""
     repetitions: int = 3
@@ -101,7 +114,7 @@ class ImitationConfig(RunConfig):
 class Student:
     """A residual policy that learns by imitation, as `agents.runs.monitor.Learner`."""
 
-    def __init__(self, config: ImitationConfig) -> None:
+    def __init__(self, config: StudentConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.rounds = 0
@@ -142,7 +155,7 @@ class Student:
         self._actor.load_state_dict(state["actor"])
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no arms are held."""
 
     def _learn_round(self, monitor: TrainingMonitor) -> None:
         config, pause = self.config, _Pause(monitor)
@@ -186,6 +199,11 @@ class Student:
         if not np.isfinite(difference):
             raise ValueError(f"diverged at {self.steps} steps: begin anew with a smaller --learning-rate")
         return difference
+
+
+def make_learner(config: StudentConfig) -> Student:
+    """Make an untrained learner."""
+    return Student(config)
 
 
 class _Pause:

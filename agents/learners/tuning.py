@@ -1,0 +1,255 @@
+"""Search for the hyper-parameters of a training algorithm.
+
+Optuna's tree-structured Parzen estimator proposes settings; a trial is a training run with them, whose value is its
+lowest validation cost, and it is stopped where its validation cost is above the median of the trials before it [1].
+All trials simulate the same number of samples, however long they hold a residual. Trials are kept in an SQLite file, in
+which several processes work together.
+
+[1] D. Golovin et al.: Google Vizier: A Service for Black-Box Optimization, KDD 2017.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import optuna
+import tyro
+from optuna.trial import FrozenTrial, Trial, TrialState
+
+from agents.learners.registry import ALGORITHMS
+from agents.learners.reinforcement import ReinforcementConfig
+from agents.learners.spaces import SPACES, Searched
+from agents.runs.monitor import News
+from agents.runs.training import train
+from baselines.tools.files import require_writable
+from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side
+
+_FIRST_SEED = 500
+_MOST_TRIALS = 400
+_VALIDATIONS = 10  # per trial
+
+
+@dataclass(frozen=True)
+class TuningConfig:
+    """Options of `train/tune.py`."""
+
+    algorithm: tyro.conf.Positional[Searched]
+    """Whose hyper-parameters."""
+    trials: int = 40
+    """Trials, those before an interruption included."""
+    jobs: int = 2
+    """Trials side by side, each in a process of its own."""
+    samples: int = 6_000_000
+    """Simulated samples of a trial, `hold` to an agent step; validated ten times."""
+    seed: int = 0
+    """Seed of the search; trial k trains with seed 500 + k."""
+    base: str = "paper"
+    """Controller that the residual corrects."""
+    arms: int = 512
+    """Arms simulated side by side in a trial."""
+    validation_arms: int = 128
+    """Arms per validation."""
+    out: Path = Path("results/train-tune")
+    """Folder of the SQLite files, ALGORITHM.db, and of the tables made of them, ALGORITHM.csv."""
+    resume: bool = False
+    """Go on with the study that is there."""
+
+    @property
+    def file(self) -> Path:
+        """SQLite file of the study."""
+        return self.out / f"{self.algorithm}.db"
+
+    @property
+    def table(self) -> Path:
+        """Table of the trials, to read."""
+        return self.out / f"{self.algorithm}.csv"
+
+    def check(self) -> None:
+        """Check the options.
+
+        Raises:
+            ValueError: Naming the option.
+            FileNotFoundError: If there is nothing to resume.
+        """
+        for name, least in (("trials", 1), ("jobs", 1), ("samples", 1000), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}")
+        if self.trials > _MOST_TRIALS:
+            raise ValueError(f"--trials must be at most {_MOST_TRIALS}, got {self.trials}")
+        self.run({}, 0).check()
+        if self.resume and not self.file.exists():
+            raise FileNotFoundError(f"nothing to resume: {self.file} is missing; run once without --resume")
+        if self.file.exists() and not self.resume:
+            raise ValueError(f"{self.file} holds a study already: go on with it by --resume, or choose another --out")
+
+    def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
+        """Options of the training run of a trial."""
+        options = {**settings}
+        if "hidden" in settings:
+            options["hidden"] = tuple(int(width) for width in settings["hidden"].split())
+        kind: Any = ALGORITHMS[self.algorithm].config
+        steps = self.samples // options.get("hold", kind.hold)
+        return kind(
+            out=self.out / f"{self.algorithm}-trial{number}",
+            seed=_FIRST_SEED + number,
+            base=self.base,
+            total_steps=steps,
+            arms=self.arms,
+            validation_every=max(steps // _VALIDATIONS, 1),
+            validation_arms=self.validation_arms,
+            overwrite=True,
+            **options,
+        )
+
+    def defaults(self) -> dict[str, Any]:
+        """Settings that the algorithm has by default, as the study notes them."""
+        run = self.run({}, 0)
+        values = {name: getattr(run, name) for name in SPACES[self.algorithm]}
+        if "hidden" in values:
+            values["hidden"] = " ".join(str(width) for width in run.hidden)
+        return values
+
+
+def open_study(config: TuningConfig, worker: int = 0) -> optuna.Study:
+    """Open the study in the SQLite file, or begin one.
+
+    Raises:
+        ValueError: If the file is damaged, or was begun with other options.
+    """
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        study = optuna.create_study(
+            study_name=config.algorithm,
+            storage=f"sqlite:///{config.file.resolve()}",
+            load_if_exists=True,
+            sampler=optuna.samplers.TPESampler(seed=100 * config.seed + worker, multivariate=True),
+            pruner=optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3),
+        )
+    except Exception as error:  # SQLAlchemy's, of many kinds
+        raise ValueError(f"{config.file} cannot be read ({type(error).__name__}): choose another --out") from None
+    begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
+    if study.user_attrs.get("begun", begun) != begun:
+        raise ValueError(f"{config.file} was begun with {study.user_attrs['begun']}: give the same, or another --out")
+    study.set_user_attr("begun", begun)
+    return study
+
+
+def tune(
+    config: TuningConfig, stop: StopRequest | None = None, tell: Callable[[str], object] = lambda _: None
+) -> optuna.Study:
+    """Run trials until there are enough, or until asked to stop.
+
+    Args:
+        config: Options.
+        stop: Whether to stop.
+        tell: Called with a line for each trial that is complete.
+
+    Raises:
+        ValueError: If an option is not allowed, there is another study in the file, or a worker failed.
+        OSError: If files cannot be written, or there is nothing to resume.
+    """
+    config.check()
+    require_writable(config.out)
+    _begin(config)
+    workers = {f"worker {number}": partial(_search, config, number) for number in range(config.jobs)}
+    failed = []
+    with closing(run_side_by_side(workers, config.jobs, stop=stop, tell=lambda _, line: tell(line))) as ends:
+        for name, end in ends:
+            if isinstance(end, Failure):
+                failed.append(f"{name}: {end.message}")
+    if failed:
+        raise ValueError("\n".join(failed))
+    return open_study(config)
+
+
+def _begin(config: TuningConfig) -> None:
+    """Begin the study with the algorithm's defaults, or mark as failed what an interruption left running."""
+    study = open_study(config)
+    _fail_running(study)
+    if not study.get_trials(deepcopy=False):
+        study.enqueue_trial(config.defaults())
+
+
+def _fail_running(study: optuna.Study, worker: int | None = None) -> None:
+    """Mark as failed the running trials of a worker, or of all."""
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        if worker in (None, trial.user_attrs.get("worker")):
+            study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _search(config: TuningConfig, worker: int, channel: Channel) -> None:
+    """Run trials until there are enough; a worker whose process died begins again with a new one."""
+    study = open_study(config, worker)
+    _fail_running(study, worker)
+    while not channel.stop.made and len(counted(study)) < config.trials:
+        trial = study.ask(SPACES[config.algorithm])
+        trial.set_user_attr("worker", worker)
+        try:
+            value = _value(config, trial, channel.stop)
+        except optuna.TrialPruned:
+            study.tell(trial, state=TrialState.PRUNED)
+        except (Interrupted, ValueError) as error:
+            trial.set_user_attr("failure", str(error))
+            study.tell(trial, state=TrialState.FAIL)
+        else:
+            study.tell(trial, value)
+            channel.report(f"trial {trial.number}: cost {value:.1f}, best {study.best_value:.1f}")
+        finally:
+            shutil.rmtree(config.run({}, trial.number).out, ignore_errors=True)
+
+
+def _value(config: TuningConfig, trial: Trial, stop: StopRequest) -> float:
+    """Lowest validation cost of a run with the trial's settings."""
+    costs: list[float] = []
+
+    def judge(news: News) -> None:
+        if news.cost is None:
+            return
+        costs.append(news.cost)
+        trial.report(news.cost, len(costs))
+        if trial.should_prune():
+            raise optuna.TrialPruned
+
+    make_learner = ALGORITHMS[config.algorithm].make_learner
+    train(config.run(trial.params, trial.number), make_learner, Channel(judge, stop))
+    return min(costs)
+
+
+def counted(study: optuna.Study) -> list[FrozenTrial]:
+    """All trials but those that an interruption cost."""
+    return [
+        trial
+        for trial in study.get_trials(deepcopy=False)
+        if trial.state not in (TrialState.FAIL, TrialState.WAITING) or "diverged" in trial.user_attrs.get("failure", "")
+    ]
+
+
+def trials_as_csv(study: optuna.Study) -> str:
+    """All trials: number, validation cost, settings, and whether one was stopped before its end."""
+    table = study.trials_dataframe(attrs=("number", "value", "params", "state", "duration"))
+    return table.to_csv(index=False)
+
+
+def training_command(config: TuningConfig, study: optuna.Study) -> str:
+    """The command that trains with the settings found.
+
+    Raises:
+        ValueError: If no trial was completed.
+    """
+    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+        failures = [trial.user_attrs.get("failure", "") for trial in study.get_trials(deepcopy=False)]
+        raise ValueError(f"no trial of {config.file} was completed; {next(filter(None, failures), 'none was run')}")
+    options = {"base": config.base, **study.best_params}
+    words = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
+    return shlex.join(["python", f"train/{config.algorithm}.py", *words, "--arms", str(config.arms)])
+
+
+def _shown(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

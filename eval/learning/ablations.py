@@ -1,0 +1,132 @@
+"""Ablations of the training: variants of PPO's default run, trained side by side and scored."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from agents.residual.bases import make_base
+from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side
+from eval.learning.ablation_report import AblationStudy, VariantResult
+from eval.learning.ablation_runs import AblationRun, score
+from eval.learning.curves import BEST_CLASSICAL, classical_cost
+from eval.learning.variants import DEFAULT, QUESTIONS, VARIANTS, Variant
+
+_QUICK_STEPS = 128
+
+
+@dataclass(frozen=True)
+class AblationConfig:
+    """Options of `eval/ablations.py`."""
+
+    out: Path = Path("results/learning")
+    """Folder for ablations.md, ablations.json and curves.png."""
+    runs: Path = Path("runs/ablations")
+    """Folder of the runs; finished ones are kept and not repeated."""
+    only: tuple[str, ...] = ()
+    """Factors or variants, such as told or gamma-0.95; all by default. The default run is always among them."""
+    steps: int = 1_000_000
+    """Agent steps of every run; a student has a budget of its own."""
+    seeds: int = 2
+    """Runs of each variant, with training seeds 0, 1, ..."""
+    jobs: int = 2
+    """Runs side by side, each on one core."""
+    arms: int = 256
+    """Arms on which the last policy is scored."""
+    quick: bool = False
+    """A first look whether everything runs: a few arms, one update's worth of steps."""
+
+    def check(self) -> None:
+        """Check the options.
+
+        Raises:
+            ValueError: Naming the option, its value and the bound.
+        """
+        for name, most in {"steps": 10**9, "seeds": 100, "jobs": 256, "arms": 10_000}.items():
+            if not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"--{name} must lie within 1 and {most}, got {getattr(self, name)}")
+        self.chosen()
+
+    def chosen(self) -> list[Variant]:
+        """The variants to train, the default run first.
+
+        Raises:
+            ValueError: If there is no such factor or variant.
+        """
+        known = [*QUESTIONS, *(variant.name for variant in VARIANTS)]
+        for name in self.only:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+                raise ValueError(f"nothing to vary is called {name!r}; {hint}")
+        wanted = {DEFAULT.name, *self.only} if self.only else set(known)
+        return [variant for variant in VARIANTS if variant.name in wanted or variant.factor in wanted]
+
+    def planned(self) -> list[AblationRun]:
+        """All trainings; seeds in turn, so that every variant has its first before any has its second."""
+        runs = [(variant, seed) for seed in range(self.seeds) for variant in self.chosen()]
+        return [AblationRun(variant, seed, self.budget, self.runs, self.quick) for variant, seed in runs]
+
+    @property
+    def budget(self) -> int:
+        """Agent steps of every run."""
+        return _QUICK_STEPS if self.quick else self.steps
+
+
+def run_all(
+    config: AblationConfig, report: Callable[[str], object], stop: StopRequest | None = None
+) -> list[VariantResult]:
+    """Results of every run; those that had finished before are only read.
+
+    Args:
+        config: Options.
+        report: Called with lines of text.
+        stop: Whether to stop.
+
+    Raises:
+        ValueError: If runs fail, once the others are through; finished ones are kept.
+        OSError: If files cannot be written, or processes broke off.
+        KeyboardInterrupt: If asked to stop; what was begun is saved.
+    """
+    stop, plan = stop or StopRequest(), config.planned()
+    found = {str(run.folder): run.finished(config.arms) for run in plan}
+    left = {str(run.folder): run for run in plan if found[str(run.folder)] is None}
+    report(f"{len(plan)} run{'s' if len(plan) > 1 else ''}, {len(plan) - len(left)} finished before")
+    tasks = {name: partial(_finish, run, config.arms) for name, run in left.items()}
+    failures: list[str] = []
+    with closing(run_side_by_side(tasks, config.jobs, stop=stop)) as outcomes:
+        for name, done in outcomes:
+            if not isinstance(done, Failure):
+                found[name] = done
+                run, cost = left[name], done["scores"]["cost_mean"]
+                report(f"{run.variant.name}, seed {run.seed}: cost {cost:.0f}, {done['minutes']:.1f} min")
+            elif not isinstance(done.error, Interrupted):
+                failures.append(done.message)
+    if failures:
+        raise ValueError("; ".join(failures))
+    if stop.made:
+        raise KeyboardInterrupt("interrupted; what was begun is saved, the same command goes on")
+    runs = {run: found[str(run.folder)] for run in plan}
+    return [VariantResult(variant, _of(variant, runs)) for variant in config.chosen()]
+
+
+def _finish(run: AblationRun, arms: int, channel: Channel) -> dict[str, Any]:
+    return run.finish(arms, channel)
+
+
+def _of(variant: Variant, found: dict[AblationRun, dict[str, Any] | None]) -> list[dict[str, Any]]:
+    return [done for run, done in found.items() if run.variant == variant and done is not None]
+
+
+def study(config: AblationConfig, report: Callable[[str], object], stop: StopRequest | None = None) -> AblationStudy:
+    """Train, score and collect everything that is reported; arguments and errors as those of `run_all`."""
+    results = run_all(config, report, stop)
+    bases = [result.base for result in results] + [BEST_CLASSICAL]
+    references = {name: score(make_base(name), config.arms) for name in dict.fromkeys(bases)}
+    (validated,) = {run["validation_arms"] for run in results[0].runs}
+    return AblationStudy(results, references, config.budget, config.arms, classical_cost(validated))

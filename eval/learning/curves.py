@@ -1,0 +1,155 @@
+"""Learning curves of training runs and policies, read from their folders and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+from agents.policy.bundle import MANIFEST, BundleError, BundleSpec, read_spec
+from agents.runs.checkpoint import RunFolder
+from agents.runs.monitor import validate
+from baselines import CONTROLLERS
+from baselines.tools.files import write_atomically
+from eval.style.axes import mark_one_two_five
+from eval.style.colours import COLOURS
+
+Floats = NDArray[np.float64]
+
+BEST_CLASSICAL = "adaptive"
+_POINTS = 200
+_APART = 1.15  # ratio of the heights of two names
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Validation cost over one training run."""
+
+    method: str
+    base: str
+    base_cost: float
+    arms: int  # of the validation
+    steps: Floats  # simulated samples of single arms
+    minutes: Floats
+    cost: Floats
+
+
+def find_curves(folders: list[Path]) -> list[Curve]:
+    """The curves of all runs and policies in folders.
+
+    Raises:
+        BundleError: If there are none in one of them, or a bundle is damaged.
+    """
+    curves = []
+    for folder in folders:
+        manifests = [folder / MANIFEST, *(folder / kind / MANIFEST for kind in ("last", "best"))]
+        own = [manifest.parent for manifest in manifests if manifest.exists()][:1]
+        below = [path.parent for path in (*folder.glob(f"*/{MANIFEST}"), *folder.glob(f"*/best/{MANIFEST}"))]
+        bundles = own or sorted(below)
+        if not bundles:
+            raise BundleError(f"no run and no policy in {folder}: give the folder of a run, such as runs/ppo")
+        curves += [_read_curve(bundle) for bundle in bundles]
+    return curves
+
+
+def _read_curve(bundle: Path) -> Curve:
+    """The curve that a bundle holds; of a run under way, the one that its folder has by now."""
+    spec, _ = read_spec(bundle)
+    known = spec.provenance
+    points = known.get("curve", [])
+    table = RunFolder(bundle.parent).curve
+    if bundle.name == "best" and table.exists():
+        rows = np.genfromtxt(table, delimiter=",", names=True, ndmin=1)
+        points = np.stack([rows[name] for name in ("steps", "seconds", "cost")], axis=1)
+    points = np.asarray(points, np.float64)
+    if points.ndim != 2 or points.shape[1:] != (3,) or not np.isfinite(points).all():
+        raise BundleError(f"{bundle} holds no learning curve")
+    return Curve(
+        method=_method(spec),
+        base=spec.base,
+        base_cost=float(known["validation_of_base"]["cost"]),
+        arms=int(known["config"]["validation_arms"]),
+        steps=points[:, 0] * spec.residual.hold,
+        minutes=points[:, 1] / 60,
+        cost=points[:, 2],
+    )
+
+
+def _method(spec: BundleSpec) -> str:
+    return f"{spec.algorithm} on {spec.base}" if spec.base != "none" else f"{spec.algorithm} from scratch"
+
+
+def classical_cost(arms: int) -> float:
+    """Validation cost of the best classical controller."""
+    return validate(CONTROLLERS[BEST_CLASSICAL](), arms)["cost"]
+
+
+def draw(curves: list[Curve], classical: float, path: Path) -> None:
+    """Draw the curves into a file."""
+    methods = list(dict.fromkeys(curve.method for curve in curves))
+    colours = {method: COLOURS[k % len(COLOURS)] for k, method in enumerate(methods)}
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", sharey=True)
+    panels: list[tuple[str, Callable[[Curve], Floats]]] = [
+        ("simulated steps (millions)", lambda curve: curve.steps / 1e6),
+        ("wall-clock (minutes)", lambda curve: curve.minutes),
+    ]
+    for axis, (label, of) in zip(axes, panels, strict=True):
+        _references(axis, curves, classical, named=axis is axes[1])
+        for method, colour in colours.items():
+            _draw_method(axis, [curve for curve in curves if curve.method == method], of, colour)
+        axis.set(xlabel=label, yscale="log", xlim=(0, None))
+        axis.grid(alpha=0.3, which="both")
+    _name_methods(axes[0], curves, colours, panels[0][1])
+    axes[0].set_ylabel("mean episode cost, validation arms")
+    mark_one_two_five(axes[0].yaxis)
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
+    plt.close(figure)
+
+
+def _references(axis: Axes, curves: list[Curve], classical: float, named: bool) -> None:
+    """Lines of the bases and of the best classical controller."""
+    levels = {curve.base: curve.base_cost for curve in curves} | {BEST_CLASSICAL: classical}
+    for name, level in levels.items():
+        axis.axhline(level, color="0.35", lw=1, ls="--", zorder=1)
+        if named:
+            end = axis.get_yaxis_transform()
+            axis.text(1.01, level, name, transform=end, color="0.35", va="center", ha="left", fontsize=9)
+
+
+def _draw_method(axis: Axes, curves: list[Curve], of: Callable[[Curve], Floats], colour: str) -> None:
+    """The runs of one method; of several, each thinly, their median and interquartile band as far as all of them go."""
+    if len(curves) == 1:
+        axis.plot(of(curves[0]), curves[0].cost, color=colour, lw=2)
+        return
+    for curve in curves:
+        axis.plot(of(curve), curve.cost, color=colour, lw=0.7, alpha=0.6)
+    begin, end = max(of(curve)[0] for curve in curves), min(of(curve)[-1] for curve in curves)
+    grid = np.linspace(begin, max(begin, end), _POINTS)
+    logs = np.array([np.interp(grid, of(curve), np.log(curve.cost)) for curve in curves])
+    low, middle, high = np.exp(np.percentile(logs, [25, 50, 75], axis=0))
+    axis.fill_between(grid, low, high, color=colour, alpha=0.25, lw=0)
+    axis.plot(grid, middle, color=colour, lw=2)
+
+
+def _name_methods(axis: Axes, curves: list[Curve], colours: dict[str, str], of: Callable[[Curve], Floats]) -> None:
+    """Names beside the ends of the curves, moved apart where they would overlap."""
+    furthest = max(of(curve)[-1] for curve in curves)
+    axis.set_xlim(0, 1.6 * furthest)
+    runs = {name: [curve for curve in curves if curve.method == name] for name in colours}
+    ends = {name: float(np.median([curve.cost[-1] for curve in own])) for name, own in runs.items()}
+    height = 0.0
+    for name in sorted(ends, key=lambda name: ends[name]):
+        height = max(ends[name], height * _APART)
+        seeds = f" ({len(runs[name])} seeds)" if len(runs[name]) > 1 else ""
+        right = max(of(curve)[-1] for curve in runs[name]) + 0.02 * furthest
+        backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+        axis.text(right, height, name + seeds, color=colours[name], va="center", fontsize=9, bbox=backing)
