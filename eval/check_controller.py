@@ -20,12 +20,12 @@ import tyro
 from numpy.typing import NDArray
 
 from baselines.tools.command import one_line_errors
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.rollout import Controller
 from eval.comparison import custom
-from eval.comparison.timing import time_actions
+from eval.comparison.timing import action_times, drive
 
 Singles = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 _SEED = 6_900_000  # arms of no test
 _ARMS, _STEPS = 5, 600
@@ -47,48 +47,54 @@ class Session:
     """Observations of some arms, and what the controller did."""
 
     observations: Singles  # (T, n, size)
+    starts: Flags  # which arms begin an episode     (T, n)
     actions: Singles  # (T, n, 1)
 
 
-def drive(controller: Controller) -> Session:
-    """Let a controller drive some arms of the training ranges.
+class _Strict:
+    """Controller that must return finite float32 of shape (n, 1) and leave its observations as they are."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._sample = -1
+
+    def predict(self, observation: Singles, *rest: Any, **options: Any) -> Any:
+        """Call the controller; see `Controller`."""
+        self._sample += 1
+        given = observation.copy()
+        action, memory = self._controller.predict(given, *rest, **options)
+        self._check(action)
+        if not np.array_equal(given, observation):
+            raise ValueError(f"it changes the observation that it is given, in sample {self._sample}")
+        return action, memory
+
+    def _check(self, action: object) -> None:
+        if not isinstance(action, np.ndarray) or action.shape != (_ARMS, 1) or action.dtype != np.float32:
+            what = (
+                f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
+            )
+            raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {what}")
+        if not np.isfinite(action).all():
+            found = action.ravel().tolist()
+            raise ValueError(f"in sample {self._sample} it returns {found}: torques must be finite")
+
+
+def record(controller: Controller) -> Session:
+    """Record a controller that drives some arms of the training ranges.
 
     Raises:
         ValueError: If it returns anything but finite float32 of shape (n, 1), or changes what it observes.
     """
-    env = BeltArmVectorEnv(_ARMS, randomization="train")
-    observation, _ = env.reset(seed=_SEED)
-    observations, actions = [], []
+    driven = drive(_Strict(controller), _ARMS, _STEPS, _SEED, randomization="train")
+    samples = [(observation, start, action.copy()) for observation, start, action in driven]
+    return Session(*map(np.array, zip(*samples, strict=True)))
+
+
+def replayed(controller: Controller, observations: Singles, starts: Flags) -> Singles:
+    """Actions on given observations; `starts` says in which samples which arms begin an episode."""
     memory: Any = None
-    start = np.ones(_ARMS, np.bool_)
-    for step in range(_STEPS):
-        seen = observation.copy()
-        action, memory = controller.predict(observation, memory, start)
-        _check_action(action, step)
-        if not np.array_equal(seen, observation):
-            raise ValueError(f"it changes the observation that it is given, in sample {step}")
-        observations.append(seen)
-        actions.append(action.copy())
-        observation, _, terminated, _, _ = env.step(action)
-        start = terminated
-    return Session(np.array(observations), np.array(actions))
-
-
-def _check_action(action: object, step: int) -> None:
-    if not isinstance(action, np.ndarray) or action.shape != (_ARMS, 1) or action.dtype != np.float32:
-        what = f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-        raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {what}")
-    if not np.isfinite(action).all():
-        raise ValueError(f"in sample {step} it returns {action.ravel().tolist()}: torques must be finite")
-
-
-def replayed(controller: Controller, observations: Singles, begins: dict[int, NDArray[np.bool_]]) -> Singles:
-    """Actions on given observations; `begins` says in which samples which arms begin a new episode."""
-    memory: Any = None
-    none = np.zeros(observations.shape[1], np.bool_)
     actions = []
-    for step, observation in enumerate(observations):
-        start = begins.get(step, np.ones_like(none) if step == 0 else none)
+    for observation, start in zip(observations, starts, strict=True):
         action, memory = controller.predict(observation.copy(), memory, start)
         actions.append(np.array(action))
     return np.array(actions)
@@ -110,25 +116,26 @@ def _same(actions: Singles, expected: Singles, close: float = 0.0) -> str:
 
 
 def _repeats(make: Callable[[], Controller], known: Session) -> str:
-    return _same(replayed(make(), known.observations, {}), known.actions)
+    return _same(replayed(make(), known.observations, known.starts), known.actions)
 
 
 def _alone(make: Callable[[], Controller], known: Session) -> str:
-    alone = [replayed(make(), known.observations[:, k : k + 1], {}) for k in range(_ARMS)]
+    arms = [slice(k, k + 1) for k in range(_ARMS)]
+    alone = [replayed(make(), known.observations[:, arm], known.starts[:, arm]) for arm in arms]
     return _same(np.concatenate(alone, axis=1), known.actions, _CLOSE)
 
 
 def _afresh(make: Callable[[], Controller], known: Session) -> str:
     """After an episode of another arm, and while the others go on with theirs, a new episode is as the first."""
     half = _STEPS // 2
-    before, after = known.observations[half:, ::-1], known.observations[:half]
-    all_arms, one_arm = np.ones(_ARMS, np.bool_), np.arange(_ARMS) == 1
-    said = _same(replayed(make(), np.concatenate([before, after]), {half: all_arms})[half:], known.actions[:half])
-    mixed = known.observations.copy()
-    mixed[half:, 1] = after[:, 1]
-    expected = known.actions.copy()
-    expected[half:, 1] = known.actions[:half, 1]
-    _same(replayed(make(), mixed, {half: one_arm}), expected)
+    observations = np.concatenate([known.observations[half:, ::-1], known.observations[:half]])
+    starts = np.concatenate([known.starts[half:, ::-1], known.starts[:half]])
+    starts[0] = True
+    said = _same(replayed(make(), observations, starts)[half:], known.actions[:half])
+    mixed = Session(known.observations.copy(), known.starts.copy(), known.actions.copy())
+    for values in (mixed.observations, mixed.starts, mixed.actions):
+        values[half:, 1] = values[:half, 1]
+    _same(replayed(make(), mixed.observations, mixed.starts), mixed.actions)
     return said
 
 
@@ -137,19 +144,15 @@ def _in_the_state(make: Callable[[], Controller], known: Session) -> str:
     controller = make()
     actions = []
     memories: list[Any] = [None, None]
-    start = np.ones(_ARMS, np.bool_)
-    for observation in known.observations:
+    for observation, start in zip(known.observations, known.starts, strict=True):
         first, memories[0] = controller.predict(observation.copy(), memories[0], start)
         actions.append(np.array(first))
-        _, memories[1] = controller.predict(observation[::-1].copy(), memories[1], start)
-        start = np.zeros(_ARMS, np.bool_)
+        _, memories[1] = controller.predict(observation[::-1].copy(), memories[1], start[::-1].copy())
     return _same(np.array(actions), known.actions)
 
 
 def _in_time(make: Callable[[], Controller], _: Session) -> str:
-    env = BeltArmVectorEnv(1)
-    observation = env.reset(seed=_SEED)[0]
-    median, slow = time_actions(make(), env, observation)
+    median, slow = action_times(make(), seed=_SEED)
     late = f": a 99th percentile beyond the period of {_PERIOD_US} µs" if slow > _PERIOD_US else ""
     return f"{median:.0f} µs median, {slow:.0f} µs 99 %{late}"
 
@@ -167,7 +170,7 @@ def findings(make: Callable[[], Controller]) -> Iterator[Finding]:
     """Check a controller, step by step; nothing more is checked of one that cannot drive the arms at all."""
     first = f"drives {_ARMS} arms with finite float32 torques"
     try:
-        known = drive(make())
+        known = record(make())
     except Exception as error:
         yield Finding(first, False, _words(error))
         return

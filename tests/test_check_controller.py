@@ -14,7 +14,7 @@ import pytest
 from commands import mistake, stopped
 
 from baselines import CONTROLLERS
-from eval.check_controller import findings, main
+from eval.check_controller import findings, main, record
 from eval.comparison import custom
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -118,6 +118,29 @@ def test_a_sound_controller_passes():
     found = list(findings(Proportional))
     assert all(finding.passed for finding in found)
     assert [finding.detail for finding in found[1:5]] == ["bit for bit"] * 4
+
+
+class Runaway(Proportional):
+    """Sound, with memory, and drives its arms out of the workspace."""
+
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return (0.9 + 0.1 * np.tanh(action)).astype(np.float32), state
+
+
+class LeakyRunaway(Runaway, Leaks):
+    """Takes the memory of an arm that left its workspace into that arm's next episode."""
+
+
+def test_a_sound_controller_may_leave_the_workspace():
+    starts = record(Runaway()).starts
+    assert starts[1:].any()
+    assert [finding for finding in findings(Runaway) if not finding.passed] == []
+
+
+def test_memory_is_found_in_the_episode_after_one_that_left_the_workspace():
+    found = [finding for finding in findings(LeakyRunaway) if not finding.passed]
+    assert "without memory of the last" in found[0].check
 
 
 @pytest.mark.parametrize("kind", SPOILT, ids=lambda kind: kind.__name__)
