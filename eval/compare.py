@@ -31,6 +31,7 @@ from baselines.tools.files import require_writable, write_text
 from baselines.tools.provenance import command_line
 from beltarm_env import ArmParams
 from eval.check_controller import first_failure
+from eval.comparison.custom import home
 from eval.comparison.methods import (
     PRIVILEGED,
     Method,
@@ -67,8 +68,8 @@ class Config:
     shipped policies."""
     add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several. What is
-    kept of it is not used again once a file has changed that it imports or reads as it is made, in its own folder or
-    below; if it depends on other files, choose another --out."""
+    kept of it is used again until any file changes in its folder or below (of a package: in the whole package); if it
+    depends on files elsewhere, use --fresh."""
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
     episodes: int | None = None
@@ -78,7 +79,9 @@ class Config:
     maps: bool = False
     """Also sweep stiffness by payload and friction by delay for the report: the best learned method against every
     classical controller that runs, which --methods chooses. Takes about a minute for all of them."""
-    jobs: int = default_jobs()
+    fresh: bool = False
+    """Run everything again, whatever is kept of earlier runs."""
+    jobs: int | None = None
     """Number of processes; by default one per core."""
 
     def check(self) -> None:
@@ -89,7 +92,7 @@ class Config:
         """
         if self.episodes is not None and not 4 <= self.episodes <= EPISODES:
             raise ValueError(f"--episodes must lie within 4 and {EPISODES}, got {self.episodes}")
-        if not 1 <= self.jobs <= 256:
+        if self.jobs is not None and not 1 <= self.jobs <= 256:
             raise ValueError(f"--jobs must lie within 1 and 256, got {self.jobs}")
 
     @property
@@ -104,6 +107,10 @@ def compare(config: Config, console: Console) -> Comparison:
     torch.set_num_threads(1)  # the networks are too small for more
     began = time.perf_counter()
     methods = _methods(config)
+    for method in methods:
+        if method.identity is None:
+            why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
+            console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
     known = load()
     splits = {name: known[name] for name in chosen("split", config.splits, known)}
     require_writable(config.out)
@@ -111,6 +118,9 @@ def compare(config: Config, console: Console) -> Comparison:
         require_same_version(config.out / "results.json")
     require_same_physics(splits)
     pairs = [Pair(method, split, config.scenarios) for split in splits.values() for method in methods]
+    if config.fresh:
+        for pair in pairs:
+            pair.file(config.out).unlink(missing_ok=True)
     kept = sum(pair.file(config.out).exists() for pair in pairs)
     outcomes, failures = _outcomes(pairs, config, console)
     if not any(outcome.ranked for outcome in outcomes):
@@ -134,7 +144,7 @@ def _methods(config: Config) -> list[Method]:
         ValueError: If a name is unknown or given twice, or a controller of the user's own does not keep the protocol.
     """
     known = [*classical_methods(), *learned_methods(config.policy or shipped_policies())]
-    known += [added_method(spec) for spec in config.add] + [privileged_method()]
+    known += [added_method(spec, config.out) for spec in config.add] + [privileged_method()]
     names = [method.name for method in known]
     for name in names:
         if names.count(name) > 1:
@@ -175,7 +185,7 @@ def _run(pairs: list[Pair], config: Config, console: Console) -> list[Metrics | 
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"{len(pairs)} pairs of method and split", total=len(pairs))
         try:
-            return run_pairs(pairs, config.out, config.jobs, lambda _: progress.advance(task))
+            return run_pairs(pairs, config.out, config.jobs or default_jobs(), lambda _: progress.advance(task))
         except KeyboardInterrupt:
             kept = sum(pair.file(config.out).exists() for pair in pairs)
             raise Interrupted(

@@ -30,7 +30,7 @@ class Method:
     name: str
     kind: Kind  # "privileged" sees what no other does; "added" is a user's own
     sources: tuple[str, ...]  # one per training seed: name of a controller, folder of a policy, or package.module:Class
-    identity: str  # SHA-256 of gains, policies or sources: whether it still is the same method
+    identity: str | None  # SHA-256 of gains, policies or sources; None: unknown, its results are not used again
     training: dict[str, Any] = field(
         default_factory=dict
     )  # of tuning or training: simulator steps, wall-clock, per seed
@@ -61,6 +61,11 @@ def classical_methods() -> list[Method]:
     return [_classical(name, tuned.get(name, {})) for name in CONTROLLERS]
 
 
+def _all_gains() -> dict[str, Any]:
+    """Gains of all classical controllers, which a controller that builds on them may use."""
+    return {name: entry.get("gains") for name, entry in read_file().items()}
+
+
 def _classical(name: str, entry: dict[str, Any]) -> Method:
     tuning = entry.get("provenance", {})
     cost = {"simulator_steps": [tuning["steps"]], "wall_clock_s": [tuning["seconds"]]} if tuning else {}
@@ -76,14 +81,15 @@ def privileged_method() -> Method:
     return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
 
 
-def added_method(spec: str) -> Method:
-    """A user's own controller, named by its class.
+def added_method(spec: str, results: Path | None = None) -> Method:
+    """A user's own controller, named by its class; `results` is the comparison's folder, see `custom.identity`.
 
     Raises:
         ValueError: If it cannot be imported.
     """
     spec = custom.absolute(spec)
-    return Method(spec.rpartition(":")[2], "added", (spec,), custom.identity(spec))
+    own = custom.identity(custom.home(spec), results)
+    return Method(spec.rpartition(":")[2], "added", (spec,), own and _hash([own, _all_gains()]))
 
 
 def learned_methods(folders: Iterable[Path]) -> list[Method]:
@@ -121,9 +127,8 @@ def _learned(name: str, folders: list[Path]) -> Method:
         "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in runs],
         "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
     }
-    base = bases.pop()
-    identity = _hash([[content["content_hash"] for _, content in read], read_file().get(base, {}).get("gains")])
-    return Method(name, "learned", tuple(map(str, folders)), identity, training, base)
+    identity = _hash([[content["content_hash"] for _, content in read], _all_gains()])
+    return Method(name, "learned", tuple(map(str, folders)), identity, training, bases.pop())
 
 
 def shipped_policies() -> list[Path]:
