@@ -14,8 +14,9 @@ from commands import mistake, stopped
 from safetensors.numpy import save_file
 
 from baselines import CONTROLLERS
-from eval.check_controller import findings, main, record
+from eval.check_controller import main
 from eval.comparison import custom
+from eval.comparison.protocol import findings, record
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"

@@ -26,7 +26,7 @@ from eval.comparison.methods import (
 from eval.comparison.pairs import Failure, Metrics, Pair, run_pairs
 from eval.comparison.schema import check, read_results
 from eval.comparison.splits import SPLITS, load
-from eval.readme import block
+from eval.views.readme import block
 from eval.views.report.page import LARGEST
 
 ROOT = Path(__file__).resolve().parent.parent

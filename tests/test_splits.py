@@ -15,8 +15,8 @@ from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS, TRAIN_RANGES
 from beltarm_env.rollout import rollout
+from eval.comparison.scenarios import content_of, require_same_physics, text_of
 from eval.comparison.splits import EPISODES, FILE, SPLITS, VERSION, Split, digest_of, draw, load
-from eval.scenarios import content_of, require_same_physics, text_of
 
 SHIFTED = {
     "payload": {"payload_mass": (0.2, 0.5)},

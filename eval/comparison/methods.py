@@ -142,6 +142,29 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
     return [read_spec(folder)[1]["content_hash"] for folder in folders]
 
 
+def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:
+    """Single methods with names that tell them apart, where neither is given `paper`, `adaptive` and a shipped policy.
+
+    Args:
+        controllers: Names of classical controllers, or a user's own as package.module:Class or path/to/file.py:Class.
+        policies: Folders of policies, each a method by itself.
+
+    Raises:
+        ValueError: If a name is unknown, or a controller or policy cannot be loaded.
+    """
+    if not controllers and not policies:
+        controllers, policies = ("paper", "adaptive"), shipped_policies()[:1]
+    known = {method.name: method for method in classical_methods()}
+    found = []
+    for name in controllers:
+        method = added_method(name) if ":" in name else known[chosen("controller", (name,), known)[0]]
+        found.append((method.name, method))
+    for folder in policies:
+        (method,) = learned_methods([folder])
+        found.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))
+    return found
+
+
 def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
     """Those of the known names that are wanted, in the known order; all if none is named.
 

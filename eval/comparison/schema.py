@@ -30,7 +30,8 @@ import pandas as pd
 from baselines.tools.files import write_atomically, write_text
 from eval.comparison import splits
 from eval.comparison.estimates import Paired
-from eval.comparison.results import METRICS, PAIRED_METRICS, Against, Comparison, Outcome, profiles
+from eval.comparison.results import PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
+from eval.style.metrics import REPORTED_METRICS
 
 KINDS = ("classical", "learned", "privileged", "added")
 AGAINST = ("best classical", "base")
@@ -43,7 +44,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     return {
         "version": splits.VERSION,
         "provenance": comparison.provenance,
-        "rows": [_row(outcome) for outcome in comparison.outcomes],
+        "rows": [result_row(outcome) for outcome in comparison.outcomes],
         "paired": [
             *_paired_rows(comparison.against_best, AGAINST[0], lambda split, _: best[split]),
             *_paired_rows(comparison.against_base, AGAINST[1], lambda _, method: base[method]),
@@ -55,7 +56,8 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _row(outcome: Outcome) -> dict[str, Any]:
+def result_row(outcome: MethodOutcome) -> dict[str, Any]:
+    """Row of `results.json`."""
     return {
         "method": outcome.method.name,
         "kind": outcome.method.kind,
@@ -138,7 +140,7 @@ _SCHEMA: dict[str, Any] = {
             "split": str,
             "episodes": int,
             "seeds": int,
-            "metrics": dict.fromkeys(METRICS, _ESTIMATE),
+            "metrics": dict.fromkeys(REPORTED_METRICS, _ESTIMATE),
             "failures": {"runs": int, "not_settled": int, "left_workspace": int},
             "action_us": {"p50": float, "p99": float},
             "training": {},

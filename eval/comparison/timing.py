@@ -11,11 +11,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, BeltArmVectorEnv
 from beltarm_env.rollout import Controller
 
 Sensors = Literal["encoder", "tip", "full"]
 TIMED_ACTIONS = 300
+PERIOD_US = 1e6 * CONTROL_PERIOD
 
 
 def drive(
