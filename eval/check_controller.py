@@ -1,199 +1,22 @@
-"""Does a controller of your own keep the protocol? `python eval/check_controller.py path/to/file.py:Class`.
+"""Check a controller of your own: `python eval/check_controller.py path/to/file.py:Class`.
 
-A controller is made without arguments and called as Stable-Baselines3 calls a policy, see
-`beltarm_env.rollout.Controller`. What is checked is what the comparison relies on; `eval/compare.py --add` runs the
-same checks first.
+`eval/compare.py --add` runs the same checks first.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from baselines.tools.command import one_line_errors
-from beltarm_env import BeltArmVectorEnv
-from beltarm_env.rollout import Controller
 from eval.comparison import custom
-from eval.comparison.timing import time_actions
-
-Singles = NDArray[np.float32]
-
-_SEED = 6_900_000  # arms of no test
-_ARMS, _STEPS = 5, 600
-_CLOSE = 1e-5  # of the torque limit: what a batch's size may change in a network's last digits
-_PERIOD_US = 1500
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What a check found."""
-
-    check: str
-    passed: bool
-    detail: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """Observations of some arms, and what the controller did."""
-
-    observations: Singles  # (T, n, size)
-    actions: Singles  # (T, n, 1)
-
-
-def drive(controller: Controller) -> Session:
-    """Let a controller drive some arms of the training ranges.
-
-    Raises:
-        ValueError: If it returns anything but finite float32 of shape (n, 1), or changes what it observes.
-    """
-    env = BeltArmVectorEnv(_ARMS, randomization="train")
-    observation, _ = env.reset(seed=_SEED)
-    observations, actions = [], []
-    memory: Any = None
-    start = np.ones(_ARMS, np.bool_)
-    for step in range(_STEPS):
-        seen = observation.copy()
-        action, memory = controller.predict(observation, memory, start)
-        _check_action(action, step)
-        if not np.array_equal(seen, observation):
-            raise ValueError(f"it changes the observation that it is given, in sample {step}")
-        observations.append(seen)
-        actions.append(action.copy())
-        observation, _, terminated, _, _ = env.step(action)
-        start = terminated
-    return Session(np.array(observations), np.array(actions))
-
-
-def _check_action(action: object, step: int) -> None:
-    if not isinstance(action, np.ndarray) or action.shape != (_ARMS, 1) or action.dtype != np.float32:
-        what = f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-        raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {what}")
-    if not np.isfinite(action).all():
-        raise ValueError(f"in sample {step} it returns {action.ravel().tolist()}: torques must be finite")
-
-
-def replayed(controller: Controller, observations: Singles, begins: dict[int, NDArray[np.bool_]]) -> Singles:
-    """Actions on given observations; `begins` says in which samples which arms begin a new episode."""
-    memory: Any = None
-    none = np.zeros(observations.shape[1], np.bool_)
-    actions = []
-    for step, observation in enumerate(observations):
-        start = begins.get(step, np.ones_like(none) if step == 0 else none)
-        action, memory = controller.predict(observation.copy(), memory, start)
-        actions.append(np.array(action))
-    return np.array(actions)
-
-
-def _same(actions: Singles, expected: Singles, close: float = 0.0) -> str:
-    """What to say of actions that should be the same bit for bit, or within `close`.
-
-    Raises:
-        ValueError: If they are not.
-    """
-    if np.array_equal(actions, expected):
-        return "bit for bit"
-    difference = np.abs(actions.astype(np.float64) - expected)
-    if not difference.max() <= close:
-        step = int(np.argmax(np.any(difference > close, axis=(1, 2))))
-        raise ValueError(f"torques differ from sample {step} on, by up to {difference.max():.3g} of the limit")
-    return f"within {difference.max():.1g} of the limit, not bit for bit"
-
-
-def _repeats(make: Callable[[], Controller], known: Session) -> str:
-    return _same(replayed(make(), known.observations, {}), known.actions)
-
-
-def _alone(make: Callable[[], Controller], known: Session) -> str:
-    alone = [replayed(make(), known.observations[:, k : k + 1], {}) for k in range(_ARMS)]
-    return _same(np.concatenate(alone, axis=1), known.actions, _CLOSE)
-
-
-def _afresh(make: Callable[[], Controller], known: Session) -> str:
-    """After an episode of another arm, and while the others go on with theirs, a new episode is as the first."""
-    half = _STEPS // 2
-    before, after = known.observations[half:, ::-1], known.observations[:half]
-    all_arms, one_arm = np.ones(_ARMS, np.bool_), np.arange(_ARMS) == 1
-    said = _same(replayed(make(), np.concatenate([before, after]), {half: all_arms})[half:], known.actions[:half])
-    mixed = known.observations.copy()
-    mixed[half:, 1] = after[:, 1]
-    expected = known.actions.copy()
-    expected[half:, 1] = known.actions[:half, 1]
-    _same(replayed(make(), mixed, {half: one_arm}), expected)
-    return said
-
-
-def _in_the_state(make: Callable[[], Controller], known: Session) -> str:
-    """Two runs that take turns with one controller do not notice each other."""
-    controller = make()
-    actions = []
-    memories: list[Any] = [None, None]
-    start = np.ones(_ARMS, np.bool_)
-    for observation in known.observations:
-        first, memories[0] = controller.predict(observation.copy(), memories[0], start)
-        actions.append(np.array(first))
-        _, memories[1] = controller.predict(observation[::-1].copy(), memories[1], start)
-        start = np.zeros(_ARMS, np.bool_)
-    return _same(np.array(actions), known.actions)
-
-
-def _in_time(make: Callable[[], Controller], _: Session) -> str:
-    env = BeltArmVectorEnv(1)
-    observation = env.reset(seed=_SEED)[0]
-    median, slow = time_actions(make(), env, observation)
-    late = f": a 99th percentile beyond the period of {_PERIOD_US} µs" if slow > _PERIOD_US else ""
-    return f"{median:.0f} µs median, {slow:.0f} µs 99 %{late}"
-
-
-_CHECKS = {
-    "the same observations give the same torques": _repeats,
-    "an arm of a batch is driven as if alone": _alone,
-    "an episode begins without memory of the last": _afresh,
-    "all memory is in the state that is returned": _in_the_state,
-    "time per action, one arm": _in_time,
-}
-
-
-def findings(make: Callable[[], Controller]) -> Iterator[Finding]:
-    """Check a controller, step by step; nothing more is checked of one that cannot drive the arms at all."""
-    first = f"drives {_ARMS} arms with finite float32 torques"
-    try:
-        known = drive(make())
-    except Exception as error:
-        yield Finding(first, False, _words(error))
-        return
-    yield Finding(first, True, f"{_STEPS} samples")
-    for name, check in _CHECKS.items():
-        try:
-            yield Finding(name, True, check(make, known))
-        except Exception as error:
-            yield Finding(name, False, _words(error))
-
-
-def _words(error: Exception) -> str:
-    return " ".join((str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}").split())
-
-
-def first_failure(spec: str) -> str | None:
-    """In one line, what is wrong with a controller first; None if nothing is.
-
-    Raises:
-        ValueError: If it cannot be imported or made.
-    """
-    custom.make(spec)
-    for finding in findings(custom.factory(spec)):
-        if not finding.passed:
-            return f"{spec} does not keep the protocol ({finding.check}): {finding.detail}"
-    return None
+from eval.comparison.protocol import findings
 
 
 @dataclass(frozen=True)

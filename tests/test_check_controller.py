@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -12,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import mistake, stopped
+from safetensors.numpy import save_file
 
 from baselines import CONTROLLERS
-from eval.check_controller import findings, main
+from eval.check_controller import main
 from eval.comparison import custom
+from eval.comparison.protocol import findings, record
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
@@ -120,6 +121,29 @@ def test_a_sound_controller_passes():
     assert [finding.detail for finding in found[1:5]] == ["bit for bit"] * 4
 
 
+class Runaway(Proportional):
+    """Sound, with memory, and drives its arms out of the workspace."""
+
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return (0.9 + 0.1 * np.tanh(action)).astype(np.float32), state
+
+
+class LeakyRunaway(Runaway, Leaks):
+    """Takes the memory of an arm that left its workspace into that arm's next episode."""
+
+
+def test_a_sound_controller_may_leave_the_workspace():
+    starts = record(Runaway()).starts
+    assert starts[1:].any()
+    assert [finding for finding in findings(Runaway) if not finding.passed] == []
+
+
+def test_memory_is_found_in_the_episode_after_one_that_left_the_workspace():
+    found = [finding for finding in findings(LeakyRunaway) if not finding.passed]
+    assert "without memory of the last" in found[0].check
+
+
 @pytest.mark.parametrize("kind", SPOILT, ids=lambda kind: kind.__name__)
 def test_each_check_finds_what_it_is_for(kind: type):
     check, message = SPOILT[kind]
@@ -186,33 +210,68 @@ def test_a_mistake_on_the_command_line_is_one_line(tmp_path: Path):
 CONTROLLER = """
 import numpy as np
 from pathlib import Path
+from safetensors.numpy import load_file
 from parts.gains import GAIN
-WEIGHT = np.load(Path(__file__).with_name("weights.npy"))
 class Mine:
+    def __init__(self):
+        self.weight = load_file(Path(__file__).with_name("weights.safetensors"))["weight"]
     def predict(self, observation, *_, **__):
-        return np.full((len(observation), 1), GAIN * WEIGHT, np.float32), None
+        return np.full((len(observation), 1), GAIN * self.weight, np.float32), None
 """
 
 
-@pytest.mark.parametrize("name", ["mine.py", "parts/gains.py", "weights.npy"])
-def test_identity_changes_with_what_the_controller_is_made_of(name: str, tmp_path: Path):
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A controller's folder; its weights are opened by a library that is not written in Python."""
     folder = tmp_path / "own"
     (folder / "parts").mkdir(parents=True)
     (folder / "mine.py").write_text(CONTROLLER)
     (folder / "parts" / "gains.py").write_text("GAIN = 0.5\n")
-    (folder / "notes.txt").write_text("nothing to do with it")
-    np.save(folder / "weights.npy", 0.5)
+    save_file({"weight": np.array(0.5)}, folder / "weights.safetensors")
+    return folder
 
-    def identity() -> str:
-        code = "from eval.comparison import custom; print(custom.identity('mine.py:Mine'))"
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.run(
-            [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=True
-        ).stdout
 
-    before = identity()
-    (folder / "notes.txt").write_text("changed")
-    (folder / "log.txt").write_text("new")
-    assert identity() == before
-    (folder / name).write_bytes((folder / name).read_bytes().replace(b"0.5", b"0.25") + b"\n\n")
-    assert identity() != before
+def test_a_controller_of_a_file_lives_in_its_folder_and_one_of_a_package_in_the_whole_package(own: Path):
+    assert custom.home(f"{own}/mine.py:Mine") == own
+    assert custom.home("baselines.servo.paper:PaperController") == ROOT / "baselines"
+    assert custom.home(f"{ROOT}/baselines/servo/paper.py:PaperController") == ROOT / "baselines"
+    assert custom.home("commands:Path") == ROOT / "tests"
+
+
+def test_identity_changes_with_every_file_of_the_folder(own: Path):
+    identities = {before := custom.identity(own)}
+    assert custom.identity(own) == before
+    save_file({"weight": np.array(0.25)}, own / "weights.safetensors")
+    identities.add(custom.identity(own))
+    (own / "parts" / "gains.py").write_text("GAIN = 0.25\n")
+    identities.add(custom.identity(own))
+    (own / "parts" / "gains.py").rename(own / "gains.py")
+    identities.add(custom.identity(own))
+    (own / "parts" / "table.csv").write_text("1")
+    identities.add(custom.identity(own))
+    elsewhere = own.parent / "elsewhere"
+    elsewhere.mkdir()
+    (own / "linked").symlink_to(elsewhere)
+    (elsewhere / "more.csv").write_text("2")
+    identities.add(custom.identity(own))
+    assert len(identities) == 6
+    assert None not in identities
+
+
+def test_identity_does_not_change_with_caches_hidden_files_and_the_results_themselves(own: Path):
+    before = custom.identity(own, own / "out")
+    for name in (".git/index", "__pycache__/mine.pyc", ".hidden", "out/results.json", "out/pairs/a.npz"):
+        (own / name).parent.mkdir(parents=True, exist_ok=True)
+        (own / name).write_text("new")
+    assert custom.identity(own, own / "out") == before
+    assert custom.identity(own) != before
+
+
+def test_the_identity_of_a_large_or_unreadable_folder_is_unknown(own: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(custom, "MOST_FILES", 3)
+    assert custom.identity(own) is None
+    monkeypatch.setattr(custom, "MOST_FILES", 4)
+    assert custom.identity(own) is not None
+    monkeypatch.setattr(custom, "MOST_BYTES", 100)
+    assert custom.identity(own) is None
+    assert custom.identity(own / "nowhere") is None

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from browser import Page, browser
+from jsonschema import Draft202012Validator
 
 from eval.comparison.methods import (
     added_method,
@@ -24,9 +25,9 @@ from eval.comparison.methods import (
     shipped_policies,
 )
 from eval.comparison.pairs import Failure, Metrics, Pair, run_pairs
-from eval.comparison.schema import check, read_results
+from eval.comparison.schema import SCHEMA, check, read_results
 from eval.comparison.splits import SPLITS, load
-from eval.readme import block
+from eval.views.readme import block
 from eval.views.report.page import LARGEST
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -182,8 +183,12 @@ def test_one_process_gives_what_two_gave_and_what_is_done_is_not_done_again(
         ),
         (lambda r: r["rows"][0]["metrics"]["cost"].update(low=float("nan")), r"rows\[0\].*low must be a finite number"),
         (lambda r: r["rows"][0]["metrics"].pop("settling_s"), "settling_s must be there"),
-        (lambda r: r.update(version="1"), "version must be of type int, got '1'"),
+        (lambda r: r.update(version="1"), "version must be an integer, got '1'"),
         (lambda r: r.update(paired={}), "paired must be a list"),
+        (
+            lambda r: r["provenance"].update(seconds=float("inf")),
+            "provenance: seconds must be a finite number",
+        ),
         (lambda r: r["profiles"][2]["thresholds"].append("x"), r"profiles\[2\]: thresholds\[25\] must be a finite"),
     ],
 )
@@ -192,6 +197,19 @@ def test_a_spoilt_results_file_is_refused(spoil: Any, message: str, results: dic
     spoil(content)
     with pytest.raises(ValueError, match=message):
         check(content, "results")
+
+
+def test_nan_is_refused_as_a_file_is_read(results: dict[str, Any], tmp_path: Path):
+    content = json.loads(json.dumps(results))
+    content["rows"][0]["metrics"]["cost"]["low"] = float("nan")
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=r"rows\[0\]: metrics: cost: low must be a finite number, got 'NaN'"):
+        read_results(path)
+
+
+def test_the_schema_is_a_schema():
+    Draft202012Validator.check_schema(SCHEMA)
 
 
 # The page in a browser

@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import mistake, stopped
+from safetensors.numpy import save_file
 
 from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec, save_bundle
 from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS
 from eval import compare
-from eval.comparison import pairs
+from eval.comparison import custom, pairs
 from eval.comparison.methods import classical_methods, learned_methods, shipped_policies
 from eval.comparison.pairs import LEFT, Pair, read_kept, run_and_keep
 from eval.comparison.schema import read_results
@@ -57,8 +58,20 @@ def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypat
     files = {found.file(tmp_path) for found in [one, *others]}
     assert len(files) == 1 + len(others)
     assert one.file(tmp_path) == pair("zvd").file(tmp_path)
-    monkeypatch.setattr(pairs, "_sources", lambda: "other code")
-    assert one.file(tmp_path) not in files
+    for name, value in {"sources_digest": lambda *_: "other code", "version": lambda _: "other version"}.items():
+        with monkeypatch.context() as patched:
+            pairs._code.cache_clear()
+            patched.setattr(pairs, name, value)
+            files.add(one.file(tmp_path))
+    pairs._code.cache_clear()
+    assert len(files) == 3 + len(others)
+
+
+def test_pairs_of_a_method_of_unknown_identity_are_not_kept(tmp_path: Path):
+    unknown = replace(pair(), method=replace(pair().method, identity=None))
+    assert isinstance(run_and_keep(unknown, tmp_path), dict)
+    assert read_kept(unknown, tmp_path) is None
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_gains_are_part_of_the_identity(monkeypatch: pytest.MonkeyPatch):
@@ -107,6 +120,47 @@ def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
     assert code == 0, errors
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert len(list(tmp_path.glob("out/pairs/*"))) == 16
+
+
+MINE = """
+import numpy as np
+from pathlib import Path
+from safetensors.numpy import load_file
+class Mine:
+    def __init__(self):
+        self.weight = load_file(Path(__file__).with_name("weights.safetensors"))["weight"]
+    def predict(self, observation, *_, **__):
+        return np.full((len(observation), 1), self.weight, np.float32), None
+"""
+
+
+def test_new_weights_and_fresh_runs_are_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """Weights that are opened outside Python count as well, and results beside the controller do not."""
+    (tmp_path / "mine.py").write_text(MINE)
+    chosen = ("--add", "mine.py:Mine", "--methods", "paper", "Mine", "--splits", "nominal", "--episodes", "4")
+
+    def compared(weight: float, *options: str) -> tuple[float, int, str]:
+        """Cost of the controller, how many pairs were not run, and what was printed."""
+        save_file({"weight": np.array(weight)}, tmp_path / "weights.safetensors")
+        code, errors = stopped(compare.main, (*chosen, "--jobs", "1", "--out", "out", *options), tmp_path)
+        assert code == 0, errors
+        results = read_results(tmp_path / "out" / "results.json")
+        cost = results["rows"][1]["metrics"]["cost"]["iqm"]
+        return cost, results["provenance"]["pairs_kept_before"], capsys.readouterr().out
+
+    first, kept, output = compared(0.0)
+    assert kept == 0 and "will not be used again" not in output
+    assert compared(0.0)[:2] == (first, 2)
+    assert compared(0.0, "--fresh")[:2] == (first, 0)
+    other, kept, _ = compared(0.01)
+    assert other != first and kept == 1
+    monkeypatch.setattr(custom, "MOST_FILES", 1)
+    for _ in range(2):
+        cost, kept, output = compared(0.0)
+        assert (cost, kept) == (first, 1)
+        assert f"Results of Mine will not be used again: {tmp_path} is too large" in output
 
 
 # What goes wrong

@@ -19,9 +19,9 @@ from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Kind, Method, classical_methods
 from eval.comparison.pairs import LEFT, Failure
-from eval.comparison.results import METRICS, Comparison, Outcome, make_comparison, make_outcome
+from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
 from eval.comparison.splits import load
-from eval.comparison.traces import seed_note, shown_seed
+from eval.style.metrics import REPORTED_METRICS
 from eval.views.markdown import markdown
 from eval.views.report.animation import EVERY, animation, encode
 from eval.views.report.maps import robustness_maps
@@ -30,6 +30,7 @@ from eval.views.report.page import render, without_paths
 from eval.views.report.scenes import Map, Recordings, Scene, challengers, record_scenes
 from eval.views.report.tables import effort_table, metric_tables
 from eval.views.report.verdict import verdict
+from eval.views.traces import seed_note, shown_seed
 
 ROOT = Path(__file__).resolve().parent.parent
 ORIGIN = {
@@ -49,17 +50,17 @@ ORIGIN = {
 
 def outcome(
     name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
-) -> Outcome:
+) -> MethodOutcome:
     """A made-up outcome, of the same scenarios for every method."""
     scenarios = np.linspace(0.9, 1.1, 24)
     noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, 24))
     values = np.broadcast_to(np.asarray(costs) * scenarios, (seeds, 24)) + noise
-    metrics = {metric: values.copy() for metric in METRICS} | {LEFT: np.zeros((seeds, 24))}
+    metrics = {metric: values.copy() for metric in REPORTED_METRICS} | {LEFT: np.zeros((seeds, 24))}
     metrics["failure_share"] = metrics["saturated_share"] = np.zeros((seeds, 24))
     return make_outcome(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
 
 
-def made(*outcomes: Outcome, failures: list[Failure] | None = None) -> Comparison:
+def made(*outcomes: MethodOutcome, failures: list[Failure] | None = None) -> Comparison:
     return make_comparison(list(outcomes), failures or [], ORIGIN)
 
 
@@ -269,7 +270,7 @@ def test_encoded_numbers_come_back(values: list[float]):
 def test_maps_are_one_where_both_methods_are_the_same():
     pid = outcome("paper", "classical", 1.0)
     twin = Method("twin", "added", ("baselines.servo.paper:PaperController",), "")
-    comparison = made(pid, Outcome(twin, "nominal", pid.metrics, pid.estimates, (1.0, 1.0)))
+    comparison = made(pid, MethodOutcome(twin, "nominal", pid.metrics, pid.estimates, (1.0, 1.0)))
     maps, failures = robustness_maps(comparison)
     assert len(maps) == 2 and not failures
     for found in maps:
@@ -280,7 +281,7 @@ def test_maps_are_one_where_both_methods_are_the_same():
 def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.MonkeyPatch):
     cells: dict[str, float] = {"pid": 1.0, "lqg": 2.0, "net": 3.0}
 
-    def costs(of: Outcome) -> tuple[np.ndarray, np.ndarray]:
+    def costs(of: MethodOutcome) -> tuple[np.ndarray, np.ndarray]:
         if of.method.name not in cells:
             raise RuntimeError("no such arm")
         return np.full((5, 5), cells[of.method.name]), np.full((3, 5), cells[of.method.name])

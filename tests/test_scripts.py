@@ -173,6 +173,8 @@ def test_bench_prints_ratios(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert "vector step, N = 64" in result.stdout
     assert "CartPole-v1" in result.stdout
+    rows = ("full arm", "single step through make", "tip error of 5", "import beltarm_env", "warm cache", "cold cache")
+    assert [row for row in rows if row not in result.stdout] == []
 
 
 def readme_examples() -> list[str]:

@@ -16,8 +16,8 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
+from eval.comparison.scenarios import content_of, require_same_physics, text_of
 from eval.comparison.splits import EPISODES, FILE, SPLITS, VERSION, Split, digest_of, draw, load
-from eval.scenarios import content_of, require_same_physics, text_of
 
 SHIFTED = {
     "payload": {"payload_mass": (0.2, 0.5)},

@@ -7,13 +7,13 @@ import importlib
 import importlib.util
 import os
 import sys
-import sysconfig
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+MOST_FILES, MOST_BYTES = 2000, 200_000_000
+"""Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
 
 
 def absolute(spec: str) -> str:
@@ -68,75 +68,59 @@ def _search(folder: Path) -> None:
         sys.path.append(str(folder))
 
 
-def identity(spec: str) -> str:
-    """SHA-256 of the files that make the controller: whether kept results of it may be used again.
-
-    It covers the files of the controller's folder and its sub-folders (of a package: of the whole package) that are
-    imported, or read while the controller is made: gains and weights too. It does not cover what is read later, in
-    `predict`, nor what lies elsewhere.
+def home(spec: str) -> Path:
+    """Folder of everything that belongs to the controller: the whole package, or the folder of a file by itself.
 
     Raises:
-        ValueError: If it cannot be imported or made.
+        ValueError: If it cannot be imported.
     """
+    factory(spec)
     where, _, _ = absolute(spec).rpartition(":")
-    with _files_read() as read:
-        make(spec)
-    module = Path(where) if where.endswith(".py") else Path(sys.modules[where].__file__ or where)
-    folder = _top(module.resolve().parent)
-    imported = {file for loaded in list(sys.modules.values()) if (file := getattr(loaded, "__file__", None))}
-    paths = {module.resolve(), *(Path(path).resolve() for path in imported | read)}
-    return digest(sorted(path for path in paths if path.is_relative_to(folder) and _is_own(path)))
-
-
-def _top(folder: Path) -> Path:
-    """The folder of the whole package, if this one is of a package."""
-    while (folder / "__init__.py").exists():
+    if not where.endswith(".py"):
+        file = Path(sys.modules[where].__file__ or ".").resolve()
+        packages = map(Path, getattr(sys.modules[where.partition(".")[0]], "__path__", ()))
+        return next((folder for package in packages if file.is_relative_to(folder := package.resolve())), file.parent)
+    folder = Path(where).resolve().parent
+    while (folder.parent / "__init__.py").exists():
         folder = folder.parent
     return folder
 
 
-def _is_own(path: Path) -> bool:
-    installed = (sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib"))
-    return path.is_file() and "__pycache__" not in path.parts and not any(map(path.is_relative_to, installed))
+def identity(folder: Path, results: Path | None = None) -> str | None:
+    """SHA-256 of a controller's folder: code, gains, weights, whatever opens them; not hidden files, not caches.
 
+    Args:
+        folder: See `home`.
+        results: A folder below it that is left out, because the comparison itself writes there.
 
-_collecting: list[set[str]] = []
-
-
-@contextmanager
-def _files_read() -> Iterator[set[str]]:
-    """Names of the files that are opened meanwhile, but for those that are written."""
-    _begin_to_listen()
-    _collecting.append(set())
+    Returns:
+        None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read: whether it is as
+        it was is then unknown.
+    """
+    skipped = results.resolve() if results else None
+    total, entries, size = hashlib.sha256(), 0, 0
     try:
-        yield _collecting[-1]
-    finally:
-        _collecting.pop()
-
-
-@cache
-def _begin_to_listen() -> None:
-    sys.addaudithook(_listen)  # for good: Python has no way to take one off
-
-
-def _listen(event: str, arguments: tuple[Any, ...]) -> None:
-    if _collecting and event == "open":
-        name, _, flags = arguments
-        if isinstance(name, str | bytes | os.PathLike) and not flags & (os.O_WRONLY | os.O_RDWR):
-            _collecting[-1].add(os.fsdecode(name))
-
-
-def digest_of_sources(*folders: Path) -> str:
-    """SHA-256 of the Python files in some folders, with their names."""
-    return digest(sorted(path for folder in folders for path in folder.rglob("*.py")))
-
-
-def digest(paths: Iterable[Path]) -> str:
-    """SHA-256 of some files, with their names."""
-    total = hashlib.sha256()
-    for path in paths:
-        total.update(f"{path.name}\0".encode() + path.read_bytes() + b"\0")
+        for root, folders, names in os.walk(folder, onerror=_raise, followlinks=True):
+            folders[:] = sorted(name for name in folders if _is_own(name) and Path(root, name).resolve() != skipped)
+            files = [path for name in sorted(names) if _is_own(name) and (path := Path(root, name)).is_file()]
+            entries += len(folders) + len(files)
+            size += sum(path.stat().st_size for path in files)
+            if entries > MOST_FILES or size > MOST_BYTES:
+                return None
+            for path in files:
+                total.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+                total.update(hashlib.sha256(path.read_bytes()).digest())
+    except OSError:
+        return None
     return total.hexdigest()
+
+
+def _is_own(name: str) -> bool:
+    return not name.startswith(".") and name != "__pycache__"
+
+
+def _raise(error: OSError) -> None:
+    raise error
 
 
 def make(spec: str) -> Any:

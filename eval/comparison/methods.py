@@ -30,7 +30,7 @@ class Method:
     name: str
     kind: Kind  # "privileged" sees what no other does; "added" is a user's own
     sources: tuple[str, ...]  # one per training seed: name of a controller, folder of a policy, or package.module:Class
-    identity: str  # SHA-256 of gains, policies or sources: whether it still is the same method
+    identity: str | None  # SHA-256 of gains, policies or sources; None: unknown, its results are not used again
     training: dict[str, Any] = field(
         default_factory=dict
     )  # of tuning or training: simulator steps, wall-clock, per seed
@@ -61,6 +61,11 @@ def classical_methods() -> list[Method]:
     return [_classical(name, tuned.get(name, {})) for name in CONTROLLERS]
 
 
+def _all_gains() -> dict[str, Any]:
+    """Gains of all classical controllers, which a controller that builds on them may use."""
+    return {name: entry.get("gains") for name, entry in read_file().items()}
+
+
 def _classical(name: str, entry: dict[str, Any]) -> Method:
     tuning = entry.get("provenance", {})
     cost = {"simulator_steps": [tuning["steps"]], "wall_clock_s": [tuning["seconds"]]} if tuning else {}
@@ -76,14 +81,15 @@ def privileged_method() -> Method:
     return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
 
 
-def added_method(spec: str) -> Method:
-    """A user's own controller, named by its class.
+def added_method(spec: str, results: Path | None = None) -> Method:
+    """A user's own controller, named by its class; `results` is the comparison's folder, see `custom.identity`.
 
     Raises:
         ValueError: If it cannot be imported.
     """
     spec = custom.absolute(spec)
-    return Method(spec.rpartition(":")[2], "added", (spec,), custom.identity(spec))
+    own = custom.identity(custom.home(spec), results)
+    return Method(spec.rpartition(":")[2], "added", (spec,), own and _hash([own, _all_gains()]))
 
 
 def learned_methods(folders: Iterable[Path]) -> list[Method]:
@@ -121,9 +127,8 @@ def _learned(name: str, folders: list[Path]) -> Method:
         "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in runs],
         "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
     }
-    base = bases.pop()
-    identity = _hash([[content["content_hash"] for _, content in read], read_file().get(base, {}).get("gains")])
-    return Method(name, "learned", tuple(map(str, folders)), identity, training, base)
+    identity = _hash([[content["content_hash"] for _, content in read], _all_gains()])
+    return Method(name, "learned", tuple(map(str, folders)), identity, training, bases.pop())
 
 
 def shipped_policies() -> list[Path]:
@@ -135,6 +140,29 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
     """Content hashes of the policies of some methods."""
     folders = [Path(source) for method in methods if method.kind == "learned" for source in method.sources]
     return [read_spec(folder)[1]["content_hash"] for folder in folders]
+
+
+def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:
+    """Single methods with names that tell them apart, where neither is given `paper`, `adaptive` and a shipped policy.
+
+    Args:
+        controllers: Names of classical controllers, or a user's own as package.module:Class or path/to/file.py:Class.
+        policies: Folders of policies, each a method by itself.
+
+    Raises:
+        ValueError: If a name is unknown, or a controller or policy cannot be loaded.
+    """
+    if not controllers and not policies:
+        controllers, policies = ("paper", "adaptive"), shipped_policies()[:1]
+    known = {method.name: method for method in classical_methods()}
+    found = []
+    for name in controllers:
+        method = added_method(name) if ":" in name else known[chosen("controller", (name,), known)[0]]
+        found.append((method.name, method))
+    for folder in policies:
+        (method,) = learned_methods([folder])
+        found.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))
+    return found
 
 
 def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:

@@ -1,20 +1,22 @@
 """Runs of the comparison: a method on a split is a pair; pairs are spread over processes, and kept on disk.
 
 A pair that is done is kept as `pairs/SPLIT.METHOD.EPISODES.KEY.npz`, with a key of everything that its numbers depend
-on: the scenarios, the method's gains, policies or sources, and the code of plant and controllers. A run that was
-interrupted, or that asks for more, goes on from what is kept.
+on: the scenarios, the method's gains, policies or sources, the code of plant and controllers, and the versions of the
+packages below them. A run that was interrupted, or that asks for more, goes on from what is kept.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import platform
 import re
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache, partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,10 +28,9 @@ import baselines
 import beltarm_env
 from baselines.tools import parallel
 from baselines.tools.files import write_atomically
-from baselines.tools.parallel import default_jobs as default_jobs
+from beltarm_env.jit import sources_digest
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import rollout
-from eval.comparison.custom import digest_of_sources
 from eval.comparison.methods import Method
 from eval.comparison.splits import VERSION, Split
 
@@ -37,6 +38,8 @@ Metrics = dict[str, NDArray[np.float64]]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
+_PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
+"""Packages whose version the numbers may depend on."""
 _LONGEST_MESSAGE = 300
 _Result = TypeVar("_Result")
 
@@ -52,7 +55,7 @@ class Pair:
     def file(self, folder: Path) -> Path:
         """Where it is kept."""
         of_method = [self.method.name, self.method.kind, self.method.identity]
-        content = [VERSION, self.split.digest, self.episodes, *of_method, _sources()]
+        content = [VERSION, self.split.digest, self.episodes, *of_method, _code()]
         key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
         return folder / "pairs" / f"{self._stem()}.{key}.npz"
 
@@ -85,9 +88,10 @@ def attempt(method: str, split: str, run: Callable[[], _Result], where: str = ""
 
 
 @cache
-def _sources() -> str:
-    """SHA-256 of the code of plant, controllers and policies."""
-    return digest_of_sources(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+def _code() -> list[str]:
+    """What runs: SHA-256 of plant, controllers and policies, and the versions of what they are built on."""
+    sources = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+    return [sources, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
 
 
 def measure(pair: Pair) -> Metrics:
@@ -105,6 +109,8 @@ def measure(pair: Pair) -> Metrics:
 
 def read_kept(pair: Pair, folder: Path) -> Metrics | None:
     """What is kept of a pair, if anything sound is."""
+    if pair.method.identity is None:
+        return None
     path = pair.file(folder)
     shape = (len(pair.method.sources), pair.episodes)
     try:
@@ -120,13 +126,13 @@ def read_kept(pair: Pair, folder: Path) -> Metrics | None:
 
 
 def run_and_keep(pair: Pair, folder: Path) -> Metrics | Failure:
-    """Run a pair and keep it.
+    """Run a pair and keep it, unless nobody could tell later whether its method is still the same.
 
     Raises:
         OSError: If it cannot be written.
     """
     metrics = attempt(pair.method.name, pair.split.name, lambda: measure(pair))
-    if isinstance(metrics, Failure):
+    if isinstance(metrics, Failure) or pair.method.identity is None:
         return metrics
     write_atomically(pair.file(folder), lambda path: np.savez(path, allow_pickle=False, **metrics))
     for path in pair.outdated(folder):

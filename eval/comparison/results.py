@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any, Literal
@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from baselines.tools.provenance import commit
 from beltarm_env import __version__
-from beltarm_env.metrics import METRICS as EPISODE_METRICS
 from eval.comparison import splits
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
 from eval.comparison.methods import Method, policies_of
 from eval.comparison.pairs import LEFT, Failure, Metrics
+from eval.style.metrics import REPORTED_METRICS, SHARES
 
-METRICS = tuple(name for name in EPISODE_METRICS if name not in ("residual_radial_pp_mm", "residual_lateral_pp_mm"))
-"""Metrics of `results.json`; `episodes.csv` also has the two parts of the residual vibration."""
-SHARES = ("failure_share", "saturated_share")  # plain means: the middle half of zeros and ones says nothing
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 _THRESHOLDS = 25  # of a performance profile
 
@@ -32,7 +29,7 @@ Mark = Literal["best", "tie"]
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class MethodOutcome:
     """One method on one split."""
 
     method: Method
@@ -59,10 +56,10 @@ class Outcome:
         return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
 
 
-def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> Outcome:
+def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> MethodOutcome:
     """Estimate the metrics of one method on one split."""
-    estimates = {name: estimate(metrics[name], mean=name in SHARES) for name in METRICS}
-    return Outcome(method, split, metrics, estimates, action_times)
+    estimates = {name: estimate(metrics[name], mean=name in SHARES) for name in REPORTED_METRICS}
+    return MethodOutcome(method, split, metrics, estimates, action_times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +74,7 @@ class Profiles:
 class Comparison:
     """All outcomes of one run."""
 
-    outcomes: list[Outcome]
+    outcomes: list[MethodOutcome]
     against_best: Against  # every ranked method against the classical one of the lowest cost
     against_base: Against  # every learned method against the controller that it corrects
     marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
@@ -91,7 +88,7 @@ class Comparison:
             first.setdefault((failure.method, failure.split), failure)
         return replace(self, failures=list(first.values()))
 
-    def on(self, split: str) -> list[Outcome]:
+    def on(self, split: str) -> list[MethodOutcome]:
         """Outcomes on one split, in the order of the methods; those that are not ranked last."""
         found = [outcome for outcome in self.outcomes if outcome.split == split]
         return sorted(found, key=lambda outcome: not outcome.ranked)
@@ -106,18 +103,18 @@ class Comparison:
         splits = self.splits()
         return "randomized" if "randomized" in splits else splits[0]
 
-    def methods(self) -> list[Outcome]:
+    def methods(self) -> list[MethodOutcome]:
         """One outcome of every method, in order; those that are not ranked last."""
         found = {outcome.method.name: outcome for outcome in reversed(self.outcomes)}
         order = dict.fromkeys(outcome.method.name for outcome in self.outcomes)
         return sorted((found[name] for name in order), key=lambda outcome: not outcome.ranked)
 
-    def best_classical(self, split: str) -> Outcome | None:
+    def best_classical(self, split: str) -> MethodOutcome | None:
         """The classical method of the lowest cost, if there is any."""
         return best_classical(self.on(split))
 
 
-def make_comparison(outcomes: list[Outcome], failures: list[Failure], provenance: dict[str, Any]) -> Comparison:
+def make_comparison(outcomes: list[MethodOutcome], failures: list[Failure], provenance: dict[str, Any]) -> Comparison:
     """Compare the outcomes with one another."""
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
     best = {split: _against(found, _opponent_of_all(found)) for split, found in by_split.items()}
@@ -126,23 +123,25 @@ def make_comparison(outcomes: list[Outcome], failures: list[Failure], provenance
     return Comparison(outcomes, best, base, marks, failures, provenance)
 
 
-def best_classical(outcomes: list[Outcome]) -> Outcome | None:
+def best_classical(outcomes: list[MethodOutcome]) -> MethodOutcome | None:
     """The classical method of the lowest cost among the outcomes of one split, if there is any."""
     classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
     return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm, default=None)
 
 
-def _opponent_of_all(outcomes: list[Outcome]) -> Callable[[Outcome], Outcome | None]:
+def _opponent_of_all(outcomes: list[MethodOutcome]) -> Callable[[MethodOutcome], MethodOutcome | None]:
     best = best_classical(outcomes)
     return lambda outcome: None if outcome is best else best
 
 
-def _base_of(outcomes: list[Outcome]) -> Callable[[Outcome], Outcome | None]:
+def _base_of(outcomes: list[MethodOutcome]) -> Callable[[MethodOutcome], MethodOutcome | None]:
     by_name = {outcome.method.name: outcome for outcome in outcomes}
     return lambda outcome: by_name.get(outcome.method.base or "")
 
 
-def _against(outcomes: list[Outcome], opponent: Callable[[Outcome], Outcome | None]) -> dict[str, dict[str, Paired]]:
+def _against(
+    outcomes: list[MethodOutcome], opponent: Callable[[MethodOutcome], MethodOutcome | None]
+) -> dict[str, dict[str, Paired]]:
     """Ranked methods of one split against an opponent each: by method and metric.
 
     All comparisons in one metric are a family for Holm's correction: one question, asked of every method.
@@ -160,7 +159,7 @@ def _against(outcomes: list[Outcome], opponent: Callable[[Outcome], Outcome | No
     return found
 
 
-def _marks(outcomes: list[Outcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
+def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
     """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction."""
     ranked = [outcome for outcome in outcomes if outcome.ranked]
     best = min(ranked, key=lambda outcome: outcome.estimates[name].iqm, default=None)
@@ -180,7 +179,7 @@ def _marks(outcomes: list[Outcome], name: str, against_best: dict[str, dict[str,
     return marks
 
 
-def profiles(outcomes: list[Outcome], metric: str) -> Profiles:
+def profiles(outcomes: list[MethodOutcome], metric: str) -> Profiles:
     """Performance profiles of one split's methods, at thresholds between the least and the largest value of all."""
     everything = np.concatenate([outcome.metrics[metric].ravel() for outcome in outcomes])
     least = max(float(everything.min()), 1e-6)
@@ -189,7 +188,9 @@ def profiles(outcomes: list[Outcome], metric: str) -> Profiles:
     return Profiles(thresholds, {o.method.name: profile(o.metrics[metric], thresholds) for o in outcomes})
 
 
-def provenance(command: str, seconds: float, methods: list[Method], chosen: dict[str, splits.Split]) -> dict[str, Any]:
+def provenance(
+    command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
+) -> dict[str, Any]:
     """Where the results come from."""
     packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
     return {

@@ -14,26 +14,30 @@
   to `win_rate_high`), `p` and, after Holm's correction within split and metric, `p_holm`, and a `verdict`.
 - `profiles`, one per split and metric: `thresholds`, and by method the share of runs at or below each.
 - `failures`, one per method and split that could not be run to the end, with its `message`.
+
+Numbers are finite: NaN and infinities are refused as they are written and as they are read.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pandas as pd
+from jsonschema import Draft202012Validator, validators
 
 from baselines.tools.files import write_atomically, write_text
 from eval.comparison import splits
 from eval.comparison.estimates import Paired
-from eval.comparison.results import METRICS, PAIRED_METRICS, Against, Comparison, Outcome, profiles
+from eval.comparison.methods import Kind
+from eval.comparison.results import PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
+from eval.style.metrics import REPORTED_METRICS
 
-KINDS = ("classical", "learned", "privileged", "added")
 AGAINST = ("best classical", "base")
+"""What a method is compared with."""
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
@@ -43,7 +47,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     return {
         "version": splits.VERSION,
         "provenance": comparison.provenance,
-        "rows": [_row(outcome) for outcome in comparison.outcomes],
+        "rows": [result_row(outcome) for outcome in comparison.outcomes],
         "paired": [
             *_paired_rows(comparison.against_best, AGAINST[0], lambda split, _: best[split]),
             *_paired_rows(comparison.against_base, AGAINST[1], lambda _, method: base[method]),
@@ -55,7 +59,8 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _row(outcome: Outcome) -> dict[str, Any]:
+def result_row(outcome: MethodOutcome) -> dict[str, Any]:
+    """Row of `results.json`."""
     return {
         "method": outcome.method.name,
         "kind": outcome.method.kind,
@@ -113,82 +118,93 @@ def write_results(comparison: Comparison, folder: Path) -> None:
     """Write `results.json` and `episodes.csv`, each atomically."""
     content = to_json(comparison)
     check(content, "results.json")
-    write_text(folder / "results.json", json.dumps(content, indent=1) + "\n")
+    write_text(folder / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     episodes = to_episodes(comparison)
     write_atomically(folder / "episodes.csv", lambda path: episodes.to_csv(path, index=False, float_format="%.6g"))
 
 
-_ESTIMATE = {"iqm": float, "low": float, "high": float}
-_PAIR = {**_ESTIMATE, "win_rate": float, "win_rate_low": float, "win_rate_high": float}
-_PAIR |= {"p": float, "p_holm": float, "verdict": str}
-_SCHEMA: dict[str, Any] = {
-    "version": int,
-    "provenance": {
-        "command": str,
-        "commit": str,
-        "splits_version": int,
-        "split_seeds": {},
-        "seconds": float,
-        "pairs_kept_before": int,
-    },
-    "rows": [
-        {
-            "method": str,
-            "kind": KINDS,
-            "split": str,
-            "episodes": int,
-            "seeds": int,
-            "metrics": dict.fromkeys(METRICS, _ESTIMATE),
-            "failures": {"runs": int, "not_settled": int, "left_workspace": int},
-            "action_us": {"p50": float, "p99": float},
-            "training": {},
-        }
-    ],
-    "paired": [
-        {
-            "method": str,
-            "other": str,
-            "against": AGAINST,
-            "split": str,
-            "metrics": dict.fromkeys(PAIRED_METRICS, _PAIR),
-        }
-    ],
-    "profiles": [{"split": str, "metric": str, "thresholds": [float], "methods": {}}],
-    "failures": [{"method": str, "split": str, "message": str}],
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "required": list(properties), "properties": properties}
+
+
+def _list(items: Any) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+def _mapping(values: Any) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": values}
+
+
+_TEXT, _INTEGER, _NUMBER = {"type": "string"}, {"type": "integer"}, {"type": "number"}
+_ESTIMATE = dict.fromkeys(("iqm", "low", "high"), _NUMBER)
+_PAIR = dict.fromkeys((*_ESTIMATE, "win_rate", "win_rate_low", "win_rate_high", "p", "p_holm"), _NUMBER)
+SCHEMA = _object(
+    version=_INTEGER,
+    provenance=_object(
+        command=_TEXT,
+        commit=_TEXT,
+        splits_version=_INTEGER,
+        split_seeds=_mapping(_INTEGER),
+        seconds=_NUMBER,
+        pairs_kept_before=_INTEGER,
+    ),
+    rows=_list(
+        _object(
+            method=_TEXT,
+            kind={"enum": list(get_args(Kind))},
+            split=_TEXT,
+            episodes=_INTEGER,
+            seeds=_INTEGER,
+            metrics=_object(**dict.fromkeys(REPORTED_METRICS, _object(**_ESTIMATE))),
+            failures=_object(runs=_INTEGER, not_settled=_INTEGER, left_workspace=_INTEGER),
+            action_us=_object(p50=_NUMBER, p99=_NUMBER),
+            training=_mapping(_list(_NUMBER)),
+        )
+    ),
+    paired=_list(
+        _object(
+            method=_TEXT,
+            other=_TEXT,
+            against={"enum": list(AGAINST)},
+            split=_TEXT,
+            metrics=_object(**dict.fromkeys(PAIRED_METRICS, _object(**_PAIR, verdict=_TEXT))),
+        )
+    ),
+    profiles=_list(_object(split=_TEXT, metric=_TEXT, thresholds=_list(_NUMBER), methods=_mapping(_list(_NUMBER)))),
+    failures=_list(_object(method=_TEXT, split=_TEXT, message=_TEXT)),
+)
+"""JSON Schema (2020-12) of `results.json`."""
+_TYPES = {
+    "object": "an object",
+    "array": "a list",
+    "string": "a text",
+    "integer": "an integer",
+    "number": "a finite number",
 }
+
+
+def _is_finite(_: object, value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+_Validator = validators.extend(
+    Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine("number", _is_finite)
+)
 
 
 def check(content: object, where: str) -> None:
     """Check the content of a `results.json`.
 
     Raises:
-        ValueError: Naming the first place that is not as the docstring above says, and what is there.
+        ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
     """
-    _check(content, _SCHEMA, where)
-
-
-def _check(value: Any, wanted: Any, where: str) -> None:
-    if isinstance(wanted, dict):
-        _require(isinstance(value, Mapping), where, "an object", value)
-        for key, inner in wanted.items():
-            _require(key in value, f"{where}: {key}", "there", "nothing")
-            _check(value[key], inner, f"{where}: {key}")
-    elif isinstance(wanted, list):
-        _require(isinstance(value, list), where, "a list", value)
-        for k, item in enumerate(value):
-            _check(item, wanted[0], f"{where}[{k}]")
-    elif isinstance(wanted, tuple):
-        _require(value in wanted, where, f"one of {', '.join(wanted)}", value)
-    elif wanted is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        _require(number and math.isfinite(value), where, "a finite number", value)
-    else:
-        _require(isinstance(value, wanted) and not isinstance(value, bool), where, f"of type {wanted.__name__}", value)
-
-
-def _require(fulfilled: bool, where: str, wanted: str, value: object) -> None:
-    if not fulfilled:
-        raise ValueError(f"{where} must be {wanted}, got {str(value)[:80]!r}")
+    for error in _Validator(SCHEMA).iter_errors(content):
+        place = where + "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in error.absolute_path)
+        wanted: Any = error.validator_value
+        if error.validator == "required":
+            raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
+        words = f"one of {', '.join(wanted)}" if error.validator == "enum" else _TYPES[wanted]
+        raise ValueError(f"{place} must be {words}, got {str(error.instance)[:80]!r}")
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -198,9 +214,14 @@ def read_results(path: Path) -> dict[str, Any]:
         ValueError: If it is damaged, or of another version of the scenarios.
     """
     require_same_version(path)
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = _loaded(path)
     check(content, str(path))
     return content
+
+
+def _loaded(path: Path) -> Any:
+    """Content of a JSON file; NaN and infinities are read as text, which is no number."""
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=str)
 
 
 def require_same_version(path: Path) -> None:
@@ -210,7 +231,7 @@ def require_same_version(path: Path) -> None:
         ValueError: If it is of another version, or cannot be read.
     """
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["version"]
+        found = _loaded(path)["version"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} cannot be read ({error}): remove it, or choose another folder") from None
     if found != splits.VERSION:

@@ -1,39 +1,72 @@
-"""Wall-clock of controllers: per action of one arm and of a batch."""
+"""Drive a controller as `rollout` does, one sample at a time, and time it."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
-from beltarm_env import BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, BeltArmVectorEnv
 from beltarm_env.rollout import Controller
 
 Sensors = Literal["encoder", "tip", "full"]
 TIMED_ACTIONS = 300
+PERIOD_US = 1e6 * CONTROL_PERIOD
 
 
-def action_times(controller: Controller, sensors: Sensors = "encoder") -> tuple[float, float]:
-    """Median and 99th percentile of the time per action for one arm [us]."""
-    env = BeltArmVectorEnv(1, sensors=sensors)
-    observation, _ = env.reset(seed=0)
-    return time_actions(controller, env, observation)
+def drive(
+    controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]]]:
+    """Let a controller drive some arms for at most an episode; an arm that leaves its workspace begins a new episode.
 
+    Args:
+        controller: What to run.
+        num_arms: Number of arms, run side by side.
+        steps: Number of samples.
+        seed: Arm i is seeded with `seed + i`.
+        **settings: Arguments of `BeltArmVectorEnv`.
 
-def time_actions(controller: Controller, env: BeltArmVectorEnv, observation: Any) -> tuple[float, float]:
-    """Median and 99th percentile of the time per action [us], from a given first observation on."""
+    Yields:
+        In each sample, before the arms move: observations, which arms begin an episode, actions.
+    """
+    env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
+    observation, _ = env.reset(seed=seed)
     memory: Any = None
-    start = np.array([True])
-    times = []
-    for _ in range(TIMED_ACTIONS):
-        began = time.perf_counter()
+    start = np.ones(num_arms, np.bool_)
+    for _ in range(steps):
         action, memory = controller.predict(observation, memory, start)
-        times.append(time.perf_counter() - began)
-        observation, *_ = env.step(action)
-        start = np.array([False])
-    median, slow = np.percentile(1e6 * np.array(times), [50, 99])
+        yield observation, start, action
+        observation, _, start, truncated, _ = env.step(action)
+        if start.any() and not truncated.any():
+            observation, _ = env.reset(options={"reset_mask": start})
+
+
+class _Timed:
+    """Controller whose calls are timed."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.seconds: list[float] = []
+
+    def predict(self, *arguments: Any, **named: Any) -> Any:
+        """Call the controller; see `Controller`."""
+        began = time.perf_counter()
+        result = self._controller.predict(*arguments, **named)
+        self.seconds.append(time.perf_counter() - began)
+        return result
+
+
+def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> tuple[float, float]:
+    """Median and 99th percentile of the time per action for one nominal arm [us]."""
+    timed = _Timed(controller)
+    for _ in drive(timed, 1, TIMED_ACTIONS, seed, sensors=sensors):
+        pass
+    median, slow = np.percentile(1e6 * np.array(timed.seconds), [50, 99])
     return float(median), float(slow)
 
 
@@ -50,15 +83,9 @@ class Times:
 def measure_times(controller: Controller, batch: int, seed: int) -> Times:
     """Time a controller on one arm, and for an episode on a batch of the training ranges seeded from `seed` on."""
     median, slow = action_times(controller)
-    env = BeltArmVectorEnv(batch, randomization="train")
-    observation, _ = env.reset(seed=seed)
-    memory: Any = None
-    start, over, times = np.ones(batch, np.bool_), False, []
+    timed = _Timed(controller)
     began = time.perf_counter()
-    while not over:
-        called = time.perf_counter()
-        action, memory = controller.predict(observation, memory, start)
-        times.append(time.perf_counter() - called)
-        observation, _, terminated, truncated, _ = env.step(action)
-        start, over = terminated, bool(truncated.any())
-    return Times(median, slow, float(1e6 * np.median(times) / batch), time.perf_counter() - began)
+    for _ in drive(timed, batch, EPISODE_STEPS, seed, randomization="train"):
+        pass
+    took = time.perf_counter() - began
+    return Times(median, slow, float(1e6 * np.median(timed.seconds) / batch), took)

@@ -15,6 +15,7 @@ from typing import Any
 
 import gymnasium as gym
 import torch
+from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -24,6 +25,7 @@ from agents.learners.reinforcement import make_env
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualEnv
 from agents.runs.settings import first_arm_seed
+from eval.speed.stepping import Row, best_times
 
 ARMS, INFORMED, ADAPTER = "arms", "base controller and identification", "rest of the environment's step"
 POLICY, BUFFER, REST, OPTIMISER = "policy network", "rollout buffer", "rest of the rollout", "optimiser"
@@ -31,6 +33,7 @@ PHASES = (ARMS, INFORMED, ADAPTER, BUFFER, REST, POLICY, OPTIMISER)
 OVERHEAD = (ARMS, INFORMED, ADAPTER, BUFFER, REST)
 """What is neither optimiser nor policy network."""
 SINGLE_ARMS = 64
+_ITERATIONS = 20  # of PPO whose time is taken apart
 
 
 class Stopwatch:
@@ -140,3 +143,17 @@ def shares_table(config: PpoConfig, iterations: int) -> Table:
         if phase == OVERHEAD[-1]:
             table.add_row("together", f"{100 * sum(found[name] for name in OVERHEAD):.1f} %", end_section=True)
     return table
+
+
+def loop_row(console: Console) -> Row:
+    """Speed of the loop of `train/ppo.py` beside the same PPO on single arms; prints where its time goes."""
+    config = PpoConfig()
+    console.print(shares_table(config, _ITERATIONS))
+    loops = [iteration_on_batch(config), iteration_on_single_arms(config)]
+    batch, single = (config.arms * config.rollout_steps * config.hold / took for took in best_times(loops, 3))
+    return (
+        f"PPO, rollout and update, {config.arms} arms",
+        f"{batch / 1e3:.0f} k steps/s",
+        f"PPO on {SINGLE_ARMS} single arms in a DummyVecEnv: {single / 1e3:.1f} k steps/s",
+        f"{batch / single:.1f}x",
+    )

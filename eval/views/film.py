@@ -1,13 +1,13 @@
-"""Films of pictures in a row: GIF, or MP4 where imageio-ffmpeg is installed."""
+"""Films: GIF, or MP4 where imageio-ffmpeg is installed."""
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 from collections.abc import Iterable
-from itertools import chain, repeat
 from pathlib import Path
+from typing import Any
 
+import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -19,6 +19,7 @@ FPS = {".gif": 20, ".mp4": 30}
 """Pictures per second, by the name's ending."""
 REST_S = 1.0
 """How long the last picture stays [s]."""
+_GIF_COLOURS = 64
 
 
 def require_writer(path: Path) -> None:
@@ -43,30 +44,20 @@ def write_film(pictures: Pictures, path: Path) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    (_write_gif if path.suffix == ".gif" else _write_mp4)(list(pictures), path)
+    shown, fps = list(pictures), FPS[path.suffix]
+    options: dict[str, Any]
+    if path.suffix == ".gif":
+        durations = [1000 // fps] * (len(shown) - 1) + [round(1000 * REST_S)]
+        shown = _with_few_colours(shown)
+        options = {"plugin": "pillow", "duration": durations, "loop": 0}
+    else:
+        shown += shown[-1:] * round(REST_S * fps)
+        options = {"plugin": "FFMPEG", "fps": fps, "macro_block_size": 2}
+    write_atomically(path, lambda temporary: imageio.imwrite(temporary, np.stack(shown), **options))
 
 
-def _write_gif(pictures: list[NDArray[np.uint8]], path: Path) -> None:
-    images = [Image.fromarray(picture) for picture in pictures]
-    palette = images[len(images) // 2].quantize(64)
-    first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
-    durations = [1000 // FPS[".gif"]] * len(others) + [round(1000 * REST_S)]
-    options = {"save_all": True, "append_images": others, "duration": durations, "loop": 0}
-    write_atomically(path, lambda temporary: first.save(temporary, "GIF", **options))
-
-
-def _write_mp4(pictures: list[NDArray[np.uint8]], path: Path) -> None:
-    ffmpeg = importlib.import_module("imageio_ffmpeg")
-    fps = FPS[".mp4"]
-    height, width, _ = pictures[0].shape
-    rest = repeat(pictures[-1], round(REST_S * fps))
-
-    def write(temporary: Path) -> None:
-        options = {"fps": fps, "macro_block_size": 2, "output_params": ["-f", "mp4", "-loglevel", "error"]}
-        film = ffmpeg.write_frames(str(temporary), (width, height), **options)
-        film.send(None)
-        for picture in chain(pictures, rest):
-            film.send(np.ascontiguousarray(picture))
-        film.close()
-
-    write_atomically(path, write)
+def _with_few_colours(pictures: list[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
+    """Pictures with the colours of the middle one: half the size of a GIF, and colours that do not flicker."""
+    palette = Image.fromarray(pictures[len(pictures) // 2]).quantize(_GIF_COLOURS)
+    few = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    return [np.asarray(picture.convert("RGB")) for picture in few]

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
 
 from eval.comparison.estimates import RESAMPLES
-from eval.comparison.results import PAIRED_METRICS, Comparison, Mark, Outcome
+from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.splits import SPLITS
-from eval.comparison.traces import seed_note, shown_methods
 from eval.style.markdown_table import markdown_table
-from eval.views.terminal import COLUMNS, TIE, cell, heading, verdict
+from eval.style.metrics import cell, heading, title
+from eval.views.frame import frame_of, lines
+from eval.views.terminal import TIE, verdict
+from eval.views.traces import seed_note, shown_methods
 
-_MARKED: dict[Mark, str] = {"best": "**{}**", "tie": "<ins>{}</ins>"}
+_MARKED = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
 
 def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> str:
@@ -27,11 +32,11 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
         "not ranked.",
     ]
     parts += _failed(comparison)
-    parts += ["## Cost on every split", overview_table(comparison, "cost")]
+    found = frame_of(comparison)
+    parts += ["## Cost on every split", method_table(found[found.metric == "cost"], "split")]
     for split in comparison.splits():
-        outcomes = comparison.on(split)
         parts += [f"## {split}", f"{SPLITS[split].description.capitalize()}; {episodes} scenarios."]
-        parts += [metrics_table(outcomes, comparison.marks[split])]
+        parts += [method_table(found[found.split == split], "metric")]
     parts += ["## Paired differences", _how_to_read()]
     for split in comparison.splits():
         parts += [f"### {split}", paired_table(comparison, split)]
@@ -42,7 +47,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
 
 
 def _listed(metrics: Sequence[str]) -> str:
-    *first, last = (COLUMNS[name][0] for name in metrics)
+    *first, last = map(title, metrics)
     return f"{', '.join(first)} and {last}"
 
 
@@ -64,40 +69,29 @@ def _how_to_read() -> str:
     )
 
 
-def _italic(text: str, outcome: Outcome) -> str:
-    return text if outcome.ranked else f"*{text}*"
+def method_table(found: pd.DataFrame, across: Literal["split", "metric"], with_seeds: bool = False) -> str:
+    """Estimates with their intervals: a row per method, a column per split or metric.
 
-
-def overview_table(comparison: Comparison, name: str) -> str:
-    """One metric: a row per method, a column per split."""
-    splits = comparison.splits()
+    Args:
+        found: Part of the comparison's table, see `eval.views.frame`.
+        across: What the columns are.
+        with_seeds: Whether the number of training seeds stands beside a learned method's name.
+    """
     rows = []
-    by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
-    for method in comparison.methods():
-        cells = []
-        for split in splits:
-            outcome = by_split[split].get(method.method.name)
-            mark = comparison.marks[split][name].get(method.method.name)
-            cells.append(_cell(outcome, name, mark) if outcome else "failed")
-        rows.append([_italic(method.method.name, method), *cells])
-    return markdown_table(["method", *splits], rows)
+    for line in lines(found, across, _cell, "failed"):
+        seeds = f" ({line.seeds} seeds)" if with_seeds and line.kind == "learned" else ""
+        rows.append([_italic(line.method + seeds, line.ranked), *line.cells])
+    columns = found[across].unique()
+    return markdown_table(["method", *(columns if across == "split" else map(heading, columns))], rows)
 
 
-def metrics_table(outcomes: list[Outcome], marks: dict[str, dict[str, Mark]]) -> str:
-    """All metrics of one split, with marks by metric and method."""
-    rows = []
-    for outcome in outcomes:
-        cells = [_cell(outcome, name, marks.get(name, {}).get(outcome.method.name)) for name in COLUMNS]
-        rows.append([_italic(outcome.method.name, outcome), *cells])
-    return markdown_table(["method", *map(heading, COLUMNS)], rows)
+def _cell(row: Any) -> str:
+    point, interval = cell(row.metric, row).split(" ", 1)
+    return _italic(f"{_MARKED.get(row.mark, '{}').format(point)} {interval}", row.kind != "privileged")
 
 
-def _cell(outcome: Outcome, name: str, mark: Mark | None) -> str:
-    shown = cell(name, outcome.estimates[name])
-    point, interval = shown.split(" ", 1)
-    if mark:
-        shown = f"{_MARKED[mark].format(point)} {interval}"
-    return _italic(shown, outcome)
+def _italic(text: str, ranked: bool) -> str:
+    return text if ranked else f"*{text}*"
 
 
 def paired_table(comparison: Comparison, split: str) -> str:
@@ -135,7 +129,7 @@ def compute_table(comparison: Comparison) -> str:
         seconds = f"{max(method.training['wall_clock_s']):.0f}" if method.training else "-"
         seeds = str(outcome.seeds) if method.kind == "learned" else "-"
         median, slow = outcome.action_times
-        name = _italic(method.name, outcome)
+        name = _italic(method.name, outcome.ranked)
         rows.append([name, method.kind, seeds, steps, seconds, f"{median:.0f} / {slow:.0f}"])
     return markdown_table(titles, rows, "llrrrr")
 

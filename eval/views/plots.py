@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 
 from baselines.tools.files import write_atomically
 from beltarm_env.rollout import Recording
-from eval.comparison.results import Comparison, Outcome, best_classical
-from eval.comparison.traces import Traces
+from eval.comparison.results import Comparison, MethodOutcome, best_classical
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import BLUE, COLOURS, GREEN, ORANGE
-from eval.views.terminal import heading
+from eval.style.metrics import heading
+from eval.views.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
@@ -153,7 +153,7 @@ def _intervals(comparison: Comparison) -> Figure:
     return figure
 
 
-def _interval_axis(axis: Axes, ranking: list[Outcome], name: str) -> None:
+def _interval_axis(axis: Axes, ranking: list[MethodOutcome], name: str) -> None:
     for height, outcome in enumerate(ranking):
         value = outcome.estimates[name]
         ends = [[value.iqm - value.low], [value.high - value.iqm]]

@@ -10,9 +10,9 @@ from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from eval.comparison.results import Comparison, profiles
 from eval.style.colours import BLUE, GREEN, ORANGE
+from eval.style.metrics import cell
 from eval.views.report.scenes import Map
 from eval.views.report.svg import GROUND, INK, WIDTH, Panel, faint, line, panel, panel_style
-from eval.views.terminal import cell
 
 KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN}
 STRONGEST = 4

@@ -16,7 +16,7 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.pairs import Failure, attempt
-from eval.comparison.results import Comparison, Outcome
+from eval.comparison.results import Comparison, MethodOutcome
 from eval.views.report.scenes import Map, challengers
 
 SEED = 8_500_000  # neither trained, tuned, validated nor tested on
@@ -55,23 +55,23 @@ def _against(rival: str, classical: str, costs: dict[str, tuple[Floats, Floats]]
     ]
 
 
-def _costs(outcome: Outcome) -> tuple[Floats, Floats]:
+def _costs(outcome: MethodOutcome) -> tuple[Floats, Floats]:
     return _of_plants(outcome), _of_delays(outcome)
 
 
-def _of_plants(outcome: Outcome) -> Floats:
+def _of_plants(outcome: MethodOutcome) -> Floats:
     nominal = ArmParams()
     stiffness, payload = (values.ravel() for values in np.meshgrid(_STIFFNESS, _PAYLOAD))
     params = {"belt_stiffness": nominal.belt_stiffness * stiffness, "payload_mass": payload}
     return _cells(outcome, params, len(stiffness), 0).reshape(len(_PAYLOAD), len(_STIFFNESS))
 
 
-def _of_delays(outcome: Outcome) -> Floats:
+def _of_delays(outcome: MethodOutcome) -> Floats:
     params = {"coulomb_friction": ArmParams().coulomb_friction * np.array(_FRICTION)}
     return np.array([_cells(outcome, params, len(_FRICTION), int(delay)) for delay in _DELAY])
 
 
-def _cells(outcome: Outcome, params: dict[str, np.ndarray], cells: int, delay: int) -> np.ndarray:
+def _cells(outcome: MethodOutcome, params: dict[str, np.ndarray], cells: int, delay: int) -> np.ndarray:
     """Interquartile mean of the cost in each cell, over its arms and all training seeds."""
     drawn = BeltArmVectorEnv(ARMS)
     drawn.reset(seed=SEED)

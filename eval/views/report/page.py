@@ -13,7 +13,6 @@ from baselines.tools.files import write_text
 from eval.comparison.estimates import RESAMPLES
 from eval.comparison.results import Comparison
 from eval.comparison.splits import SPLITS
-from eval.comparison.traces import seed_note
 from eval.style.colours import COLOURS
 from eval.views.report.animation import animation
 from eval.views.report.figures import STRONGEST, background, forests, map_panels, profile_panels
@@ -22,6 +21,7 @@ from eval.views.report.scenes import Map, Recordings, challengers
 from eval.views.report.svg import Panel, line
 from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables
 from eval.views.report.verdict import verdict
+from eval.views.traces import seed_note
 
 _TEMPLATES = Path(__file__).parent
 LARGEST = 3_000_000

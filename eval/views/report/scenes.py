@@ -8,10 +8,10 @@ import numpy as np
 
 from beltarm_env.rollout import Recording
 from eval.comparison.pairs import Failure
-from eval.comparison.results import Comparison, Outcome
+from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.splits import Split
-from eval.comparison.traces import motions, shown_seed
 from eval.style.colours import COLOURS
+from eval.views.traces import motions, shown_seed
 
 CHALLENGERS = ("learned", "added")
 """Kinds of method that are put up against the classical ones; learned ones first."""
@@ -51,7 +51,7 @@ class Recordings:
     maps: list[Map] = field(default_factory=list)
 
 
-def challengers(comparison: Comparison, split: str) -> list[Outcome]:
+def challengers(comparison: Comparison, split: str) -> list[MethodOutcome]:
     """What is put up against the classical controllers on a split, best first: learned methods, or else added ones."""
     found = [outcome for kind in CHALLENGERS for outcome in comparison.on(split) if outcome.method.kind == kind]
     kinds = {outcome.method.kind for outcome in comparison.outcomes}

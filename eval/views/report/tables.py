@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
-from eval.comparison.results import PAIRED_METRICS, Comparison, Outcome
-from eval.views.terminal import heading, numbers
-
-PERIOD_US = 1500.0  # of the controller
+from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
+from eval.comparison.timing import PERIOD_US
+from eval.style.metrics import heading, numbers
+from eval.views.frame import MethodLine, frame_of, lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,72 +22,55 @@ class Cell:
     mark: str = ""  # "best" or "tie", or "late" beyond the control period
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One method."""
-
-    method: str
-    kind: str
-    cells: list[Cell]
+FAILED = Cell("failed")
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table of methods; what is not ranked stays below."""
+    """Table of the report; methods that are not ranked stay at the bottom, however it is sorted."""
 
     title: str
     columns: list[str]
-    ranked: list[Row] = field(default_factory=list)
-    unranked: list[Row] = field(default_factory=list)
+    lines: list[MethodLine[Cell]]
+
+    @property
+    def ranked(self) -> list[MethodLine[Cell]]:
+        """Methods that are compared with others."""
+        return [line for line in self.lines if line.ranked]
+
+    @property
+    def unranked(self) -> list[MethodLine[Cell]]:
+        """Methods that see what no other does."""
+        return [line for line in self.lines if not line.ranked]
 
 
 def metric_tables(comparison: Comparison) -> list[Table]:
     """Methods by splits, in the metrics that are compared scenario by scenario."""
-    return [_metric_table(comparison, name) for name in PAIRED_METRICS]
+    found = frame_of(comparison)
+    return [
+        Table(heading(name), comparison.splits(), lines(found[found.metric == name], "split", _metric_cell, FAILED))
+        for name in PAIRED_METRICS
+    ]
 
 
-def _metric_table(comparison: Comparison, name: str) -> Table:
-    splits = comparison.splits()
-    by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
-
-    def cells(method: str) -> list[Cell]:
-        marks = [comparison.marks[split][name].get(method, "") for split in splits]
-        return [
-            _metric_cell(by_split[split].get(method), name, mark) for split, mark in zip(splits, marks, strict=True)
-        ]
-
-    return _table(comparison, heading(name), splits, cells)
-
-
-def _table(comparison: Comparison, title: str, columns: list[str], cells) -> Table:
-    table = Table(title, columns)
-    for outcome in comparison.methods():
-        row = Row(outcome.method.name, outcome.method.kind, cells(outcome.method.name))
-        (table.ranked if outcome.ranked else table.unranked).append(row)
-    return table
-
-
-def _metric_cell(outcome: Outcome | None, name: str, mark: str) -> Cell:
-    if outcome is None:
-        return Cell("failed")
-    point, low, high = numbers(name, outcome.estimates[name])
-    return Cell(point, f"[{low}, {high}]", outcome.estimates[name].iqm, mark)
+def _metric_cell(row: Any) -> Cell:
+    point, low, high = numbers(row.metric, row)
+    return Cell(point, f"[{low}, {high}]", row.iqm, row.mark)
 
 
 def failure_table(comparison: Comparison) -> Table:
     """Share of runs in which the tip never settles, and how often the arm left its workspace."""
     splits = comparison.splits()
-    by_split = {split: {o.method.name: o for o in comparison.on(split)} for split in splits}
+    cells = {(outcome.method.name, outcome.split): _failure_cell(outcome) for outcome in comparison.outcomes}
+    return _table(
+        comparison,
+        "Runs that never settle within ±1 mm",
+        splits,
+        lambda outcome: [cells.get((outcome.method.name, split), FAILED) for split in splits],
+    )
 
-    def cells(method: str) -> list[Cell]:
-        return [_failure_cell(by_split[split].get(method)) for split in splits]
 
-    return _table(comparison, "Runs that never settle within ±1 mm", splits, cells)
-
-
-def _failure_cell(outcome: Outcome | None) -> Cell:
-    if outcome is None:
-        return Cell("failed")
+def _failure_cell(outcome: MethodOutcome) -> Cell:
     counts = outcome.failures
     share = counts["not_settled"] / counts["runs"]
     left = counts["left_workspace"]
@@ -94,13 +79,19 @@ def _failure_cell(outcome: Outcome | None) -> Cell:
 
 def effort_table(comparison: Comparison) -> Table:
     """What each method takes: simulator steps and time of tuning or training, and time per action."""
-    by_name = {outcome.method.name: outcome for outcome in comparison.methods()}
     columns = ["training seeds", "simulator steps per seed", "wall-clock per seed (s)"]
     columns += ["per action, median (µs)", "per action, 99 % (µs)"]
-    return _table(comparison, "What each method takes", columns, lambda method: _effort(by_name[method]))
+    return _table(comparison, "What each method takes", columns, _effort)
 
 
-def _effort(outcome: Outcome) -> list[Cell]:
+def _table(
+    comparison: Comparison, title: str, columns: list[str], cells: Callable[[MethodOutcome], list[Cell]]
+) -> Table:
+    made = [MethodLine(o.method.name, o.method.kind, o.seeds, cells(o)) for o in comparison.methods()]
+    return Table(title, columns, made)
+
+
+def _effort(outcome: MethodOutcome) -> list[Cell]:
     training = outcome.method.training
     steps, seconds = (
         max(training[name], default=0.0) if training else 0.0 for name in ("simulator_steps", "wall_clock_s")

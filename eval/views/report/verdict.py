@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from eval.comparison.estimates import Estimate, Paired, holm, paired
-from eval.comparison.results import Comparison, Outcome
+from eval.comparison.results import Comparison, MethodOutcome
+from eval.style.metrics import cell, numbers, title, with_unit
 from eval.views.report.scenes import challengers
-from eval.views.terminal import COLUMNS, cell, numbers
 
 _KINDS = {"learned": "learned method", "added": "added controller"}
 
@@ -17,8 +17,8 @@ class Duel:
     """The best challenger of a split against its best classical controller."""
 
     split: str
-    challenger: Outcome
-    classical: Outcome
+    challenger: MethodOutcome
+    classical: MethodOutcome
     pairs: dict[str, Paired]
 
     @property
@@ -70,7 +70,7 @@ def _count(fought: list[Duel], kind: str) -> str:
     return f"In cost, the best {kind} {', '.join(before)}{' and ' if before else ''}{last}"
 
 
-def _among_all(duel: Duel, outcomes: list[Outcome]) -> str:
+def _among_all(duel: Duel, outcomes: list[MethodOutcome]) -> str:
     """How many classical controllers the challenger is shown to beat, where it does not beat the best."""
     classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
     if duel.result == "wins" or len(classical) < 2:
@@ -142,7 +142,7 @@ def _other_metrics(duel: Duel) -> str:
     for name in ("tip_rms_mm", "residual_pp_mm"):
         pair = duel.pairs[name]
         word = pair.verdict if pair.survives else "no difference shown"
-        parts.append(f"{COLUMNS[name][0]} {word} ({signed(name, pair.difference)} {COLUMNS[name][1]})")
+        parts.append(f"{title(name)} {word} ({with_unit(name, signed(name, pair.difference))})")
     return f"In other metrics {duel.challenger.method.name} against {duel.classical.method.name}: {'; '.join(parts)}."
 
 

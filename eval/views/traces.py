@@ -7,7 +7,7 @@ import numpy as np
 from beltarm_env.rollout import Recording
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.pairs import Failure, attempt
-from eval.comparison.results import Comparison, Outcome
+from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.splits import Split
 from eval.style.colours import COLOURS
 
@@ -44,7 +44,7 @@ def shown_methods(comparison: Comparison) -> list[str]:
     return [outcome.method.name for outcome in outcomes if outcome.method.name in names]
 
 
-def shown_scenario(outcomes: list[Outcome]) -> int:
+def shown_scenario(outcomes: list[MethodOutcome]) -> int:
     """The scenario in which the first method does as well as it does in the median."""
     errors = outcomes[0].metrics["tip_rms_mm"][0]
     return int(np.argsort(errors)[len(errors) // 2])

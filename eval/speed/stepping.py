@@ -1,0 +1,81 @@
+"""Steps per second of the environments, beside Gymnasium's CartPole-v1."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+
+import beltarm_env  # noqa: F401  registers the arm
+
+Row = tuple[str, str, str, str]
+"""What was measured, the result, the peer's, their ratio."""
+_PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
+
+
+def best_times(runs: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
+    """Shortest wall-clock of each call [s]; they take turns, so that a busy machine slows all of them."""
+    times = []
+    for repetition in range(repetitions + 1):
+        for run in runs:
+            began = time.perf_counter()
+            run()
+            if repetition > 0:  # the first warms up
+                times.append(time.perf_counter() - began)
+    return [min(times[k :: len(runs)]) for k in range(len(runs))]
+
+
+def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
+    """Speed of the vector environment, lumped and full arm."""
+    batches = [
+        _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
+        _batch_steps("BeltArm-v0", arms, steps, randomization="train", model="lagrangian"),
+        _batch_steps("CartPole-v1", arms, steps),
+    ]
+    lumped, full, cart = (took / steps for took in best_times(batches, repetitions))
+    of_lumped, of_full, of_cart = (f"{arms / took / 1e6:.1f} M steps/s" for took in (lumped, full, cart))
+    full_arm = f"vector step of the full arm, N = {arms}"
+    return [
+        (f"vector step, N = {arms}", of_lumped, f"CartPole-v1: {of_cart}", f"{cart / lumped:.2f}x"),
+        (full_arm, of_full, "lumped arm, the row above", f"{lumped / full:.2f}x"),
+    ]
+
+
+def single_row(steps: int, repetitions: int) -> Row:
+    """Time of a step of a single environment through `make`."""
+    count = _PER_SINGLE_ARM * steps
+    runs = [_single_steps(name, count) for name in ("BeltArm-v0", "CartPole-v1")]
+    arm, cart = (took / count for took in best_times(runs, repetitions))
+    return "single step through make", f"{1e6 * arm:.2f} us", f"CartPole-v1: {1e6 * cart:.2f} us", f"{cart / arm:.2f}x"
+
+
+def _batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
+    """Steps of a vector environment under random actions."""
+    env = gym.make_vec(name, num_envs=arms, vectorization_mode="vector_entry_point", **settings)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(16)]
+
+    def run() -> None:
+        for step in range(steps):
+            env.step(actions[step % 16])
+
+    return run
+
+
+def _single_steps(name: str, steps: int) -> Callable[[], None]:
+    """Steps of one environment under random actions, episodes restarted as they end."""
+    env = gym.make(name)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(16)]
+
+    def run() -> None:
+        for step in range(steps):
+            _, _, terminated, truncated, _ = env.step(actions[step % 16])
+            if terminated or truncated:
+                env.reset()
+
+    return run

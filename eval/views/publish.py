@@ -1,0 +1,51 @@
+"""Everything that a comparison shows: tables in the terminal, and all files of its folder."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from rich.console import Console
+
+from baselines.tools.files import write_text
+from eval.comparison.results import Comparison
+from eval.comparison.schema import write_results
+from eval.comparison.splits import Split
+from eval.views.markdown import markdown
+from eval.views.plots import save_plots
+from eval.views.report import Recordings, record_scenes, robustness_maps, write_report
+from eval.views.terminal import print_tables
+from eval.views.traces import record
+
+
+def publish(
+    comparison: Comparison, splits: dict[str, Split], folder: Path, console: Console, *, maps: bool = False
+) -> Comparison:
+    """Print tables and write report.html, results.json, episodes.csv, summary.md and pictures.
+
+    Args:
+        comparison: What was found.
+        splits: Splits that were compared, by name.
+        folder: Where to write.
+        console: Where to print.
+        maps: Whether the report has robustness maps, which are simulated first.
+
+    Returns:
+        The comparison, with the failures of methods that were run once more to be shown.
+
+    Raises:
+        OSError: If a file cannot be written.
+    """
+    traces, unrecorded = record(comparison, splits)
+    scenes, unseen = record_scenes(comparison, splits)
+    drawn, unmapped = robustness_maps(comparison) if maps else ([], [])
+    comparison = comparison.with_failures([*unrecorded, *unseen, *unmapped])
+    print_tables(comparison, console)
+    write_results(comparison, folder)
+    digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
+    pictures = save_plots(comparison, traces, folder, digest)
+    write_text(folder / "summary.md", markdown(comparison, [path.name for path in pictures], digest))
+    console.print(f"written to {folder}: results.json, episodes.csv, summary.md, {len(pictures)} pictures")
+    write_report(comparison, Recordings(scenes, drawn), folder)
+    console.print(f"for reading: {folder / 'report.html'}")
+    return comparison

@@ -1,0 +1,69 @@
+"""The comparison's numbers in the README, between two markers, and whether what lies beside them is of one run."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from eval.views.frame import frame_of_rows
+from eval.views.markdown import method_table
+from eval.views.plots import RESULTS_KEY
+
+BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
+_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share")
+_DETAILED = "randomized"
+
+
+def block(results: dict[str, Any]) -> str:
+    """The README's tables, from the content of results.json: the cost on every split, and more of one split."""
+    found = frame_of_rows(results["rows"])
+    splits = list(found.split.unique())
+    detailed = _DETAILED if _DETAILED in splits else splits[-1]
+    parts = [
+        "Cost on every split:",
+        method_table(found[found.metric == "cost"], "split", with_seeds=True),
+        f"More of `{detailed}`:",
+        method_table(found[(found.split == detailed) & found.metric.isin(_SHOWN)], "metric", with_seeds=True),
+        _origin(results),
+    ]
+    return "\n\n".join(parts)
+
+
+def _origin(results: dict[str, Any]) -> str:
+    provenance, episodes = results["provenance"], results["rows"][0]["episodes"]
+    unranked = any(row["kind"] == "privileged" for row in results["rows"])
+    italics = " In italics: what knows its arm and sees its state, a yardstick that is not ranked." if unranked else ""
+    fresh = not provenance.get("pairs_kept_before", 0)
+    took = f", which took {provenance['seconds']:.0f} s" if fresh else ", part of it from an earlier run"
+    return (
+        f"{episodes} scenarios per split; interquartile means (shares: means) with bootstrap 95 % intervals over "
+        f"scenarios and training seeds.{italics} From `{provenance['command']}`{took}."
+    )
+
+
+def updated(readme: str, table: str) -> str:
+    """The README with `table` between its markers.
+
+    Raises:
+        ValueError: If the markers are missing.
+    """
+    if BEGIN not in readme or END not in readme:
+        raise ValueError(f"README.md has no {BEGIN} and {END} to write between")
+    before, rest = readme.split(BEGIN, 1)
+    _, after = rest.split(END, 1)
+    return f"{before}{BEGIN}\n\n{table}\n\n{END}{after}"
+
+
+def of_other_results(results: Path) -> list[Path]:
+    """What lies beside a results.json but was not written with it: summary and pictures have its SHA-256."""
+    digest = hashlib.sha256(results.read_bytes()).hexdigest()
+    summary = results.with_name("summary.md")
+    stale = [] if summary.is_file() and digest in summary.read_text(encoding="utf-8") else [summary]
+    for path in sorted(results.parent.glob("*.png")):
+        with Image.open(path) as picture:
+            if picture.info.get(RESULTS_KEY) != digest:
+                stale.append(path)
+    return stale

@@ -1,0 +1,159 @@
+"""Arms side by side, in a window or as a film: pictures, and below them the tip error and the torque over time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+
+import numpy as np
+
+from beltarm_env.arm import FIELDS, ArmParams
+from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
+from beltarm_env.rendering.window import Window, import_pygame
+from beltarm_env.rollout import Controller, Recording
+from eval.comparison.splits import Split
+from eval.views.film import FPS, REST_S, write_film
+from eval.views.report.animation import reference_angles
+
+_COLUMN = 480  # pixels across of one arm
+_PICTURE = _COLUMN * HEIGHT // WIDTH
+_TITLE, _STRIP, _LABEL = 30, 72, 22
+_SIZE = _TITLE + _PICTURE + 2 * (_LABEL + _STRIP) + 10
+AT_MOST = 4
+"""Arms that fit side by side."""
+_PAPER, _INK, _PALE, _SHADE = (246, 246, 244), (35, 35, 35), (200, 200, 198), (228, 228, 226)
+_BLUE, _VERMILION = (0, 114, 178), (213, 94, 0)
+_FPS = 30
+_UNSEEN = ("dummy", "offscreen")  # drivers of pygame that show nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Arm to show: name, motion, renderer."""
+
+    name: str
+    motion: Recording
+    reference: np.ndarray  # of the joint [rad]     (T,)
+    renderer: Renderer
+
+    @property
+    def params(self) -> ArmParams:
+        """Constants of this arm."""
+        return ArmParams(**dict(zip(FIELDS, map(float, self.motion.params[0]), strict=True)))
+
+    @property
+    def error(self) -> np.ndarray:
+        """Size of the tip's error [mm], shape (T,)."""
+        return 1000 * np.linalg.norm(self.motion.tip_error[:, 0], axis=1)
+
+
+def track_of(name: str, controller: Controller, split: Split, scenario: int) -> Track:
+    """Run a controller on one scenario."""
+    motion = split.run(controller, scenario)
+    return Track(name, motion, reference_angles(motion), Renderer("rgb_array", _FPS))
+
+
+def write(tracks: list[Track], speed: float, path: Path) -> None:
+    """Write a film of all arms.
+
+    Args:
+        tracks: What to show.
+        speed: Seconds of the arm's time per second.
+        path: Where to, see `eval.views.film`.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    write_film(_frames(tracks, _samples(tracks, speed, FPS[path.suffix])), path)
+
+
+def show(tracks: list[Track], speed: float, window: Window) -> None:
+    """Play all arms in a window, again and again, until it is closed."""
+    samples = _samples(tracks, speed, _FPS)
+    samples += samples[-1:] * round(REST_S * _FPS)
+    shown = 0
+    while True:
+        for frame in _frames(tracks, samples):
+            shown += 1
+            if not window.begin_frame(shown / _FPS):
+                return
+            window.show(frame)
+        for track in tracks:
+            track.renderer.clear()
+
+
+def _samples(tracks: list[Track], speed: float, fps: int) -> list[int]:
+    """Samples that are shown, one per frame."""
+    time = tracks[0].motion.time
+    return [int(k) for k in np.searchsorted(time, np.arange(time[0], time[-1] + 1e-9, speed / fps) - 1e-9)]
+
+
+def _frames(tracks: list[Track], samples: list[int]) -> Iterator[np.ndarray]:
+    """Pictures of all arms, each of shape (height, width, 3)."""
+    pygame = import_pygame()
+    pygame.font.init()
+    font = pygame.font.Font(None, 23)
+    largest = float(np.median([track.error.max() for track in tracks])), max(_torque_limit(track) for track in tracks)
+    for k in samples:
+        surface = pygame.Surface((_COLUMN * len(tracks), _SIZE))
+        surface.fill(_PAPER)
+        for column, track in enumerate(tracks):
+            _draw(pygame, surface.subsurface((column * _COLUMN, 0, _COLUMN, _SIZE)), font, track, k, largest)
+        pixels = pygame.image.tobytes(surface, "RGB")
+        yield np.frombuffer(pixels, np.uint8).reshape(_SIZE, _COLUMN * len(tracks), 3)
+
+
+def _torque_limit(track: Track) -> float:
+    return float(track.motion.params[0, FIELDS.index("torque_limit")])
+
+
+def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: tuple[float, float]) -> None:
+    state, time = track.motion.state[k, 0], float(track.motion.time[k])
+    picture = track.renderer.draw(track.params, state, float(track.reference[k]), time)
+    assert picture is not None
+    arm = pygame.image.frombuffer(picture.tobytes(), (WIDTH, HEIGHT), "RGB")
+    surface.blit(pygame.transform.smoothscale(arm, (_COLUMN, _PICTURE)), (0, _TITLE))
+    surface.blit(font.render(track.name, True, _INK), (12, 8))
+    move = float(track.motion.moves[0, 2] / track.motion.time[-1])
+    top = _TITLE + _PICTURE
+    strips = (
+        (f"tip error, cut at {largest[0]:.0f} mm", track.error / largest[0], _VERMILION),
+        (f"torque, ±{largest[1]:g} N m", 0.5 + 0.5 * track.motion.torque[:, 0] / largest[1], _BLUE),
+    )
+    for label, heights, colour in strips:
+        surface.blit(font.render(label, True, _INK), (12, top + 3))
+        _strip(pygame, surface, top + _LABEL, heights[: k + 1], len(track.motion.time), move, colour)
+        top += _LABEL + _STRIP
+
+
+def _strip(pygame: Any, surface: Any, top: int, heights: np.ndarray, count: int, move: float, colour: Any) -> None:
+    """A quantity from 0 to 1 over time, the move shaded."""
+    width = _COLUMN - 24
+    pygame.draw.rect(surface, _SHADE, (12, top, move * width, _STRIP))
+    pygame.draw.rect(surface, _PALE, (12, top, width, _STRIP), 1)
+    x = 12 + width * np.arange(1, len(heights) + 1) / count
+    y = top + (_STRIP - 2) * (1 - np.clip(heights, 0, 1)) + 1
+    if len(heights) > 1:
+        pygame.draw.lines(surface, colour, False, np.column_stack([x, y]).tolist(), 2)
+
+
+def open_window(count: int) -> Window:
+    """Open a window for some arms.
+
+    Raises:
+        ValueError: If there is no display, unless pygame was told to do without.
+    """
+    pygame = import_pygame()
+    remedy = "write a picture with --out motion.gif"
+    try:
+        window = Window("arms side by side", (_COLUMN * count, _SIZE), _FPS)
+    except pygame.error as error:
+        raise ValueError(f"no window can be opened here ({error}): {remedy}") from None
+    if pygame.display.get_driver() in _UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
+        raise ValueError(f"there is no display to open a window on: {remedy}")
+    return window
