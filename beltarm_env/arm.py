@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -227,3 +227,18 @@ def fastest_arms(bounds: Floats) -> Floats:
     table[:, inertia] = np.repeat(inertias, len(swings))
     table[:, swing] = np.tile(swings, len(inertias))
     return table
+
+
+def params_table(arms: Sequence[ArmParams]) -> Floats:
+    """Constants of n arms, columns as the fields of `ArmParams`, shape (n, len(FIELDS))."""
+    return np.array([[getattr(arm, name) for name in FIELDS] for arm in arms])
+
+
+def params_of(row: Floats) -> ArmParams:
+    """The arm whose constants are a row of such a table."""
+    return ArmParams(*row)
+
+
+def plant_of_params(params: ArmParams) -> Plant:
+    """Coefficients of an arm's equations of motion, see `plant_of`."""
+    return plant_of(params_table([params])[0])

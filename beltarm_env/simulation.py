@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, ArmParams, check_integrable, integration_substeps, plant_of
+from beltarm_env.arm import FIELDS, ArmParams, check_integrable, integration_substeps, params_table, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, move_block
@@ -16,11 +16,6 @@ from beltarm_env.physics.models import MODELS, Model
 from beltarm_env.physics.plant import ArmState
 
 Floats = NDArray[np.float64]
-
-
-def params_table(arms: Sequence[ArmParams]) -> Floats:
-    """Constants of n arms, columns as the fields of `ArmParams`, shape (n, 12)."""
-    return np.array([[getattr(arm, name) for name in FIELDS] for arm in arms])
 
 
 @compiled

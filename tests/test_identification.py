@@ -14,8 +14,8 @@ from baselines.estimation.identification import ArmIdentifier, common_count
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmVectorEnv
+from beltarm_env.arm import params_table
 from beltarm_env.rollout import rollout
-from beltarm_env.simulation import params_table
 
 SEED = 5_000_000
 

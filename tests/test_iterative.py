@@ -18,8 +18,8 @@ from baselines.iterative.motor_learning import FeedForward, MotorLearningControl
 from baselines.iterative.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
 from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import ArmParams, BeltArmEnv
+from beltarm_env.arm import params_table
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.simulation import params_table
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import MoveShape
 from eval.iterative import main, metrics, repeated

@@ -20,8 +20,9 @@ from baselines.optimal.preview import PreviewController, PreviewGains
 from baselines.reading import read
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, observation, state_space
+from beltarm_env.arm import params_table
 from beltarm_env.rollout import rollout
-from beltarm_env.simulation import ArmSimulation, params_table
+from beltarm_env.simulation import ArmSimulation
 
 Floats = NDArray[np.float64]
 

@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import FIELDS, params_table
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, move_block
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.models import LUMPED
-from beltarm_env.simulation import load_arms, params_table
+from beltarm_env.simulation import load_arms
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arm import params_table
 from beltarm_env.jit import compiled
 from beltarm_env.physics.linear import sample_models
-from beltarm_env.simulation import params_table
 
 Floats = NDArray[np.float64]
 

@@ -36,9 +36,8 @@ from numpy.typing import NDArray
 
 from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
-from beltarm_env.arm import plant_of
+from beltarm_env.arm import params_table, plant_of
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.simulation import params_table
 
 Floats = NDArray[np.float64]
 

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.arm import plant_of_params
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.plant import Plant
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
@@ -69,7 +69,7 @@ def horizon(
     params: ArmParams, velocity_weight: float, change_weight: float, lengths: NDArray[np.int64] = STEPS
 ) -> Horizon:
     """Tables of the problem for an arm."""
-    plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
+    plant = plant_of_params(params)
     arm = LinearArms(*(part[0] for part in linear_arm(params)))
     single = np.zeros((len(ANGLES), SIZE + 1, SIZE + 1))  # over one sample, of z and an acceleration, both held
     single[:, :4, :4], single[:, :4, 4], single[:, :4, 5] = arm.transition, arm.by_torque, arm.by_acceleration

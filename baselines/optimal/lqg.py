@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
+from baselines.models.friction import breakaway_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
-from baselines.optimal.plan import LEAST_SLOPE, Weights, breakaway_direction
+from baselines.optimal.plan import LEAST_SLOPE, Weights
 from baselines.reading import as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE

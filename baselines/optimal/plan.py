@@ -197,8 +197,3 @@ def planned_torque(plans: Plans, step: NDArray[np.intp], state: Floats) -> Float
     rows = np.array([plan[k] for plan, k in zip(plans, np.minimum(step, EPISODE_STEPS - 1), strict=True)])
     feedback = rows[:, 4:8] * (state - rows[:, :4])
     return rows[:, 8] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
-
-
-def breakaway_direction(speed: Floats, torque: Floats, slow: float) -> Floats:
-    """Sign of the motor's speed [rad/s]; below `slow`, where friction holds it, that of the torque asked of it."""
-    return np.where(np.abs(speed) > slow, np.sign(speed), np.sign(torque))

@@ -28,7 +28,7 @@ from baselines.reading import read
 from baselines.tools.files import require_writable, write_text
 from baselines.tools.provenance import command_line
 from beltarm_env import EPISODE_STEPS, ArmParams, __version__
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import FIELDS, params_of
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
 
@@ -68,8 +68,7 @@ class Scenario:
             raise ValueError(f"--scenario must be nominal:SEED or train:SEED, got {text!r}")
         idle = Replay(np.zeros((1, EPISODE_STEPS), np.float32))
         run = rollout(idle, 1, seed=int(seed), randomization=_RANDOMIZATION[kind])
-        params = dict(zip(FIELDS, map(float, run.params[0]), strict=True))
-        return cls(kind, int(seed), ArmParams(**params), MoveShape(*map(float, run.moves[0])))
+        return cls(kind, int(seed), params_of(run.params[0]), MoveShape(*map(float, run.moves[0])))
 
 
 class Replay:

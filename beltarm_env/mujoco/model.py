@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import ArmParams
+from beltarm_env.arm import ArmParams, plant_of_params
 from beltarm_env.timing import CONTROL_PERIOD
 
 try:
@@ -120,8 +120,7 @@ def _set_damping_and_stiffness(model: MjModel, params: ArmParams) -> None:
     # In the model, because their type in MjSpec differs from one MuJoCo to the next.
     model.dof_damping[0] = params.gear_ratio**2 * params.motor_viscous_friction
     model.tendon_stiffness[0] = params.belt_stiffness
-    unloaded = params.arm_inertia + params.arm_inertia_swing
-    model.tendon_damping[0] = 2 * params.belt_damping_ratio * math.sqrt(params.belt_stiffness * unloaded)
+    model.tendon_damping[0] = plant_of_params(params).damping
 
 
 def _distribute_masses(spec: MjSpec, params: ArmParams) -> None:

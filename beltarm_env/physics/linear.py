@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import FIELDS, ArmParams, plant_of
+from beltarm_env.arm import ArmParams, plant_of, plant_of_params
 from beltarm_env.jit import compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
 from beltarm_env.physics.plant import Plant
@@ -98,7 +98,7 @@ def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tup
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
     if not isinstance(model, str) or model not in MODELS:
         raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
-    plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
+    plant = plant_of_params(params)
     held = np.zeros((6, 6))
     _fill(held, plant, math.cos(theta_1), MODELS[model])
     return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
