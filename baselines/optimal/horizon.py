@@ -28,7 +28,7 @@ import numpy as np
 from control import dare
 from numpy.typing import NDArray
 
-from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.linear import ANGLES, LinearArms, linear_arm, place
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -41,8 +41,6 @@ Floats = NDArray[np.float64]
 
 STEPS = np.repeat([1, 2, 4, 8], [8, 6, 6, 20])
 """Length of every step in samples: 0.3 s in all."""
-_PER_RADIAN = 1 / float(ANGLES[1])
-_LAST = len(ANGLES) - 1
 
 
 class Horizon(NamedTuple):
@@ -88,14 +86,6 @@ def horizon(
 
 
 @inlined
-def _row(angle: float) -> tuple[int, float]:
-    """Row of a table over `ANGLES` below an angle, and how far it is towards the next one."""
-    position = min(max(angle * _PER_RADIAN, 0.0), float(_LAST))
-    row = min(int(position), _LAST - 1)
-    return row, position - row
-
-
-@inlined
 def _turning(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
     """M2 [kg m^2] and M2' phi'^2 / 2 [N m]."""
     sine, cosine = np.sin(angle), np.cos(angle)
@@ -105,7 +95,7 @@ def _turning(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
 @compiled
 def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Reference, end: Reference) -> None:
     """Dynamics and weight of step k, between two references."""
-    row, share = _row(middle.angle)
+    row, share = place(middle.angle)
     table, accelerated = ahead.transition[ahead.which[k]], ahead.by_acceleration[ahead.which[k]]
     gear = ahead.plant.gear
     m2, torque = _turning(middle.angle, middle.speed, ahead.plant)
@@ -129,7 +119,7 @@ def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Refe
 @compiled
 def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
     """The final weight, and the torsion and torque about which it is: those of a steady motion like the reference."""
-    row, share = _row(end.angle)
+    row, share = place(end.angle)
     for i in range(SIZE):
         for j in range(SIZE):
             p.final[i, j] = ahead.final[row, i, j] + share * (ahead.final[row + 1, i, j] - ahead.final[row, i, j])

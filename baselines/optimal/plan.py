@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.models.linear import LinearArms, linear_arms
+from baselines.models.linear import LinearArms, linear_arms, place
 from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import plant_of
@@ -47,14 +47,6 @@ class Plan(NamedTuple):
 
 
 @compiled
-def _at(table: Floats, angle: float) -> Floats:
-    position = min(max(angle * (len(table) - 1) / (0.5 * np.pi), 0.0), len(table) - 1.0)
-    below = min(int(position), len(table) - 2)
-    weight = position - below
-    return table[below] * (1.0 - weight) + table[below + 1] * weight
-
-
-@compiled
 def _plan_move(
     task: Floats,
     plant: Plant,
@@ -72,7 +64,10 @@ def _plan_move(
         angle, speed = task[k + 1, 0], task[k + 1, 1]
         add_tip_cost(to_go, angle, speed, bounded_sine(angle), plant, (weights[0], weights[1]))
         angle, speed = task[k, 0], task[k, 1]
-        a, b, e = _at(tables[0], angle), _at(tables[1], angle), _at(tables[2], angle)
+        row, weight = place(angle)
+        a = tables[0][row] * (1.0 - weight) + tables[0][row + 1] * weight
+        b = tables[1][row] * (1.0 - weight) + tables[1][row + 1] * weight
+        e = tables[2][row] * (1.0 - weight) + tables[2][row + 1] * weight
         m2 = plant.inertia + plant.inertia_swing * np.sin(angle) ** 2
         centrifugal = plant.inertia_swing * np.sin(angle) * np.cos(angle) * speed * speed / m2
         drift, pb, pa, pd = np.zeros(4), np.zeros(4), np.zeros((4, 4)), np.zeros(4)
