@@ -47,6 +47,12 @@ def place(angle: float) -> tuple[int, float]:
     return row, position - row
 
 
+@inlined
+def between(low: float, high: float, weight: float) -> float:
+    """Linear interpolation between two entries of a table, `weight` being that of the second."""
+    return low * (1.0 - weight) + high * weight
+
+
 def at_angle(table: Floats, angle: Floats) -> Floats:
     """Linear interpolation of one arm's table over `ANGLES` at joint angles [rad] of shape (n,): shape (n, ...)."""
     return _interpolated(table.reshape(len(table), -1), angle).reshape(len(angle), *table.shape[1:])
@@ -58,5 +64,5 @@ def _interpolated(table: Floats, angle: Floats) -> Floats:
     for n in range(len(angle)):
         row, weight = place(angle[n])
         for k in range(table.shape[1]):
-            result[n, k] = table[row, k] * (1.0 - weight) + table[row + 1, k] * weight
+            result[n, k] = between(table[row, k], table[row + 1, k], weight)
     return result

@@ -28,7 +28,7 @@ import numpy as np
 from control import dare
 from numpy.typing import NDArray
 
-from baselines.models.linear import ANGLES, LinearArms, linear_arm, place
+from baselines.models.linear import ANGLES, LinearArms, between, linear_arm, place
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -95,16 +95,16 @@ def _turning(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
 @compiled
 def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Reference, end: Reference) -> None:
     """Dynamics and weight of step k, between two references."""
-    row, share = place(middle.angle)
+    row, weight = place(middle.angle)
     table, accelerated = ahead.transition[ahead.which[k]], ahead.by_acceleration[ahead.which[k]]
     gear = ahead.plant.gear
     m2, torque = _turning(middle.angle, middle.speed, ahead.plant)
     for i in range(SIZE):
         for j in range(SIZE):
-            p.transition[k, i, j] = table[row, i, j] + share * (table[row + 1, i, j] - table[row, i, j])
+            p.transition[k, i, j] = between(table[row, i, j], table[row + 1, i, j], weight)
             p.weight[k, i, j] = 0.0
     for i in range(4):
-        by_acceleration = accelerated[row, i] + share * (accelerated[row + 1, i] - accelerated[row, i])
+        by_acceleration = between(accelerated[row, i], accelerated[row + 1, i], weight)
         p.offset[k, i] = gear * (p.transition[k, i, 0] * start.angle + p.transition[k, i, 1] * start.speed)
         p.offset[k, i] += by_acceleration * torque / m2
     p.offset[k, 0] -= gear * end.angle
@@ -119,10 +119,10 @@ def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Refe
 @compiled
 def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
     """The final weight, and the torsion and torque about which it is: those of a steady motion like the reference."""
-    row, share = place(end.angle)
+    row, weight = place(end.angle)
     for i in range(SIZE):
         for j in range(SIZE):
-            p.final[i, j] = ahead.final[row, i, j] + share * (ahead.final[row + 1, i, j] - ahead.final[row, i, j])
+            p.final[i, j] = between(ahead.final[row, i, j], ahead.final[row + 1, i, j], weight)
     plant = ahead.plant
     m2, turning = _turning(end.angle, end.speed, plant)
     load = m2 * end.acceleration + turning

@@ -20,15 +20,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.models.linear import LinearArms, linear_arms, place
+from baselines.models.linear import LinearArms, between, linear_arms, place
+from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
 from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import plant_of
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.plant import Plant
 from beltarm_env.task.reference import TRAPEZOID, sample_references
 
 Floats = NDArray[np.float64]
+Triple = tuple[float, float, float]
 
 
 class Weights(NamedTuple):
@@ -46,75 +48,46 @@ class Plan(NamedTuple):
     torque: Floats  # tau_ff [N m], shape (n, 1200)
 
 
-@compiled
-def _plan_move(
-    task: Floats,
-    plant: Plant,
-    tables: tuple[Floats, Floats, Floats],
-    weights: tuple[float, float, float],
-    reference: Floats,
-    gain: Floats,
-    torque: Floats,
-) -> None:
-    states = np.zeros((len(task), 4))
-    states[:, 0], states[:, 1] = plant.gear * task[:, 0], plant.gear * task[:, 1]
-    reference[:] = states[:-1]
-    to_go, slope = np.zeros((4, 4)), np.zeros(4)
-    for k in range(len(gain) - 1, -1, -1):
-        angle, speed = task[k + 1, 0], task[k + 1, 1]
-        add_tip_cost(to_go, angle, speed, bounded_sine(angle), plant, (weights[0], weights[1]))
-        angle, speed = task[k, 0], task[k, 1]
-        row, weight = place(angle)
-        a = tables[0][row] * (1.0 - weight) + tables[0][row + 1] * weight
-        b = tables[1][row] * (1.0 - weight) + tables[1][row + 1] * weight
-        e = tables[2][row] * (1.0 - weight) + tables[2][row + 1] * weight
-        m2 = plant.inertia + plant.inertia_swing * np.sin(angle) ** 2
-        centrifugal = plant.inertia_swing * np.sin(angle) * np.cos(angle) * speed * speed / m2
-        drift, pb, pa, pd = np.zeros(4), np.zeros(4), np.zeros((4, 4)), np.zeros(4)
-        for i in range(4):
-            drift[i] = e[i] * centrifugal - states[k + 1, i]
-            for j in range(4):
-                drift[i] += a[i, j] * states[k, j]
-                pb[i] += to_go[i, j] * b[j]
-        for i in range(4):
-            pd[i] = slope[i]
-            for j in range(4):
-                pd[i] += to_go[i, j] * drift[j]
-                for m in range(4):
-                    pa[i, j] += to_go[i, m] * a[m, j]
-        effect, target = weights[2], 0.0
-        for i in range(4):
-            effect += b[i] * pb[i]
-            target += b[i] * pd[i]
-        torque[k] = -target / effect
+@inlined
+def _set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
+    """Write A, b and d of the step between two samples of the reference, each an angle and a speed."""
+    row, weight = place(now[0])
+    sine, cosine = np.sin(now[0]), np.cos(now[0])
+    m2 = plant.inertia + plant.inertia_swing * sine * sine
+    centrifugal = plant.inertia_swing * sine * cosine * now[1] * now[1] / m2
+    for i in range(4):
+        b[i] = between(model.by_torque[row, i], model.by_torque[row + 1, i], weight)
+        d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * centrifugal
         for j in range(4):
-            gain[k, j] = (pb[0] * a[0, j] + pb[1] * a[1, j] + pb[2] * a[2, j] + pb[3] * a[3, j]) / effect
-        for i in range(4):
-            slope[i] = 0.0
-            for m in range(4):
-                slope[i] += a[m, i] * (pd[m] + pb[m] * torque[k])
-        for i in range(4):
-            for j in range(i + 1):
-                value = 0.0
-                for m in range(4):
-                    value += a[m, i] * (pa[m, j] - pb[m] * gain[k, j])
-                to_go[i, j] = to_go[j, i] = value
+            a[i, j] = between(model.transition[row, i, j], model.transition[row + 1, i, j], weight)
+    for i in range(4):
+        d[i] += plant.gear * (a[i, 0] * now[0] + a[i, 1] * now[1])
+    d[0] -= plant.gear * after[0]
+    d[1] -= plant.gear * after[1]
 
 
 @compiled
-def _plan_moves(
-    tasks: Floats,
-    table: Floats,
-    models: LinearArms,
-    weights: tuple[float, float, float],
-    reference: Floats,
-    gain: Floats,
-    torque: Floats,
-) -> None:
+def _plan_move(task: Floats, plant: Plant, model: LinearArms, weights: Triple, plan: Plan) -> None:
+    to_go, slope = no_cost(4), np.empty(6)
+    a, b, d = np.empty((4, 4)), np.empty(4), np.empty(4)
+    for k in range(len(plan.torque) - 1, -1, -1):
+        angle, speed = task[k + 1, 0], task[k + 1, 1]
+        add_tip_cost(to_go.matrix, angle, speed, bounded_sine(angle), plant, (weights[0], weights[1]))
+        _set_step(task[k], task[k + 1], plant, model, a, b, d)
+        slope_in_input(4, to_go, a, b, d, (weights[2], 0.0), slope)
+        plan.torque[k] = free_input(4, slope, plan.gain[k])
+        step_back(4, to_go, a, slope, plan.gain[k], plan.torque[k])
+        plan.reference[k, 0], plan.reference[k, 1] = plant.gear * task[k, 0], plant.gear * task[k, 1]
+        plan.reference[k, 2] = plan.reference[k, 3] = 0.0
+
+
+@compiled
+def _plan_moves(tasks: Floats, table: Floats, models: LinearArms, weights: Triple, plans: Plan) -> None:
     for i in range(len(tasks)):
         own = i if len(table) > 1 else 0
-        tables = models[0][own], models[1][own], models[2][own]
-        _plan_move(tasks[i], plant_of(table[own]), tables, weights, reference[i], gain[i], torque[i])
+        model = LinearArms(models.transition[own], models.by_torque[own], models.by_acceleration[own])
+        plan = Plan(plans.reference[i], plans.gain[i], plans.torque[i])
+        _plan_move(tasks[i], plant_of(table[own]), model, weights, plan)
 
 
 def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
@@ -131,7 +104,7 @@ def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
     )
     tasks = np.empty((count, EPISODE_STEPS + 1, 3))
     sample_references(TRAPEZOID, np.ascontiguousarray(moves), CONTROL_PERIOD, tasks)
-    _plan_moves(tasks, table, linear_arms(table), (*error_weights(weights.velocity), weights.torque), *plan)
+    _plan_moves(tasks, table, linear_arms(table), (*error_weights(weights.velocity), weights.torque), plan)
     return plan
 
 
