@@ -16,8 +16,9 @@ from baselines.estimation.observer import Noise, kalman_gains
 from baselines.gains import tuned
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.flatness import Corners, FlatMotion, flat_motion, smoothed
-from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains, tip_errors
+from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.optimal.plan import Weights
+from baselines.optimal.tip_error import bounded_sine, softened_sine, tip_error_rows
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
@@ -144,13 +145,18 @@ class TestFlatInverse:
         assert np.abs(states[:, 2] - planned.state[:, 2]).max() < 1e-4
 
 
+def tip_errors(angle: float, speed: float = 0.0) -> Floats:
+    """C of the nominal arm, about a joint at this angle [rad] that turns at this speed [rad/s]."""
+    return np.array(tip_error_rows(angle, speed, bounded_sine(angle), ArmParams().plant()))
+
+
 class TestFeedbackGains:
     @pytest.mark.parametrize("weights", [Weights(), Weights(0.05, 100.0)])
     def test_are_the_optimum_of_the_riccati_equation(self, weights: Weights):
         tables = linear_arm(ArmParams())
         for k in (0, 22, 45):
             a, b, gain = tables.transition[0, k], tables.by_torque[0, k], feedback_gains(ArmParams(), weights)[k]
-            c = tip_errors(ArmParams(), float(ANGLES[k]))
+            c = tip_errors(float(ANGLES[k]))
             q = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
             closed = a - np.outer(b, gain)
             # The cost of the loop itself, as an infinite sum by doubling: J = sum of closed^T^i (Q + rho K'K) closed^i.
@@ -160,21 +166,25 @@ class TestFeedbackGains:
             to_go = weights.torque + b @ cost @ b
             np.testing.assert_allclose(gain, b @ cost @ a / to_go, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
 
-    def test_errors_are_the_tips(self):
-        # Finite differences of the exact tip, at rest at 40 degrees.
+    @pytest.mark.parametrize("speed", [0.0, 1.7])
+    def test_errors_are_the_tips(self, speed: float):
+        # Finite differences of the exact tip, in a frame that turns with the reference, at 40 degrees.
         angle, step = math.radians(40.0), 1e-6
+        reference = np.array([GEAR * angle, GEAR * speed, 0.0, 0.0])
 
-        def tip(theta_a: float, theta_s: float) -> Floats:
-            reach = 0.5 * math.cos(theta_a / GEAR - theta_s) + 0.1
-            return np.array([reach * math.cos(theta_s), reach * math.sin(theta_s)])
+        def tip(deviation: Floats) -> Floats:
+            (theta, omega), (torsion, rate) = (reference + deviation)[:2] / GEAR, deviation[2:]
+            reach = 0.5 * math.cos(theta - torsion) + 0.1
+            reach_rate = -0.5 * math.sin(theta - torsion) * (omega - rate)
+            return np.array([reach, reach * torsion, reach_rate, reach_rate * torsion + reach * rate])
 
-        home = tip(GEAR * angle, 0.0)
-        slopes = np.column_stack(
-            [(tip(GEAR * angle + step, 0.0) - home) / step, (tip(GEAR * angle, step) - home) / step]
-        )
-        errors = tip_errors(ArmParams(), angle)
-        np.testing.assert_allclose(errors[:2][:, [0, 2]], slopes, atol=1e-6)
-        np.testing.assert_allclose(errors[2:][:, [1, 3]], slopes, atol=1e-6)
+        slopes = np.column_stack([(tip(step * unit) - tip(-step * unit)) / (2 * step) for unit in np.eye(4)])
+        np.testing.assert_allclose(tip_errors(angle, speed), slopes, atol=1e-8)
+
+    def test_bounds_of_the_sine_hold_the_motor_at_0_degrees_alone(self):
+        assert (bounded_sine(0.0), softened_sine(0.0)) == (0.1, 0.05)
+        for bound in (bounded_sine, softened_sine):
+            assert bound(1.2) == pytest.approx(math.sin(1.2), rel=2e-3)
 
     @pytest.mark.parametrize("gains", [LqgGains(), LqgGains(torque_weight=1e4), tuned("lqg", LqgGains)])
     def test_loops_are_stable_at_every_angle_and_between_tables(self, gains: LqgGains):

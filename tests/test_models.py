@@ -15,7 +15,7 @@ from properties import examples
 from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, state_space
-from beltarm_env.arm import FIELDS, Plant, plant_of
+from beltarm_env.arm import Plant, plant_of
 from beltarm_env.physics import full_arm as lagrangian
 from beltarm_env.physics.models import (
     FULL_ARM,
@@ -48,7 +48,7 @@ states = st.tuples(st.floats(0, GEAR * 1.5), st.floats(-200, 200), st.floats(-0.
 
 
 def plant(params: ArmParams) -> Plant:
-    return plant_of(np.array([getattr(params, name) for name in FIELDS]))
+    return params.plant()
 
 
 def full_arm(params: dict[str, float], state: Floats, **settings: Any) -> BeltArmEnv:

@@ -13,7 +13,6 @@ from baselines import PaperController
 from baselines.optimal.mpc import MpcController
 from baselines.yardsticks.oracle import FILE, METRICS, Scenario, main, read_file, replay
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, plant_of
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.physics.state import ArmState
@@ -68,7 +67,7 @@ def test_traced_equations_are_the_compiled_ones():
     pytest.importorskip("casadi")
     from baselines.yardsticks.clairvoyant import plain
 
-    plant = plant_of(np.array([getattr(ArmParams(), name) for name in FIELDS]))
+    plant = ArmParams().plant()
     state = ArmState(50.0, 100.0, 0.01, 0.2)
     traced = plain(rk4_step)(state, 0.1, 1.0, CONTROL_PERIOD, plant, LUMPED)
     assert tuple(traced) == tuple(rk4_step(state, 0.1, 1.0, CONTROL_PERIOD, plant, LUMPED))

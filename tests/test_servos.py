@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
-from baselines.models.rigid_arm import FrictionGains, Motion, RigidArm, friction_direction
+from baselines.models.rigid_arm import Motion, RigidArm
 from baselines.reading import read
 from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
 from baselines.servo.paper import PaperController
@@ -179,7 +180,7 @@ class TestFriction:
         speed, acceleration = np.array([2.0, -0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
         push = np.array([-9.0, 9.0, -9.0, 9.0, -0.005, 0.0])
         speed[5] = 1e-16  # rests, but for rounding
-        found = friction_direction(Motion(speed, speed, acceleration), push, 0.01)
+        found = commanded_direction(Motion(speed, speed, acceleration), push, 0.01)
         np.testing.assert_allclose(found, [1, -1, 1, 1, -0.5, 0])
 
     def test_compensation_ends_the_stuck_motors_error(self):

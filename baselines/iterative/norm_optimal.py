@@ -10,11 +10,8 @@ motor sticks, b_k = 0. Errors follow as e_k + C_k dx_k. Of the next trial is ask
     min  sum_k (e_k + C_k dx_k)' W_k (e_k + C_k dx_k) + R v[k]^2 + r_k (D_k + v[k] - v[k-1])^2
 
 with D_k = tau_k - tau_(k-1), over all v at once: the lifted least squares of a whole trial. It is solved exactly,
-backwards over z_k = [dx_k; v[k-1]] with A~ = diag(A_k, 0), b~ = [b_k; 1] and n = [0 0 0 0 1]', as feed-forward and
-feedback v[k] = c[k] - K[k] z_k; from P = 0, s = 0 at the end, with P~ = P + C'WC and s~ = s + C'We after sample k,
-
-    h = R + r + b~'P~b~        g = A~'P~b~ - r n        K = g' / h        c = -(b~'s~ + r D) / h
-    P <- A~'P~A~ + r nn' - gg'/h                        s <- A~'s~ - r D n + g c
+backwards over z_k = [dx_k; v[k-1]] (`baselines.optimal.riccati`), the input being v[k] - v[k-1], as feed-forward and
+feedback v[k] = c[k] - K[k] z_k.
 
 A benchmark that charges norms |e|, not squares, is met by weights made anew for every trial, W = 1 / (2 |e|) with the
 errors of the trial before (iteratively reweighted least squares): the sum then has the norms' slope at that trial.
@@ -31,9 +28,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.optimal.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
 from beltarm_env.arm import plant_of
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.simulation import ArmSimulation
@@ -76,26 +74,30 @@ def optimal_change(trial: Trial, weights: Weights, torque_change: Floats) -> tup
     """
     steps = len(torque_change)
     change, gain = np.empty(steps), np.empty((steps, 5))
-    to_go, slope = np.zeros((5, 5)), np.zeros(5)
-    a, b, c = np.zeros((5, 5)), np.ones(5), np.zeros((4, 5))
+    to_go, slope, nothing = no_cost(5), np.empty(7), np.zeros(5)
+    f, g = np.zeros((5, 5)), np.ones(5)
+    f[4, 4] = 1.0
     for k in range(steps - 1, -1, -1):
-        a[:4, :4], b[:4], c[:, :4] = trial.transition[k], trial.by_torque[k], trial.of_state[k]
-        r = weights.smoothness[k]
-        weighted = c.T * weights.errors[k]
-        to_go = to_go + weighted @ c
-        slope = slope + weighted @ trial.errors[k]
-        by_change = to_go @ b
-        curvature = weights.effort + r + b @ by_change
-        mixed = by_change @ a
-        mixed[4] -= r
-        change[k] = -(b @ slope + r * torque_change[k]) / curvature
-        gain[k] = mixed / curvature
-        slope = a.T @ slope + mixed * change[k]
-        slope[4] -= r * torque_change[k]
-        to_go = a.T @ (to_go @ a) - np.outer(mixed, gain[k])
-        to_go[4, 4] += r
-        to_go = 0.5 * (to_go + to_go.T)
+        _add_errors(to_go, trial, weights, k)
+        f[:4, :4], f[:4, 4], g[:4] = trial.transition[k], trial.by_torque[k], trial.by_torque[k]
+        smoothness = weights.smoothness[k]
+        slope_in_input(5, to_go, f, g, nothing, (smoothness, smoothness * torque_change[k]), slope)
+        change[k] = free_input(5, slope, gain[k])
+        step_back(5, to_go, f, slope, gain[k], change[k])
+        gain[k, 4] -= 1.0  # from a law for v[k] - v[k-1] to one for v[k]
     return change, gain
+
+
+@inlined
+def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None:
+    """Add what errors and change of the torque cost after sample k."""
+    for error in range(4):
+        for i in range(4):
+            weighted = weights.errors[k, error] * trial.of_state[k, error, i]
+            to_go.vector[i] += weighted * trial.errors[k, error]
+            for j in range(4):
+                to_go.matrix[i, j] += weighted * trial.of_state[k, error, j]
+    to_go.matrix[4, 4] += weights.effort
 
 
 @compiled

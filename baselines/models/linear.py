@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import params_table
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.linear import sample_models
 
 Floats = NDArray[np.float64]
@@ -39,6 +39,20 @@ def linear_arm(params: ArmParams) -> LinearArms:
     return linear_arms(params_table([params]))
 
 
+@inlined
+def place(angle: float) -> tuple[int, float]:
+    """Row of a table over `ANGLES` at or below an angle [rad], and the weight of the next one at it."""
+    position = min(max(0.0, angle / ANGLES[1]), len(ANGLES) - 1.0)  # 0 of an angle that is not a number
+    row = min(int(position), len(ANGLES) - 2)
+    return row, position - row
+
+
+@inlined
+def between(low: float, high: float, weight: float) -> float:
+    """Linear interpolation between two entries of a table, `weight` being that of the second."""
+    return low * (1.0 - weight) + high * weight
+
+
 def at_angle(table: Floats, angle: Floats) -> Floats:
     """Linear interpolation of one arm's table over `ANGLES` at joint angles [rad] of shape (n,): shape (n, ...)."""
     return _interpolated(table.reshape(len(table), -1), angle).reshape(len(angle), *table.shape[1:])
@@ -48,9 +62,7 @@ def at_angle(table: Floats, angle: Floats) -> Floats:
 def _interpolated(table: Floats, angle: Floats) -> Floats:
     result = np.empty((len(angle), table.shape[1]))
     for n in range(len(angle)):
-        position = min(max(0.0, angle[n] / ANGLES[1]), len(ANGLES) - 1.0)  # 0 of an angle that is not a number
-        below = min(int(position), len(ANGLES) - 2)
-        weight = position - below
+        row, weight = place(angle[n])
         for k in range(table.shape[1]):
-            result[n, k] = table[below, k] * (1.0 - weight) + table[below + 1, k] * weight
+            result[n, k] = between(table[row, k], table[row + 1, k], weight)
     return result

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.models.rigid_arm import RigidArm, coefficients
+from baselines.models.rigid_arm import RigidArm
 from beltarm_env import ArmParams
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Mode(NamedTuple):
 def held_mode(params: ArmParams, angle: Floats) -> Mode:
     """The mode with the motor held at joint angles [rad] of shape (n,)."""
     m2 = RigidArm(params).link_inertia(angle)
-    plant = coefficients(params)
+    plant = params.plant()
     zeta = 0.5 * plant.damping / np.sqrt(plant.stiffness * m2)
     root = np.sqrt(1.0 - zeta * zeta)
     return Mode(2 * np.pi / (np.sqrt(plant.stiffness / m2) * root), np.exp(-np.pi * zeta / root))

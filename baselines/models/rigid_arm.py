@@ -1,4 +1,4 @@
-"""What servo controllers share: computed torque of the rigid arm and compensation of Coulomb friction.
+"""Inverse dynamics of the arm with a rigid belt, and a motor's errors against a motion of the joint.
 
 With a rigid belt (phi = theta_1 = theta_a / G), (5a) and the completed (5b) add up to one equation at the motor shaft:
 
@@ -7,35 +7,19 @@ With a rigid belt (phi = theta_1 = theta_a / G), (5a) and the completed (5b) add
 
 with the inertias M_a1 of the motor and M2 of the links about joint 1 [kg m^2], the gear ratio G, viscous friction
 V_a1 [N m s/rad] and Coulomb friction tau_f [N m]. Leaving the middle term out, this is the paper's (4).
-
-While the motor turns, tau_f is tau_c against the motion. It is compensated by the *commanded* direction, which is known
-without noise. Where the reference rests, there is none, and what is compensated is the friction against which the
-feedback pushes, over a ramp through zero:
-
-    tau_f = c tau_c sign(theta_ref')                 while the reference moves
-    tau_f = c tau_c clip(push / width, -1, 1)        while it rests
-
-A push beyond `width` [N m] then breaks the motor away from where it sticks; one of a few encoder counts does not. c is
-the share of the nominal tau_c that is compensated: too little leaves the motor stuck off its goal, too much makes it
-hunt around it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.gains import Gains, tunable
 from baselines.reading import Reading
-from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, Plant, plant_of
+from beltarm_env import ArmParams
 
 Floats = NDArray[np.float64]
-
-_RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
 
 
 class Motion(NamedTuple):
@@ -57,16 +41,11 @@ def motor_errors(now: Reading, wanted: Motion, params: ArmParams) -> tuple[Float
     return gear * wanted.angle - now.motor_angle, gear * wanted.speed - now.motor_speed
 
 
-def coefficients(params: ArmParams) -> Plant:
-    """Coefficients of an arm's equations of motion: M2(0), S with the payload, D_s, ..."""
-    return plant_of(np.array([getattr(params, name) for name in FIELDS]))
-
-
 class RigidArm:
     """Inverse dynamics of the arm with a rigid belt."""
 
     def __init__(self, params: ArmParams) -> None:
-        self._params, self._plant = params, coefficients(params)
+        self._params, self._plant = params, params.plant()
 
     def link_inertia(self, angle: Floats) -> Floats:
         """M2 at joint angles [rad]: inertia of the links about joint 1 [kg m^2]."""
@@ -85,24 +64,3 @@ class RigidArm:
     def torque(self, motion: Motion) -> Floats:
         """Motor torque of a motion, but for friction [N m]."""
         return self._params.motor_inertia * self._params.gear_ratio * motion.acceleration + self.link_torque(motion)
-
-
-@dataclass(frozen=True)
-class FrictionGains(Gains):
-    """How Coulomb friction is compensated; base of the gains of servo controllers."""
-
-    friction: float = tunable(0.95, 0.0, 2.0)  # c  [-]  share of the nominal tau_c
-    rest_width: float = tunable(0.005, 0.0001, 0.3, log=True)  # [N m]  push compensated in full while at rest
-
-
-def friction_direction(wanted: Motion, push: Floats, width: float) -> Floats:
-    """Direction in which friction is to be overcome, from -1 to 1.
-
-    Args:
-        wanted: Reference motion; what counts is its mean speed until the next sample.
-        push: Torque of the feedback [N m].
-        width: The push that is compensated in full while the reference rests [N m].
-    """
-    speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
-    pushed = np.minimum(np.maximum(push / width, -1.0), 1.0)
-    return np.where(np.abs(speed) < _RESTING, pushed, np.sign(speed))

@@ -6,10 +6,7 @@
 The input v is the change of a held quantity u (here torque), which is the last state: g is F's last column, and
 u_k = v_k + the last entry of z_k.
 
-Without limits, dynamic programming gives the minimum in one backward recursion (Bertsekas, *Dynamic Programming and
-Optimal Control*, vol. 1, sec. 4.1): with the cost-to-go z'S z + 2 s'z, W added to S, and y = S h + s,
-
-    c = R + g'S g,   v = -(g'S F z + g'y) / c.
+Without limits, dynamic programming gives the minimum in one backward recursion (`baselines.optimal.riccati`).
 
 Limits: a u beyond its limit is fixed there, v = limit - u_last, which is a linear law as well, and the recursion is
 repeated; a fixed one is freed again once the cost falls towards the inside (Hintermueller, Ito, Kunisch, SIAM J. Optim.
@@ -25,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
 from beltarm_env.jit import compiled, inlined
 
 Floats = NDArray[np.float64]
@@ -45,7 +43,7 @@ class Problem(NamedTuple):
     low: Floats  # (N,)
     high: Floats  # (N,)
     fixed: NDArray[np.int8]  # -1, +1: u is at its lower, upper limit    (N,)
-    gain: Floats  # v = gain z + constant    (N, 5)
+    gain: Floats  # v = constant - gain z    (N, 5)
     constant: Floats  # (N,)
     slope: Floats  # half the cost's slope in v is slope[:5] z + slope[5] + slope[6] v    (N, 7)
 
@@ -69,60 +67,32 @@ def empty_problem(steps: int) -> Problem:
 
 
 @inlined
-def _choose(p: Problem, k: int, change_weight: float, s: Floats, sf: Floats, y: Floats) -> None:
-    """The law for v at step k, from S, S F and y."""
-    curvature, slope = change_weight, 0.0
-    for i in range(SIZE):
-        slope += p.transition[k, i, 4] * y[i]
-        for j in range(SIZE):
-            curvature += p.transition[k, i, 4] * s[i, j] * p.transition[k, j, 4]
-    for j in range(SIZE):
-        p.slope[k, j] = 0.0
-        for i in range(SIZE):
-            p.slope[k, j] += p.transition[k, i, 4] * sf[i, j]
-    p.slope[k, 5], p.slope[k, 6] = slope, curvature
-    free = p.fixed[k] == 0
-    for j in range(SIZE):
-        p.gain[k, j] = -p.slope[k, j] / curvature if free else (-1.0 if j == SIZE - 1 else 0.0)
-    p.constant[k] = -slope / curvature if free else (p.high[k] if p.fixed[k] > 0 else p.low[k])
-
-
-@inlined
-def _go_back(p: Problem, k: int, s: Floats, s1: Floats, sf: Floats, y: Floats) -> None:
-    """The cost-to-go before step k, under its law for v."""
-    slope, curvature, constant = p.slope[k, 5], p.slope[k, 6], p.constant[k]
-    for i in range(SIZE):
-        s1[i] = p.slope[k, i] * constant + p.gain[k, i] * (slope + curvature * constant)
-        for j in range(SIZE):
-            s1[i] += p.transition[k, j, i] * y[j]
-            s[i, j] = p.gain[k, i] * p.slope[k, j] + p.slope[k, i] * p.gain[k, j]
-            s[i, j] += curvature * p.gain[k, i] * p.gain[k, j]
-            for m in range(SIZE):
-                s[i, j] += p.transition[k, m, i] * sf[m, j]
+def _choose(p: Problem, k: int) -> None:
+    """The law for v at step k, from the cost's slope in it."""
+    if p.fixed[k] == 0:
+        p.constant[k] = free_input(SIZE, p.slope[k], p.gain[k])
+    else:
+        p.gain[k] = 0.0
+        p.gain[k, SIZE - 1] = 1.0
+        p.constant[k] = p.high[k] if p.fixed[k] > 0 else p.low[k]
 
 
 @compiled
 def _backward(p: Problem, change_weight: float) -> None:
-    """Riccati recursion: the laws for v at all steps."""
-    s, s1, sf, y = np.empty((SIZE, SIZE)), np.empty(SIZE), np.empty((SIZE, SIZE)), np.empty(SIZE)
+    """The laws for v at all steps."""
+    to_go, by_input = no_cost(SIZE), np.empty(SIZE)
     for i in range(SIZE):
-        s1[i] = 0.0
         for j in range(SIZE):
-            s[i, j] = p.final[i, j]
-            s1[i] -= p.final[i, j] * p.target[j]
+            to_go.matrix[i, j] = p.final[i, j]
+            to_go.vector[i] -= p.final[i, j] * p.target[j]
     for k in range(len(p.constant) - 1, -1, -1):
         for i in range(SIZE):
-            y[i] = s1[i]
+            by_input[i] = p.transition[k, i, SIZE - 1]
             for j in range(SIZE):
-                s[i, j] += p.weight[k, i, j]
-                y[i] += s[i, j] * p.offset[k, j]
-        for i in range(SIZE):
-            for j in range(SIZE):
-                sf[i, j] = 0.0
-                for m in range(SIZE):
-                    sf[i, j] += s[i, m] * p.transition[k, m, j]
-        _choose(p, k, change_weight, s, sf, y)
-        _go_back(p, k, s, s1, sf, y)
+                to_go.matrix[i, j] += p.weight[k, i, j]
+        slope_in_input(SIZE, to_go, p.transition[k], by_input, p.offset[k], (change_weight, 0.0), p.slope[k])
+        _choose(p, k)
+        step_back(SIZE, to_go, p.transition[k], p.slope[k], p.gain[k], p.constant[k])
 
 
 @inlined
@@ -139,16 +109,16 @@ def _forward(p: Problem, first: Floats, u: Floats) -> int:
     changed = 0
     z, after = first.copy(), np.empty(SIZE)
     for k in range(len(u)):
-        v, slope = p.constant[k], p.slope[k, 5]
+        v, slope = p.constant[k], p.slope[k, SIZE]
         for j in range(SIZE):
-            v += p.gain[k, j] * z[j]
+            v -= p.gain[k, j] * z[j]
             slope += p.slope[k, j] * z[j]
         u[k] = z[SIZE - 1] + v
-        wanted = _wanted(p, k, u[k], slope + p.slope[k, 6] * v)
+        wanted = _wanted(p, k, u[k], slope + p.slope[k, SIZE + 1] * v)
         changed += 1 if wanted != p.fixed[k] else 0
         p.fixed[k] = wanted
         for i in range(SIZE):
-            after[i] = p.offset[k, i] + p.transition[k, i, 4] * v
+            after[i] = p.offset[k, i] + p.transition[k, i, SIZE - 1] * v
             for j in range(SIZE):
                 after[i] += p.transition[k, i, j] * z[j]
         for i in range(SIZE):

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from baselines.estimation.arm_ekf import IDENTIFIED, Doubt
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.gains import Gains, tunable, tuned
-from baselines.optimal.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
+from baselines.models.friction import breakaway_direction
+from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
 from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import ArmParams
 

@@ -11,16 +11,10 @@ u_last],
 
     z+ = F z + g v + h,    F = [A b; 0 1],    g = [b; 1],    h = [c; 0].
 
-Cost. The tip's errors (docs/physics.md), linear in e, with s = sin phi_ref, c = cos phi_ref and w = phi_ref':
-
-    radial    position  -2 l s (e_1/G - e_3)     velocity  -2 l s (e_2/G - e_4) - 2 l c w (e_1/G - e_3)
-    lateral   position  (2 l c + l_3) e_3        velocity  (2 l c + l_3) e_4 - 2 l s w e_3
-
-are squared, over 10 mm and 200 mm/s as in the environment's cost, and summed at the end of every step, m-fold, with
-weights 1 and q_v; R v^2 is added once per step. At 0 degrees, s = 0, no motor angle moves the tip: there
-sqrt(s^2 + `LEAST_SINE`^2) stands for |s|, or nothing would hold the motor. After the last step comes the LQR's
-cost-to-go at the reference's angle (from the discrete algebraic Riccati equation), about the torsion and torque of the
-reference.
+Cost. The tip's errors, linear in e (`baselines.optimal.tip_error`), are squared, over 10 mm and 200 mm/s as in the
+environment's cost, and summed at the end of every step, m-fold, with weights 1 and q_v; R v^2 is added once per step.
+After the last step comes the LQR's cost-to-go at the reference's angle (from the discrete algebraic Riccati equation),
+about the torsion and torque of the reference.
 
 Steps of growing length see far ahead with few unknowns, while the first ones are as short as a sample: there is no
 slower outer loop whose plan an inner one would have to follow.
@@ -34,21 +28,18 @@ import numpy as np
 from control import dare
 from numpy.typing import NDArray
 
-from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.models.linear import ANGLES, LinearArms, between, linear_arm, place
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
+from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, Plant, plant_of
+from beltarm_env.arm import Plant
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
 Floats = NDArray[np.float64]
 
 STEPS = np.repeat([1, 2, 4, 8], [8, 6, 6, 20])
 """Length of every step in samples: 0.3 s in all."""
-LEAST_SINE = 0.05
-_PER_RADIAN = 1 / float(ANGLES[1])
-_LAST = len(ANGLES) - 1
 
 
 class Horizon(NamedTuple):
@@ -60,7 +51,7 @@ class Horizon(NamedTuple):
     transition: Floats  # F    (lengths, 46, 5, 5)
     by_acceleration: Floats  # a    (lengths, 46, 4)
     final: Floats  # cost-to-go after the last step    (46, 5, 5)
-    velocity_weight: float  # q_v
+    error_weights: tuple[float, float]  # of squared position [1/m^2] and velocity errors [s^2/m^2]
     change_weight: float  # R    [1/(N m)^2]
 
 
@@ -68,7 +59,7 @@ def horizon(
     params: ArmParams, velocity_weight: float, change_weight: float, lengths: NDArray[np.int64] = STEPS
 ) -> Horizon:
     """Tables of the problem for an arm."""
-    plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
+    plant, weights = params.plant(), error_weights(velocity_weight)
     arm = LinearArms(*(part[0] for part in linear_arm(params)))
     single = np.zeros((len(ANGLES), SIZE + 1, SIZE + 1))  # over one sample, of z and an acceleration, both held
     single[:, :4, :4], single[:, :4, 4], single[:, :4, 5] = arm.transition, arm.by_torque, arm.by_acceleration
@@ -78,7 +69,7 @@ def horizon(
     final = np.empty((len(ANGLES), SIZE, SIZE))
     for k, angle in enumerate(ANGLES):
         weight = np.zeros((SIZE, SIZE))
-        _add_tip_weight(weight, Reference(float(angle), 0.0, 0.0), 1.0, velocity_weight, plant)
+        add_tip_cost(weight, float(angle), 0.0, softened_sine(float(angle)), plant, weights)
         step = single[k, :SIZE, :SIZE]
         final[k] = dare(step, step[:, 4:], weight, [[change_weight]])[0] - weight
     return Horizon(
@@ -88,40 +79,9 @@ def horizon(
         np.ascontiguousarray(powers[..., :SIZE, :SIZE]),
         np.ascontiguousarray(powers[..., :4, SIZE]),
         final,
-        velocity_weight,
+        weights,
         change_weight,
     )
-
-
-@inlined
-def _add_square(weight: Floats, row: tuple[float, float, float, float], factor: float) -> None:
-    for i in range(4):
-        for j in range(4):
-            weight[i, j] += factor * (row[i] * row[j])
-
-
-@inlined
-def _add_tip_weight(weight: Floats, ref: Reference, count: float, velocity_weight: float, plant: Plant) -> None:
-    """Add the weight of the tip's errors, `count`-fold, to a matrix over z."""
-    sine, cosine = np.sin(ref.angle), np.cos(ref.angle)
-    fold = -plant.double_link * np.sqrt(sine * sine + LEAST_SINE * LEAST_SINE)
-    unfold = -plant.double_link * cosine * ref.speed
-    reach, shorten = plant.double_link * cosine + plant.hand, -plant.double_link * sine * ref.speed
-    gear = plant.inverse_gear
-    position = count / (POSITION_SCALE * POSITION_SCALE)
-    velocity = count * velocity_weight / (VELOCITY_SCALE * VELOCITY_SCALE)
-    _add_square(weight, (fold * gear, 0.0, -fold, 0.0), position)
-    _add_square(weight, (0.0, 0.0, reach, 0.0), position)
-    _add_square(weight, (unfold * gear, fold * gear, -unfold, -fold), velocity)
-    _add_square(weight, (0.0, 0.0, shorten, reach), velocity)
-
-
-@inlined
-def _row(angle: float) -> tuple[int, float]:
-    """Row of a table over `ANGLES` below an angle, and how far it is towards the next one."""
-    position = min(max(angle * _PER_RADIAN, 0.0), float(_LAST))
-    row = min(int(position), _LAST - 1)
-    return row, position - row
 
 
 @inlined
@@ -134,31 +94,34 @@ def _turning(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
 @compiled
 def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Reference, end: Reference) -> None:
     """Dynamics and weight of step k, between two references."""
-    row, share = _row(middle.angle)
+    row, weight = place(middle.angle)
     table, accelerated = ahead.transition[ahead.which[k]], ahead.by_acceleration[ahead.which[k]]
     gear = ahead.plant.gear
     m2, torque = _turning(middle.angle, middle.speed, ahead.plant)
     for i in range(SIZE):
         for j in range(SIZE):
-            p.transition[k, i, j] = table[row, i, j] + share * (table[row + 1, i, j] - table[row, i, j])
+            p.transition[k, i, j] = between(table[row, i, j], table[row + 1, i, j], weight)
             p.weight[k, i, j] = 0.0
     for i in range(4):
-        by_acceleration = accelerated[row, i] + share * (accelerated[row + 1, i] - accelerated[row, i])
+        by_acceleration = between(accelerated[row, i], accelerated[row + 1, i], weight)
         p.offset[k, i] = gear * (p.transition[k, i, 0] * start.angle + p.transition[k, i, 1] * start.speed)
         p.offset[k, i] += by_acceleration * torque / m2
     p.offset[k, 0] -= gear * end.angle
     p.offset[k, 1] -= gear * end.speed
     p.offset[k, 4] = 0.0
-    _add_tip_weight(p.weight[k], end, float(ahead.lengths[k]), ahead.velocity_weight, ahead.plant)
+    position, velocity = ahead.error_weights
+    length = float(ahead.lengths[k])
+    sine, weights = softened_sine(end.angle), (length * position, length * velocity)
+    add_tip_cost(p.weight[k], end.angle, end.speed, sine, ahead.plant, weights)
 
 
 @compiled
 def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
     """The final weight, and the torsion and torque about which it is: those of a steady motion like the reference."""
-    row, share = _row(end.angle)
+    row, weight = place(end.angle)
     for i in range(SIZE):
         for j in range(SIZE):
-            p.final[i, j] = ahead.final[row, i, j] + share * (ahead.final[row + 1, i, j] - ahead.final[row, i, j])
+            p.final[i, j] = between(ahead.final[row, i, j], ahead.final[row + 1, i, j], weight)
     plant = ahead.plant
     m2, turning = _turning(end.angle, end.speed, plant)
     load = m2 * end.acceleration + turning

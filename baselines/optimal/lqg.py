@@ -9,9 +9,7 @@ Kalman filter on the encoder that knows that the motor sticks. The gain is the s
 
     sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
 
-with the tip's errors, linear in z = x - x_flat about an arm at rest at the angle:
-
-    radial    -2 l sin(theta) (z_1 / G - z_3),    lateral    (2 l cos(theta) + l_3) z_3,    and their rates.
+with the tip's errors about an arm at rest at the angle, linear in z = x - x_flat (`baselines.optimal.tip_error`).
 
 `baselines.optimal.preview` weighs the same errors, but over the whole move at once: its gains vary with time, and its
 feed-forward is the optimum for the trapezoid itself. Here the move is first made one that the arm can follow; how
@@ -30,12 +28,13 @@ from numpy.typing import NDArray
 
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
+from baselines.models.friction import breakaway_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
-from baselines.optimal.plan import LEAST_SLOPE, Weights, breakaway_direction
+from baselines.optimal.plan import Weights
+from baselines.optimal.tip_error import bounded_sine, error_weights, tip_error_rows
 from baselines.reading import as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 
 Floats = NDArray[np.float64]
 
@@ -68,22 +67,14 @@ def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
     """Steady-state gains K of the torque on x - x_ref at each of `ANGLES`, shape (46, 4)."""
     tables = linear_arm(params)
     gains = np.empty((len(ANGLES), 4))
-    scales = np.repeat([1 / POSITION_SCALE, weights.velocity**0.5 / VELOCITY_SCALE], 2)
+    scales, plant = np.sqrt(np.repeat(error_weights(weights.velocity), 2)), params.plant()
     for k, angle in enumerate(ANGLES):
-        scaled = scales[:, None] * tip_errors(params, float(angle))
+        scaled = scales[:, None] * np.array(tip_error_rows(float(angle), 0.0, bounded_sine(float(angle)), plant))
         state_cost = scaled.T @ scaled
         transition, by_torque = tables.transition[0, k], tables.by_torque[0, k][:, None]
         gain, _, _ = control.dlqr(transition, by_torque, state_cost, np.array([[weights.torque]]))
         gains[k] = np.asarray(gain)[0]
     return gains
-
-
-def tip_errors(params: ArmParams, angle: float) -> Floats:
-    """C of the tip's radial and lateral position and velocity errors C z, for an arm at rest: shape (4, 4)."""
-    radial = 2 * params.link_length * max(np.sin(angle), LEAST_SLOPE)
-    lateral = 2 * params.link_length * np.cos(angle) + params.hand_length
-    position = np.array([[-radial / params.gear_ratio, 0, radial, 0], [0, 0, lateral, 0]])
-    return np.vstack([position, np.roll(position, 1, axis=1)])
 
 
 class LqgController:

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
+from baselines.models.friction import breakaway_direction
 from baselines.optimal.horizon import horizon, plan
-from baselines.optimal.plan import breakaway_direction
 from baselines.reading import as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, ArmParams
 

@@ -2,14 +2,9 @@
 
 Along the reference, z = x - x_ref with x_ref = (G theta_ref, G theta_ref', 0, 0) obeys z[k+1] = A z + b tau + d with
 the sampled linear arm at theta_ref[k] and d = A x_ref[k] - x_ref[k+1] + e M2' theta_ref'^2 / (2 M2). To first order the
-errors of the tip, in position and velocity, are linear in z:
-
-    radial    -2 l sin(theta) dphi                                          dphi = z_1 / G - z_3
-    lateral   (2 l cos(theta) + l_3) z_3
-    and their rates
-
-What is minimised is the sum over the episode of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2, the squares of
-what the environment's cost adds up. Backwards from the end (P = 0, s = 0), with P~ = P + Q:
+errors e_p, e_v of the tip, in position and velocity, are linear in z (`baselines.optimal.tip_error`). What is minimised
+is the sum over the episode of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2, the squares of what the
+environment's cost adds up. Backwards from the end (P = 0, s = 0), with P~ = P + Q:
 
     K = b'P~A / (rho + b'P~b)        tau_ff = -b'(P~ d + s) / (rho + b'P~b)
     P <- A'P~(A - bK)                s <- A'(P~ d + s + P~ b tau_ff)
@@ -25,18 +20,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.models.linear import linear_arms
+from baselines.models.linear import LinearArms, between, linear_arms, place
+from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
+from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env.arm import FIELDS
-from beltarm_env.jit import compiled
-from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
+from beltarm_env.arm import Plant, plant_of
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import TRAPEZOID, sample_references
 
 Floats = NDArray[np.float64]
-
-
-LEAST_SLOPE = 0.1
-"""Of sin(theta) in the radial error: at 0 degrees its slope vanishes and its curvature is what brings the arm there."""
+Triple = tuple[float, float, float]
 
 
 class Weights(NamedTuple):
@@ -54,100 +47,46 @@ class Plan(NamedTuple):
     torque: Floats  # tau_ff [N m], shape (n, 1200)
 
 
-@compiled
-def _add_tip_errors(
-    cost: Floats, angle: float, speed: float, gear: float, link: float, hand: float, weights: tuple[float, float]
-) -> None:
-    """Add Q = C'C of the tip's radial and lateral position and velocity errors to `cost`, shape (4, 4)."""
-    radial, reach = link * max(np.sin(angle), LEAST_SLOPE), link * np.cos(angle) + hand
-    change = link * np.cos(angle) * speed
-    rows = np.zeros((4, 4))
-    rows[0, 0], rows[0, 2] = -radial / gear, radial
-    rows[1, 2] = reach
-    rows[2, 0], rows[2, 1], rows[2, 2], rows[2, 3] = -change / gear, -radial / gear, change, radial
-    rows[3, 2], rows[3, 3] = -radial * speed, reach
-    for r in range(4):
-        weight = weights[0] if r < 2 else weights[1]
-        for i in range(4):
-            for j in range(4):
-                cost[i, j] += weight * rows[r, i] * rows[r, j]
-
-
-@compiled
-def _at(table: Floats, angle: float) -> Floats:
-    position = min(max(angle * (len(table) - 1) / (0.5 * np.pi), 0.0), len(table) - 1.0)
-    below = min(int(position), len(table) - 2)
-    weight = position - below
-    return table[below] * (1.0 - weight) + table[below + 1] * weight
-
-
-@compiled
-def _plan_move(
-    task: Floats,
-    arm: tuple[float, float, float, float, float],
-    tables: tuple[Floats, Floats, Floats],
-    weights: tuple[float, float, float],
-    reference: Floats,
-    gain: Floats,
-    torque: Floats,
-) -> None:
-    gear, link, hand, inertia, swing = arm
-    states = np.zeros((len(task), 4))
-    states[:, 0], states[:, 1] = gear * task[:, 0], gear * task[:, 1]
-    reference[:] = states[:-1]
-    to_go, slope = np.zeros((4, 4)), np.zeros(4)
-    for k in range(len(gain) - 1, -1, -1):
-        _add_tip_errors(to_go, task[k + 1, 0], task[k + 1, 1], gear, link, hand, weights[:2])
-        angle, speed = task[k, 0], task[k, 1]
-        a, b, e = _at(tables[0], angle), _at(tables[1], angle), _at(tables[2], angle)
-        m2 = inertia + swing * np.sin(angle) ** 2
-        centrifugal = swing * np.sin(angle) * np.cos(angle) * speed * speed / m2
-        drift, pb, pa, pd = np.zeros(4), np.zeros(4), np.zeros((4, 4)), np.zeros(4)
-        for i in range(4):
-            drift[i] = e[i] * centrifugal - states[k + 1, i]
-            for j in range(4):
-                drift[i] += a[i, j] * states[k, j]
-                pb[i] += to_go[i, j] * b[j]
-        for i in range(4):
-            pd[i] = slope[i]
-            for j in range(4):
-                pd[i] += to_go[i, j] * drift[j]
-                for m in range(4):
-                    pa[i, j] += to_go[i, m] * a[m, j]
-        effect, target = weights[2], 0.0
-        for i in range(4):
-            effect += b[i] * pb[i]
-            target += b[i] * pd[i]
-        torque[k] = -target / effect
+@inlined
+def _set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
+    """Write A, b and d of the step between two samples of the reference, each an angle and a speed."""
+    row, weight = place(now[0])
+    sine, cosine = np.sin(now[0]), np.cos(now[0])
+    m2 = plant.inertia + plant.inertia_swing * sine * sine
+    centrifugal = plant.inertia_swing * sine * cosine * now[1] * now[1] / m2
+    for i in range(4):
+        b[i] = between(model.by_torque[row, i], model.by_torque[row + 1, i], weight)
+        d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * centrifugal
         for j in range(4):
-            gain[k, j] = (pb[0] * a[0, j] + pb[1] * a[1, j] + pb[2] * a[2, j] + pb[3] * a[3, j]) / effect
-        for i in range(4):
-            slope[i] = 0.0
-            for m in range(4):
-                slope[i] += a[m, i] * (pd[m] + pb[m] * torque[k])
-        for i in range(4):
-            for j in range(i + 1):
-                value = 0.0
-                for m in range(4):
-                    value += a[m, i] * (pa[m, j] - pb[m] * gain[k, j])
-                to_go[i, j] = to_go[j, i] = value
+            a[i, j] = between(model.transition[row, i, j], model.transition[row + 1, i, j], weight)
+    for i in range(4):
+        d[i] += plant.gear * (a[i, 0] * now[0] + a[i, 1] * now[1])
+    d[0] -= plant.gear * after[0]
+    d[1] -= plant.gear * after[1]
 
 
 @compiled
-def _plan_moves(
-    tasks: Floats,
-    arms: Floats,
-    models: tuple[Floats, Floats, Floats],
-    weights: tuple[float, float, float],
-    reference: Floats,
-    gain: Floats,
-    torque: Floats,
-) -> None:
+def _plan_move(task: Floats, plant: Plant, model: LinearArms, weights: Triple, plan: Plan) -> None:
+    to_go, slope = no_cost(4), np.empty(6)
+    a, b, d = np.empty((4, 4)), np.empty(4), np.empty(4)
+    for k in range(len(plan.torque) - 1, -1, -1):
+        angle, speed = task[k + 1, 0], task[k + 1, 1]
+        add_tip_cost(to_go.matrix, angle, speed, bounded_sine(angle), plant, (weights[0], weights[1]))
+        _set_step(task[k], task[k + 1], plant, model, a, b, d)
+        slope_in_input(4, to_go, a, b, d, (weights[2], 0.0), slope)
+        plan.torque[k] = free_input(4, slope, plan.gain[k])
+        step_back(4, to_go, a, slope, plan.gain[k], plan.torque[k])
+        plan.reference[k, 0], plan.reference[k, 1] = plant.gear * task[k, 0], plant.gear * task[k, 1]
+        plan.reference[k, 2] = plan.reference[k, 3] = 0.0
+
+
+@compiled
+def _plan_moves(tasks: Floats, table: Floats, models: LinearArms, weights: Triple, plans: Plan) -> None:
     for i in range(len(tasks)):
-        own = i if len(arms) > 1 else 0
-        arm = (arms[own, 0], arms[own, 1], arms[own, 2], arms[own, 3], arms[own, 4])
-        tables = models[0][own], models[1][own], models[2][own]
-        _plan_move(tasks[i], arm, tables, weights, reference[i], gain[i], torque[i])
+        own = i if len(table) > 1 else 0
+        model = LinearArms(models.transition[own], models.by_torque[own], models.by_acceleration[own])
+        plan = Plan(plans.reference[i], plans.gain[i], plans.torque[i])
+        _plan_move(tasks[i], plant_of(table[own]), model, weights, plan)
 
 
 def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
@@ -164,13 +103,7 @@ def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
     )
     tasks = np.empty((count, EPISODE_STEPS + 1, 3))
     sample_references(TRAPEZOID, np.ascontiguousarray(moves), CONTROL_PERIOD, tasks)
-    column = {name: table[:, k] for k, name in enumerate(FIELDS)}
-    link = 2 * column["link_length"]
-    swing = column["arm_inertia_swing"] + link**2 * column["payload_mass"]
-    arms = np.column_stack([column["gear_ratio"], link, column["hand_length"], column["arm_inertia"], swing])
-    of_errors = (1 / POSITION_SCALE**2, weights.velocity / VELOCITY_SCALE**2, weights.torque)
-    models = linear_arms(table)
-    _plan_moves(tasks, arms, (models.transition, models.by_torque, models.by_acceleration), of_errors, *plan)
+    _plan_moves(tasks, table, linear_arms(table), (*error_weights(weights.velocity), weights.torque), plan)
     return plan
 
 
@@ -197,8 +130,3 @@ def planned_torque(plans: Plans, step: NDArray[np.intp], state: Floats) -> Float
     rows = np.array([plan[k] for plan, k in zip(plans, np.minimum(step, EPISODE_STEPS - 1), strict=True)])
     feedback = rows[:, 4:8] * (state - rows[:, :4])
     return rows[:, 8] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
-
-
-def breakaway_direction(speed: Floats, torque: Floats, slow: float) -> Floats:
-    """Sign of the motor's speed [rad/s]; below `slow`, where friction holds it, that of the torque asked of it."""
-    return np.where(np.abs(speed) > slow, np.sign(speed), np.sign(torque))

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
-from baselines.optimal.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
+from baselines.models.friction import breakaway_direction
+from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table

@@ -24,7 +24,7 @@ the noise of a speed of which one count is 0.044 N m. K_r is one tunable number 
 **Friction.** To the observer an error in tau_c is a load: it gets rid of it, at its pace, and g_r > g keeps it from
 being multiplied by K_r for long. Where the motor sticks, friction hides the load altogether, and the observer would
 integrate the servo's torque until the motor breaks away. It may do so where the motor is off its goal; but where the
-push is within the width that is not meant to break it away (`baselines.models.rigid_arm`), both filters are frozen, and
+push is within the width that is not meant to break it away (`baselines.models.friction`), both filters are frozen, and
 r = 0.
 """
 
@@ -36,7 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.gains import tunable
-from baselines.models.rigid_arm import FrictionGains, RigidArm, friction_direction, motor_errors, task_motion
+from baselines.models.friction import FrictionGains, commanded_direction
+from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
 from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
@@ -95,7 +96,7 @@ class DisturbanceController:
         error, speed_error = motor_errors(now, wanted, p)
         servo = p.motor_inertia * (gains.angle * error + gains.speed * speed_error)
         push = servo - (gains.reaction_gain - 1) * (fast_load - load)
-        direction = friction_direction(wanted, push, gains.rest_width)
+        direction = commanded_direction(wanted, push, gains.rest_width)
         friction = gains.friction * p.coulomb_friction * direction + p.motor_viscous_friction * now.motor_speed
         known = friction + self._arm.link_torque(wanted)
         torque = p.motor_inertia * p.gear_ratio * wanted.acceleration + push + known + load

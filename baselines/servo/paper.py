@@ -52,11 +52,7 @@ class TorsionSimulation:
     """
 
     def __init__(self, params: ArmParams) -> None:
-        upright = params.arm_inertia + params.arm_inertia_swing
-        self._inertia = params.arm_inertia
-        self._swing = params.arm_inertia_swing + (2 * params.link_length) ** 2 * params.payload_mass
-        self._stiffness = params.belt_stiffness
-        self._damping = 2 * params.belt_damping_ratio * np.sqrt(params.belt_stiffness * upright)
+        self._plant = params.plant()
 
     def follow(
         self, memory: PaperMemory | None, begins: NDArray[np.bool_] | None, joint_speed: Floats, joint_angle: Floats
@@ -87,9 +83,10 @@ class TorsionSimulation:
             speed_change: Change of the joint's mean speed between the last two periods [rad/s], shape (n,).
             joint_angle: theta_1 [rad], shape (n,).
         """
-        m2 = self._inertia + self._swing * np.sin(joint_angle) ** 2
-        decay = 0.5 * self._damping / m2
-        square = self._stiffness / m2
+        plant = self._plant
+        m2 = plant.inertia + plant.inertia_swing * np.sin(joint_angle) ** 2
+        decay = 0.5 * plant.damping / m2
+        square = plant.stiffness / m2
         frequency = np.sqrt(square - decay * decay)
         rate = rate + speed_change
         envelope, phase = np.exp(-decay * CONTROL_PERIOD), frequency * CONTROL_PERIOD

@@ -4,7 +4,7 @@
     push = M(theta_r) (K_p (e + K_i integral of e dt) + K_v e'),    e = G theta_r - theta_a
 
 with the planned joint angle theta_r [rad], the inertia M = M_a1 + M2 / G^2 at the motor shaft, and tau_f as in
-`baselines.models.rigid_arm`. The derivative acts on the measured speed; differenced over a sample, that is the filtered
+`baselines.models.friction`. The derivative acts on the measured speed; differenced over a sample, that is the filtered
 derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it further
 (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.gains import tunable
+from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.ramps import Ramps, motion_at
-from baselines.models.rigid_arm import FrictionGains, Motion, RigidArm, friction_direction, motor_errors
+from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
 from baselines.reading import Reading, as_action, beginning, read
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
@@ -100,5 +101,5 @@ class PidServo(ABC):
         inertia = self._arm.inertia(wanted.angle)
         push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
         viscous = p.motor_viscous_friction * p.gear_ratio * wanted.speed
-        friction = gains.friction * p.coulomb_friction * friction_direction(wanted, push, gains.rest_width)
+        friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
         return self._arm.torque(wanted) + viscous + friction + push

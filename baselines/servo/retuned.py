@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.gains import tunable
-from baselines.models.rigid_arm import FrictionGains, RigidArm, friction_direction, motor_errors, task_motion
+from baselines.models.friction import FrictionGains, commanded_direction
+from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
 from baselines.reading import as_action, beginning, read
 from baselines.servo.paper import PaperMemory, TorsionSimulation
 from beltarm_env import ArmParams
@@ -74,6 +75,6 @@ class RetunedController:
         error, speed_error = motor_errors(now, wanted, p)
         servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
         push = servo - gains.torsion_speed * memory.torsion_rate
-        friction = gains.friction * p.coulomb_friction * friction_direction(wanted, push, gains.rest_width)
+        friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
         torque = self._arm.torque(wanted) + p.motor_viscous_friction * now.motor_speed + friction + push
         return as_action(torque, p), memory

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
-from beltarm_env.arm import FIELDS, Plant, plant_of
+from beltarm_env.arm import Plant
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.lumped import driving_torque
@@ -211,7 +211,7 @@ def optimum(params: ArmParams, move: MoveShape, steps: int = EPISODE_STEPS) -> O
     """
     if params.coulomb_friction == 0:
         raise ValueError("coulomb_friction must be positive for the modes to mean anything, got 0: use 1e-6, say")
-    plant = plant_of(np.array([getattr(params, name) for name in FIELDS]))
+    plant = params.plant()
     references = [reference_at(TRAPEZOID, move, (k + 1) * CONTROL_PERIOD) for k in range(steps)]
     tips = np.array([reference_tip(r.angle, r.speed, plant) for r in references])
     rigid = np.array([[plant.gear * r.angle, plant.gear * r.speed, 0.0, 0.0] for r in references])

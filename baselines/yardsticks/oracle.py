@@ -68,8 +68,7 @@ class Scenario:
             raise ValueError(f"--scenario must be nominal:SEED or train:SEED, got {text!r}")
         idle = Replay(np.zeros((1, EPISODE_STEPS), np.float32))
         run = rollout(idle, 1, seed=int(seed), randomization=_RANDOMIZATION[kind])
-        params = dict(zip(FIELDS, map(float, run.params[0]), strict=True))
-        return cls(kind, int(seed), ArmParams(**params), MoveShape(*map(float, run.moves[0])))
+        return cls(kind, int(seed), ArmParams.from_row(run.params[0]), MoveShape(*map(float, run.moves[0])))
 
 
 class Replay:

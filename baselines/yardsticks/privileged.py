@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.optimal.plan import Plans, Weights, breakaway_direction, planned_torque, replanned
+from baselines.models.friction import breakaway_direction
+from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
 from baselines.optimal.preview import PreviewGains
 from baselines.reading import as_action, beginning, read
 from beltarm_env import ArmParams, observation

@@ -120,8 +120,7 @@ def _set_damping_and_stiffness(model: MjModel, params: ArmParams) -> None:
     # In the model, because their type in MjSpec differs from one MuJoCo to the next.
     model.dof_damping[0] = params.gear_ratio**2 * params.motor_viscous_friction
     model.tendon_stiffness[0] = params.belt_stiffness
-    unloaded = params.arm_inertia + params.arm_inertia_swing
-    model.tendon_damping[0] = 2 * params.belt_damping_ratio * math.sqrt(params.belt_stiffness * unloaded)
+    model.tendon_damping[0] = params.plant().damping
 
 
 def _distribute_masses(spec: MjSpec, params: ArmParams) -> None:

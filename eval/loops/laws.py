@@ -27,16 +27,15 @@ from baselines.models.rigid_arm import RigidArm
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.horizon import Horizon, horizon
 from baselines.optimal.horizon import plan as plan_horizon
-from baselines.optimal.lqg import LqgController
+from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.mpc import MpcController
-from baselines.optimal.plan import LEAST_SLOPE, Weights
+from baselines.optimal.plan import Weights
 from baselines.optimal.preview import PreviewController
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.paper import PaperController, TorsionSimulation
 from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 
 Floats = NDArray[np.float64]
 
@@ -136,25 +135,11 @@ def _state_feedback(params: ArmParams, k: int, gain: Floats, filter_gain: Floats
     return Law(len(filter_gain), step)
 
 
-def resting_gain(params: ArmParams, weights: Weights, k: int) -> Floats:
-    """K of the optimal plan for an arm that rests at `ANGLES[k]` for ever, shape (4,): an LQR.
-
-    At rest the tip's errors are -2 l sin(theta) (theta_a / G - theta_s) and (2 l cos(theta) + l_3) theta_s.
-    """
-    arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
-    link = 2 * params.link_length
-    slope, reach = link * max(np.sin(ANGLES[k]), LEAST_SLOPE), link * np.cos(ANGLES[k]) + params.hand_length
-    errors = np.array([[-slope / params.gear_ratio, 0, slope, 0], [0, 0, reach, 0]])
-    rates = np.roll(errors, 1, axis=1)
-    q = errors.T @ errors / POSITION_SCALE**2 + weights.velocity / VELOCITY_SCALE**2 * rates.T @ rates
-    return np.asarray(control.dlqr(arm.transition, arm.by_torque[:, None], q, [[weights.torque]])[0])[0]
-
-
 def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
-    """The plan's gain long before the episode's end, which is that of `lqg` for the same weights."""
+    """State feedback of `lqg`, which is the gain of the plan of `preview` at rest, long before the episode's end."""
     params, g = controller.params, controller.gains
     noise = Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
-    gain = resting_gain(params, Weights(g.velocity_weight, g.torque_weight), k)
+    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
     return _state_feedback(params, k, gain, kalman_gains(params, noise)[k])
 
 
@@ -173,7 +158,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     """The same with the identification held at the nominal constants, and without d."""
     params, g = controller.params, controller.gains
     doubt = Doubt(torque=g.torque_noise, acceleration=g.acceleration_noise)
-    gain = resting_gain(params, Weights(g.velocity_weight, g.torque_weight), k)
+    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
     return _state_feedback(params, k, gain, identification_gain(params, doubt, k))
 
 
