@@ -13,7 +13,7 @@ from beltarm_env.arm import Plant
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state
-from beltarm_env.kernels.tile import FULL_ROW, TIP_ROW, put
+from beltarm_env.kernels.tile import OWN_ROW, put
 from beltarm_env.observation import FULL, TIP
 from beltarm_env.physics.kinematics import contained, tip_motion
 from beltarm_env.physics.state import ArmState
@@ -78,9 +78,9 @@ def put_tier_entries(block: Floats, tile: Singles, count: int, tier: int) -> Non
     """Put the entries into a tile that a sensor tier has beyond the encoder's."""
     if tier == TIP:
         for j in range(count):
-            put(tile, j, TIP_ROW, _delayed(block, at.TIP_SPEEDS, j))
+            put(tile, j, OWN_ROW[TIP], _delayed(block, at.TIP_SPEEDS, j))
     elif tier == FULL:
         for j in range(count):
             x = load_state(block, at.STATE, j)
-            put(tile, j, FULL_ROW, x.torsion)
-            put(tile, j, FULL_ROW + 1, x.torsion_speed)
+            put(tile, j, OWN_ROW[FULL], x.torsion)
+            put(tile, j, OWN_ROW[FULL] + 1, x.torsion_speed)

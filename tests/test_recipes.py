@@ -1,0 +1,81 @@
+"""The recipes of CONTRIBUTING.md take no more files than they say."""
+
+from pathlib import Path
+
+import pytest
+from recipes import ROOT, follow, recipe, run
+
+
+def test_every_recipe_is_followed_here():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    titles = [line.removeprefix("### ") for line in text.splitlines() if line.startswith("### ")]
+    assert titles == ["Add a controller", "Add a sensor", "Add a split", "Add an algorithm"]
+    assert all(recipe(title) for title in titles)
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_controller(tmp_path: Path):
+    follow("Add a controller", tmp_path)
+    code = """
+import numpy as np
+from baselines import CONTROLLERS, TUNABLE
+from beltarm_env.rollout import rollout
+from eval.comparison.methods import classical_methods
+from eval.loops.models import loop_model
+new, shaped = (rollout(CONTROLLERS[name](), 2, seed=0).metrics() for name in ("trapezoid", "zv"))
+print(new["cost"].mean() < 3000, new["residual_pp_mm"].mean() > shaped["residual_pp_mm"].mean())
+print("trapezoid" in TUNABLE, "trapezoid" in [method.name for method in classical_methods()])
+print(loop_model(CONTROLLERS["trapezoid"](), 20).nstates > 4)
+"""
+    assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 5
+
+
+def test_a_sensor(tmp_path: Path):
+    follow("Add a sensor", tmp_path)
+    code = """
+import gymnasium, numpy as np, beltarm_env
+from beltarm_env.observation import decode
+env = gymnasium.make("BeltArm-v0", sensors="gyro", delay=1)
+observation, _ = env.reset(seed=0)
+speeds, seen = [0.0], [decode(observation, "gyro")["arm_speed"]]
+for _ in range(20):
+    observation, *_ = env.step(np.ones(1, np.float32))
+    arm = env.unwrapped
+    speeds.append(arm.state[1] / arm.params.gear_ratio - arm.state[3])
+    seen.append(decode(observation, "gyro")["arm_speed"])
+print(np.allclose(seen[1:], speeds[:-1], atol=1e-6), speeds[-1] > 0.01, observation in env.observation_space)
+"""
+    assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 3
+
+
+def test_a_split(tmp_path: Path):
+    before = (ROOT / "eval/comparison/scenarios.json").read_text(encoding="utf-8")
+    follow("Add a split", tmp_path)
+    code = """
+from eval.comparison.scenarios import content_of
+from eval.comparison.splits import SPLITS, draw
+from beltarm_env.arm import COLUMN, NOMINAL
+split = draw("heavy-motor")
+ratio = split.table[:, COLUMN.motor_inertia] / NOMINAL.motor_inertia
+print(1.2 <= ratio.min() < 1.21, 1.49 < ratio.max() <= 1.5, list(SPLITS)[-1] == "heavy-motor")
+"""
+    assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 3
+    assert (tmp_path / "eval/comparison/scenarios.json").read_text(encoding="utf-8") == before
+
+
+def test_an_algorithm(tmp_path: Path):
+    follow("Add an algorithm", tmp_path)
+    words = "--total-steps 64 --arms 8 --validation-arms 2 --base paper --knowledge none --hidden 8 --hold 4"
+    out = run(tmp_path, "train/a2c.py", *words.split(), "--out", str(tmp_path / "run"), compiled=False)
+    assert "64 steps" in out
+    code = f"""
+from pathlib import Path
+from agents.policy.bundle import load_controller
+controller, spec = load_controller(Path({str(tmp_path / "run" / "best")!r}))
+print(spec.algorithm)
+"""
+    assert run(tmp_path, "-c", code, compiled=False).split() == ["a2c"]
