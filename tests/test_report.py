@@ -20,8 +20,10 @@ from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Kind, Method, classical_methods
 from eval.comparison.pairs import LEFT, Failure
 from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
+from eval.comparison.schema import to_json
 from eval.comparison.splits import load
 from eval.style.metrics import REPORTED_METRICS
+from eval.views.frame import frame_of, frame_of_rows, lines, part
 from eval.views.markdown import markdown
 from eval.views.report.animation import EVERY, animation, encode
 from eval.views.report.maps import robustness_maps
@@ -183,6 +185,27 @@ def test_a_method_that_failed_on_a_split_has_a_cell_there():
         made(outcome("pid", "classical", 1.0), outcome("a", "classical", 2.0, "payload"), failures=[])
     )[0]
     assert [[cell.text for cell in row.cells] for row in cost.ranked] == [["1", "failed"], ["failed", "2"]]
+
+
+def test_a_comparison_and_its_results_file_have_one_table():
+    comparison = made(
+        outcome("privileged", "privileged", 1.0),
+        outcome("pid", "classical", 100.0),
+        outcome("net", "learned", 60.0, seeds=3),
+        outcome("net", "learned", 90.0, "payload", seeds=3),
+    )
+    found, of_file = frame_of(comparison), frame_of_rows(to_json(comparison)["rows"])
+    assert found.drop(columns="mark").equals(of_file.drop(columns="mark"))
+    assert set(of_file["mark"]) == {""}
+    assert len(found) == 4 * len(REPORTED_METRICS)
+    costs = part(found, metric=["cost"])
+    assert dict(zip(costs["method"], costs["mark"], strict=True))["privileged"] == ""
+    shown = lines(costs, "split", lambda row: f"{row.iqm:.0f} {row.mark}", "failed")
+    assert [(line.method, line.seeds, line.cells) for line in shown] == [
+        ("pid", 1, ["100 ", "failed"]),
+        ("net", 3, ["60 best", "90 best"]),
+        ("privileged", 1, ["1 ", "failed"]),
+    ]
 
 
 def test_what_is_slower_than_the_control_period_is_marked():

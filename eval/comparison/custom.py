@@ -17,7 +17,7 @@ MOST_FILES, MOST_BYTES = 2000, 200_000_000
 
 
 def absolute(spec: str) -> str:
-    """The same controller, however the working directory changes.
+    """Specification with an absolute path, valid in any working directory.
 
     Raises:
         ValueError: If it is not of one of the two forms.
@@ -29,7 +29,7 @@ def absolute(spec: str) -> str:
 
 
 def factory(spec: str) -> Callable[[], Any]:
-    """What makes the controller, called without arguments: a class, or a function that returns one.
+    """Import the class, or the function without arguments, that makes the controller.
 
     Raises:
         ValueError: If it cannot be imported, or is nothing that can be called.
@@ -87,7 +87,7 @@ def home(spec: str) -> Path:
 
 
 def identity(folder: Path, results: Path | None = None) -> str | None:
-    """SHA-256 of a controller's folder: code, gains, weights, whatever opens them; not hidden files, not caches.
+    """SHA-256 of all files of a controller's folder, but for hidden files and `__pycache__`.
 
     Args:
         folder: See `home`.
@@ -124,7 +124,7 @@ def _raise(error: OSError) -> None:
 
 
 def make(spec: str) -> Any:
-    """A controller of this kind.
+    """Make a controller.
 
     Raises:
         ValueError: If it cannot be made, saying why.

@@ -22,7 +22,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An interquartile mean with its 95 % interval."""
+    """Interquartile mean with its 95 % interval."""
 
     iqm: float  # of shares the plain mean
     low: float
@@ -91,7 +91,7 @@ def _interval(point: float, distribution: Floats) -> Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """A method against another on the same scenarios, lower values being better."""
+    """Paired comparison of two methods on the same scenarios; lower values are better."""
 
     difference: Estimate  # method minus other
     win_rate: Estimate  # probability of improvement: share of (seed, scenario) pairs that are lower, ties half

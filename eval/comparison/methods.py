@@ -25,7 +25,7 @@ PRIVILEGED = "privileged"
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A controller, or one learning method with a controller per training seed; what makes them, not themselves."""
+    """Recipe for a controller, or for the controllers of a learning method, one per training seed."""
 
     name: str
     kind: Kind  # "privileged" sees what no other does; "added" is a user's own
@@ -38,11 +38,11 @@ class Method:
 
     @property
     def sensors(self) -> Literal["encoder", "full"]:
-        """What it observes."""
+        """Sensor tier of its observations."""
         return "full" if self.kind == "privileged" else "encoder"
 
     def controller(self, seed: int, arms: Sequence[ArmParams]) -> Controller:
-        """The controller of one training seed, for a batch of arms; only a privileged one is told which they are.
+        """Make the controller of a training seed for a batch of arms; only a privileged one is given their constants.
 
         Raises:
             ValueError: If it cannot be made.
@@ -77,7 +77,7 @@ def _hash(content: object) -> str:
 
 
 def privileged_method() -> Method:
-    """The preview LQG that knows its arm and sees its state."""
+    """Preview LQG with true constants and true state: the yardstick."""
     return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
 
 
@@ -166,7 +166,7 @@ def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -
 
 
 def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
-    """Those of the known names that are wanted, in the known order; all if none is named.
+    """Wanted ones of the known names, in the known order; all if none is named.
 
     Raises:
         ValueError: On an unknown name, suggesting the nearest.

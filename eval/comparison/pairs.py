@@ -53,7 +53,7 @@ class Pair:
     episodes: int
 
     def file(self, folder: Path) -> Path:
-        """Where it is kept."""
+        """File of its results, named by a key of everything that they depend on."""
         of_method = [self.method.name, self.method.kind, self.method.identity]
         content = [VERSION, self.split.digest, self.episodes, *of_method, _code()]
         key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
@@ -64,7 +64,7 @@ class Pair:
         return f"{self.split.name}.{method}.{self.episodes}"
 
     def outdated(self, folder: Path) -> Iterator[Path]:
-        """Files of the same pair as it was with other code, gains or policies."""
+        """Files of this pair's results with other code, gains or policies."""
         current = self.file(folder)
         return (path for path in current.parent.glob(f"{self._stem()}.*.npz") if path != current)
 
@@ -79,7 +79,7 @@ class Failure:
 
 
 def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
-    """Run something of a method; whatever its controller does wrong, the others go on."""
+    """Run something of a method; an exception of its controller becomes a `Failure`."""
     try:
         return run()
     except Exception as error:
@@ -89,7 +89,7 @@ def attempt(method: str, split: str, run: Callable[[], _Result], where: str = ""
 
 @cache
 def _code() -> list[str]:
-    """What runs: SHA-256 of plant, controllers and policies, and the versions of what they are built on."""
+    """SHA-256 of the code of plant, controllers and policies, and the versions of the packages below it."""
     sources = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
     return [sources, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
 
@@ -108,7 +108,7 @@ def measure(pair: Pair) -> Metrics:
 
 
 def read_kept(pair: Pair, folder: Path) -> Metrics | None:
-    """What is kept of a pair, if anything sound is."""
+    """Read the results of a pair; None if there are none, or damaged ones."""
     if pair.method.identity is None:
         return None
     path = pair.file(folder)
@@ -126,7 +126,7 @@ def read_kept(pair: Pair, folder: Path) -> Metrics | None:
 
 
 def run_and_keep(pair: Pair, folder: Path) -> Metrics | Failure:
-    """Run a pair and keep it, unless nobody could tell later whether its method is still the same.
+    """Run a pair and keep its results, unless its method's identity is unknown.
 
     Raises:
         OSError: If it cannot be written.

@@ -1,4 +1,4 @@
-"""The protocol that the comparison relies on, checked of a controller of a user's own.
+"""Checks that a user's own controller keeps the protocol on which the comparison relies.
 
 A controller is made without arguments and called as Stable-Baselines3 calls a policy, see
 `beltarm_env.rollout.Controller`.
@@ -27,7 +27,7 @@ _CLOSE = 1e-5  # of the torque limit: what a batch's size may change in a networ
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found."""
+    """Result of one check."""
 
     check: str
     passed: bool
@@ -36,7 +36,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """Observations of some arms, and what the controller did."""
+    """Recorded observations, episode starts and actions of some arms."""
 
     observations: Singles  # (T, n, size)
     starts: Flags  # which arms begin an episode     (T, n)
@@ -93,7 +93,7 @@ def replayed(controller: Controller, observations: Singles, starts: Flags) -> Si
 
 
 def _same(actions: Singles, expected: Singles, close: float = 0.0) -> str:
-    """What to say of actions that should be the same bit for bit, or within `close`.
+    """Words for actions that should agree bit for bit, or within `close`.
 
     Raises:
         ValueError: If they are not.
@@ -118,7 +118,7 @@ def _alone(make: Callable[[], Controller], known: Session) -> str:
 
 
 def _afresh(make: Callable[[], Controller], known: Session) -> str:
-    """After an episode of another arm, and while the others go on with theirs, a new episode is as the first."""
+    """Check a new episode that follows another arm's, and one that begins amid those of the others."""
     half = _STEPS // 2
     observations = np.concatenate([known.observations[half:, ::-1], known.observations[:half]])
     starts = np.concatenate([known.starts[half:, ::-1], known.starts[:half]])
@@ -132,7 +132,7 @@ def _afresh(make: Callable[[], Controller], known: Session) -> str:
 
 
 def _in_the_state(make: Callable[[], Controller], known: Session) -> str:
-    """Two runs that take turns with one controller do not notice each other."""
+    """Check that two runs that take turns with one controller do not influence each other."""
     controller = make()
     actions = []
     memories: list[Any] = [None, None]
@@ -159,7 +159,7 @@ _CHECKS = {
 
 
 def findings(make: Callable[[], Controller]) -> Iterator[Finding]:
-    """Check a controller, step by step; nothing more is checked of one that cannot drive the arms at all."""
+    """Check a controller, step by step; the first failure to drive the arms ends the checks."""
     first = f"drives {_ARMS} arms with finite float32 torques"
     try:
         known = record(make())
@@ -179,7 +179,7 @@ def _words(error: Exception) -> str:
 
 
 def first_failure(spec: str) -> str | None:
-    """In one line, what is wrong with a controller first; None if nothing is.
+    """Describe the first failed check in one line; None if all passed.
 
     Raises:
         ValueError: If it cannot be imported or made.

@@ -30,7 +30,7 @@ Mark = Literal["best", "tie"]
 
 @dataclass(frozen=True, slots=True)
 class MethodOutcome:
-    """One method on one split."""
+    """Outcome of one method on one split."""
 
     method: Method
     split: str
@@ -45,12 +45,12 @@ class MethodOutcome:
 
     @property
     def ranked(self) -> bool:
-        """Whether it is compared with others: it sees what they see."""
+        """Whether it is compared with others, because it has the same observations."""
         return self.method.kind != "privileged"
 
     @property
     def failures(self) -> dict[str, int]:
-        """Of how many runs the tip never settled, and in how many the arm left the workspace."""
+        """Number of runs, of those that never settled, and of those that left the workspace."""
         settled = self.metrics["failure_share"]
         left = self.metrics[LEFT]
         return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
@@ -72,7 +72,7 @@ class Profiles:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """All outcomes of one run."""
+    """Outcomes of all methods on all splits, compared with one another."""
 
     outcomes: list[MethodOutcome]
     against_best: Against  # every ranked method against the classical one of the lowest cost
@@ -82,7 +82,7 @@ class Comparison:
     provenance: dict[str, Any]
 
     def with_failures(self, failures: list[Failure]) -> Comparison:
-        """The same with more failures, one per method and split."""
+        """Copy with more failures, one per method and split."""
         first: dict[tuple[str, str], Failure] = {}
         for failure in [*self.failures, *failures]:
             first.setdefault((failure.method, failure.split), failure)
@@ -99,7 +99,7 @@ class Comparison:
 
     @property
     def main_split(self) -> str:
-        """The split of arms from the training ranges, or else the first."""
+        """Split of arms from the training ranges, or else the first split."""
         splits = self.splits()
         return "randomized" if "randomized" in splits else splits[0]
 
@@ -110,7 +110,7 @@ class Comparison:
         return sorted((found[name] for name in order), key=lambda outcome: not outcome.ranked)
 
     def best_classical(self, split: str) -> MethodOutcome | None:
-        """The classical method of the lowest cost, if there is any."""
+        """Classical method of the lowest cost, if there is any."""
         return best_classical(self.on(split))
 
 
@@ -124,7 +124,7 @@ def make_comparison(outcomes: list[MethodOutcome], failures: list[Failure], prov
 
 
 def best_classical(outcomes: list[MethodOutcome]) -> MethodOutcome | None:
-    """The classical method of the lowest cost among the outcomes of one split, if there is any."""
+    """Classical method of the lowest cost among the outcomes of one split, if there is any."""
     classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
     return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm, default=None)
 
@@ -191,7 +191,7 @@ def profiles(outcomes: list[MethodOutcome], metric: str) -> Profiles:
 def provenance(
     command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
 ) -> dict[str, Any]:
-    """Where the results come from."""
+    """Provenance of the results: command, commit, scenarios, policies, packages."""
     packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
     return {
         "command": command,

@@ -1,4 +1,4 @@
-"""The comparison from its methods and splits to its results; what is done is kept, and not done again."""
+"""Run of a comparison: from names of methods and splits to results, which are kept and not computed again."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from eval.comparison.timing import action_times
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with what is kept."""
+    """Ctrl-C, with a message about the results that are kept."""
 
 
 def choose_methods(

@@ -1,4 +1,4 @@
-"""The file of the test scenarios: written from its seeds, and checked against the motions that it holds."""
+"""File of the test scenarios: written from the splits' seeds, checked against the motions that it holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`results.json` and `episodes.csv`: what is in them, how they are written, and how a file is checked.
+"""Content, writing, reading and checking of `results.json` and `episodes.csv`.
 
 `results.json` is an object of
 
@@ -41,7 +41,7 @@ AGAINST = ("best classical", "base")
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
-    """The content of `results.json`."""
+    """Content of `results.json`."""
     best = {name: outcome.method.name for name in comparison.splits() if (outcome := comparison.best_classical(name))}
     base = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
     return {
@@ -101,7 +101,7 @@ def _profile_row(comparison: Comparison, split: str, metric: str) -> dict[str, A
 
 
 def to_episodes(comparison: Comparison) -> pd.DataFrame:
-    """One line per method, split, training seed and episode."""
+    """Content of `episodes.csv`: a line per method, split, training seed and episode."""
     frames = []
     for outcome in comparison.outcomes:
         for seed in range(outcome.seeds):
@@ -208,7 +208,7 @@ def check(content: object, where: str) -> None:
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """The content of a `results.json`, checked.
+    """Read and check a `results.json`.
 
     Raises:
         ValueError: If it is damaged, or of another version of the scenarios.
@@ -220,7 +220,7 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def _loaded(path: Path) -> Any:
-    """Content of a JSON file; NaN and infinities are read as text, which is no number."""
+    """Read a JSON file; NaN and infinities become text, which the schema refuses."""
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=str)
 
 

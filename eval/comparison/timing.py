@@ -1,4 +1,4 @@
-"""Drive a controller as `rollout` does, one sample at a time, and time it."""
+"""Wall-clock of controllers, and the loop that drives them sample by sample."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PERIOD_US = 1e6 * CONTROL_PERIOD
 def drive(
     controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32]]]:
-    """Let a controller drive some arms for at most an episode; an arm that leaves its workspace begins a new episode.
+    """Drive some arms for at most an episode; an arm that leaves its workspace begins a new one, as in `rollout`.
 
     Args:
         controller: What to run.
@@ -81,7 +81,7 @@ class Times:
 
 
 def measure_times(controller: Controller, batch: int, seed: int) -> Times:
-    """Time a controller on one arm, and for an episode on a batch of the training ranges seeded from `seed` on."""
+    """Time a controller on one arm, and for an episode on a batch of the training ranges, seeded from `seed` on."""
     median, slow = action_times(controller)
     timed = _Timed(controller)
     began = time.perf_counter()

@@ -1,1 +1,1 @@
-"""Speed measured beside peers in the same run."""
+"""Measurements of speed and accuracy, each beside a peer in the same run."""

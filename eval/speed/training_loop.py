@@ -1,4 +1,4 @@
-"""What a PPO run spends its wall-clock on, and how fast its loop is beside one over single arms.
+"""Wall-clock of PPO by phase, and the speed of its loop beside one over single arms.
 
 Printed by `python eval/bench.py --training-loop`, of the model and the arms that `train/ppo.py` makes by default.
 Methods are timed from outside, so what is timed is what runs; time is charged to the innermost phase alone, so that the
@@ -77,7 +77,7 @@ class Stopwatch:
 
 
 def watched(config: PpoConfig) -> tuple[PPO, Stopwatch]:
-    """The model of a run, and the stopwatch that times it."""
+    """Make the model of a run, and the stopwatch that times it."""
     env = make_env(config)
     env.seed(first_arm_seed(config.seed))
     model, watch = make_model(config, env), Stopwatch()
@@ -95,7 +95,7 @@ def watched(config: PpoConfig) -> tuple[PPO, Stopwatch]:
 
 
 def shares(config: PpoConfig, iterations: int) -> dict[str, float]:
-    """Share of each phase in the wall-clock of so many iterations of PPO, after two that warm up."""
+    """Share of each phase in the wall-clock of `iterations` of PPO, after two that warm up."""
     torch.set_num_threads(config.threads)
     model, watch = watched(config)
     batch = config.arms * config.rollout_steps
@@ -115,7 +115,7 @@ def iteration_on_batch(config: PpoConfig) -> Callable[[], object]:
 
 
 def iteration_on_single_arms(config: PpoConfig) -> Callable[[], object]:
-    """One of the same PPO with as many samples per update, on single arms in a `DummyVecEnv`."""
+    """One iteration of PPO with as many samples per update, on single arms in a `DummyVecEnv`."""
     count = min(SINGLE_ARMS, config.arms)
 
     def make() -> ResidualEnv:
@@ -134,7 +134,7 @@ def _iteration(model: PPO, config: PpoConfig) -> Callable[[], object]:
 
 
 def shares_table(config: PpoConfig, iterations: int) -> Table:
-    """Where the wall-clock of PPO goes, for the terminal."""
+    """Table of the phases' shares for the terminal."""
     found = shares(config, iterations)
     title = f"PPO's wall-clock, {iterations} iterations"
     table = Table("phase", "share", title=title, title_justify="left")

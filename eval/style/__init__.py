@@ -1,1 +1,1 @@
-"""What pages and pictures share: colours, axes, tables in Markdown, numbers as text."""
+"""Common style of pages and pictures: colours, axes, tables in Markdown, titles and digits of metrics."""

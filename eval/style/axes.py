@@ -1,4 +1,4 @@
-"""What several pictures' axes have in common."""
+"""Axes common to several pictures."""
 
 from __future__ import annotations
 

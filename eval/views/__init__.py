@@ -1,1 +1,1 @@
-"""The comparison shown: terminal, Markdown, pictures, HTML report, films."""
+"""Views of the comparison: terminal, Markdown, pictures, HTML report, films."""

@@ -57,7 +57,7 @@ def write_film(pictures: Pictures, path: Path) -> None:
 
 
 def _with_few_colours(pictures: list[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
-    """Pictures with the colours of the middle one: half the size of a GIF, and colours that do not flicker."""
+    """Reduce all pictures to the colours of the middle one: half the size, and no flicker."""
     palette = Image.fromarray(pictures[len(pictures) // 2]).quantize(_GIF_COLOURS)
     few = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     return [np.asarray(picture.convert("RGB")) for picture in few]

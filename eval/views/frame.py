@@ -1,11 +1,12 @@
-"""The comparison as one table, a row per method, split and metric; terminal, Markdown and report render parts of it."""
+"""Table of a comparison, a row per method, split and metric, from which terminal, Markdown and report are rendered."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
+import numpy as np
 import pandas as pd
 
 from eval.comparison.results import Comparison, Mark
@@ -35,6 +36,11 @@ def frame_of_rows(rows: Iterable[Mapping[str, Any]], marks: Marks | None = None)
     return pd.DataFrame(entries)
 
 
+def part(found: pd.DataFrame, **wanted: Sequence[str]) -> pd.DataFrame:
+    """Rows of the table whose columns have one of the wanted values each."""
+    return found.loc[np.logical_and.reduce([found[column].isin(values) for column, values in wanted.items()])]
+
+
 @dataclass(frozen=True, slots=True)
 class MethodLine(Generic[_Cell]):
     """Line of a shown table: a method and its cells."""
@@ -61,8 +67,12 @@ def lines(
         show: Cell of a row, given as a named tuple.
         failed: Cell of a method that has no row there.
     """
-    shown = {(row.method, getattr(row, across)): show(row) for row in found.itertuples()}
-    columns = found[across].unique()
-    methods = found.drop_duplicates("method")[["method", "kind", "seeds"]].itertuples(index=False, name=None)
-    made = [MethodLine(*method, [shown.get((method[0], column), failed) for column in columns]) for method in methods]
+    rows: list[Any] = list(found.itertuples())
+    shown = {(row.method, getattr(row, across)): show(row) for row in rows}
+    columns = dict.fromkeys(getattr(row, across) for row in rows)
+    methods = {row.method: (row.kind, row.seeds) for row in rows}
+    made = [
+        MethodLine(method, kind, seeds, [shown.get((method, column), failed) for column in columns])
+        for method, (kind, seeds) in methods.items()
+    ]
     return sorted(made, key=lambda line: not line.ranked)

@@ -1,4 +1,4 @@
-"""The comparison as `summary.md`: all metrics, all paired differences, what each method takes."""
+"""`summary.md` of a comparison: all metrics, all paired differences, effort of each method."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.splits import SPLITS
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell, heading, title
-from eval.views.frame import frame_of, lines
+from eval.views.frame import frame_of, lines, part
 from eval.views.terminal import TIE, verdict
 from eval.views.traces import seed_note, shown_methods
 
@@ -21,7 +21,7 @@ _MARKED = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
 
 def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> str:
-    """The content of `summary.md`, with pictures beside it, and the SHA-256 of the results.json that it belongs to."""
+    """Content of `summary.md`, with pictures beside it and the SHA-256 of the results.json to which it belongs."""
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     parts = [
         "# Comparison on the belt-driven arm",
@@ -33,10 +33,10 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     ]
     parts += _failed(comparison)
     found = frame_of(comparison)
-    parts += ["## Cost on every split", method_table(found[found.metric == "cost"], "split")]
+    parts += ["## Cost on every split", method_table(part(found, metric=["cost"]), "split")]
     for split in comparison.splits():
         parts += [f"## {split}", f"{SPLITS[split].description.capitalize()}; {episodes} scenarios."]
-        parts += [method_table(found[found.split == split], "metric")]
+        parts += [method_table(part(found, split=[split]), "metric")]
     parts += ["## Paired differences", _how_to_read()]
     for split in comparison.splits():
         parts += [f"### {split}", paired_table(comparison, split)]
@@ -95,7 +95,7 @@ def _italic(text: str, ranked: bool) -> str:
 
 
 def paired_table(comparison: Comparison, split: str) -> str:
-    """Every comparison on one split: against the best classical method, and of learned ones against their base."""
+    """Paired differences on one split: from the best classical method, and of learned methods from their base."""
     best = comparison.best_classical(split)
     of_best = comparison.against_best[split].items()
     pairings = [(method, best.method.name, pairs) for method, pairs in of_best] if best else []
@@ -117,7 +117,7 @@ def paired_table(comparison: Comparison, split: str) -> str:
 
 
 def compute_table(comparison: Comparison) -> str:
-    """What each method costs: tuning or training, and time per action."""
+    """Effort of each method: tuning or training, and time per action."""
     titles = [
         *("method", "kind", "training seeds", "simulator steps, tuning or training, per seed", "the same in seconds"),
         "per action, one arm (µs, median / 99 %)",

@@ -62,7 +62,7 @@ def _torque(recording: Recording) -> NDArray[np.float64]:
 
 
 def _grid(count: int, height: float, rows: int = 1) -> tuple[Figure, list[list[Axes]]]:
-    """A figure with `rows` axes, one below the other, for each of `count` splits."""
+    """Figure with `rows` axes, one below the other, for each of `count` splits."""
     across = min(count, _ACROSS)
     down = -(-count // across)
     figure, axes = plt.subplots(

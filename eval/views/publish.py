@@ -1,4 +1,4 @@
-"""Everything that a comparison shows: tables in the terminal, and all files of its folder."""
+"""Output of a comparison: tables in the terminal, and all files of its folder."""
 
 from __future__ import annotations
 

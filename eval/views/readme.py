@@ -1,4 +1,4 @@
-"""The comparison's numbers in the README, between two markers, and whether what lies beside them is of one run."""
+"""The comparison's block of the README, and the check that summary and pictures are of the same run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from PIL import Image
 
-from eval.views.frame import frame_of_rows
+from eval.views.frame import frame_of_rows, part
 from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
 
@@ -18,15 +18,15 @@ _DETAILED = "randomized"
 
 
 def block(results: dict[str, Any]) -> str:
-    """The README's tables, from the content of results.json: the cost on every split, and more of one split."""
+    """Tables of the README, from the content of results.json: cost on every split, more metrics of one split."""
     found = frame_of_rows(results["rows"])
     splits = list(found.split.unique())
     detailed = _DETAILED if _DETAILED in splits else splits[-1]
     parts = [
         "Cost on every split:",
-        method_table(found[found.metric == "cost"], "split", with_seeds=True),
+        method_table(part(found, metric=["cost"]), "split", with_seeds=True),
         f"More of `{detailed}`:",
-        method_table(found[(found.split == detailed) & found.metric.isin(_SHOWN)], "metric", with_seeds=True),
+        method_table(part(found, split=[detailed], metric=_SHOWN), "metric", with_seeds=True),
         _origin(results),
     ]
     return "\n\n".join(parts)
@@ -45,7 +45,7 @@ def _origin(results: dict[str, Any]) -> str:
 
 
 def updated(readme: str, table: str) -> str:
-    """The README with `table` between its markers.
+    """README with `table` between its markers.
 
     Raises:
         ValueError: If the markers are missing.
@@ -58,7 +58,7 @@ def updated(readme: str, table: str) -> str:
 
 
 def of_other_results(results: Path) -> list[Path]:
-    """What lies beside a results.json but was not written with it: summary and pictures have its SHA-256."""
+    """Summary and pictures beside a results.json that do not carry its SHA-256: they are of other results."""
     digest = hashlib.sha256(results.read_bytes()).hexdigest()
     summary = results.with_name("summary.md")
     stale = [] if summary.is_file() and digest in summary.read_text(encoding="utf-8") else [summary]

@@ -132,7 +132,7 @@ def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: t
 
 
 def _strip(pygame: Any, surface: Any, top: int, heights: np.ndarray, count: int, move: float, colour: Any) -> None:
-    """A quantity from 0 to 1 over time, the move shaded."""
+    """Draw a quantity from 0 to 1 over time, the move shaded."""
     width = _COLUMN - 24
     pygame.draw.rect(surface, _SHADE, (12, top, move * width, _STRIP))
     pygame.draw.rect(surface, _PALE, (12, top, width, _STRIP), 1)

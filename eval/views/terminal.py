@@ -1,4 +1,4 @@
-"""The comparison in words and tables, for the terminal; `eval.views.markdown` has the full account."""
+"""Tables and verdicts of the comparison for the terminal; `eval.views.markdown` has all metrics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.table import Table
 from eval.comparison.estimates import Paired
 from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.style.metrics import cell, heading, numbers, title, with_unit
-from eval.views.frame import frame_of, lines
+from eval.views.frame import frame_of, lines, part
 
 TIE = "not shown to differ from the best, by the paired test with Holm's correction"
 _TERMINAL = ("cost", "residual_pp_mm")
@@ -21,14 +21,13 @@ _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13
 
 
 def print_tables(comparison: Comparison, console: Console) -> None:
-    """Two metrics over all splits, and how the methods that are not classical do against the best that is."""
+    """Print two metrics over all splits, and the other methods' verdicts against the best classical one."""
     splits = comparison.splits()
     fitting = max(1, (console.width - _METHOD_WIDTH) // _SPLIT_WIDTH)
     found = frame_of(comparison)
     for name in _TERMINAL:
         for first in range(0, len(splits), fitting):
-            here = found.split.isin(splits[first : first + fitting]) & (found.metric == name)
-            console.print(_overview(found[here], name))
+            console.print(_overview(part(found, split=splits[first : first + fitting], metric=[name]), name))
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     console.print(f"{episodes} scenarios per split; interquartile means with bootstrap 95 % intervals.")
     console.print(f"[bold]Bold[/bold]: best; [underline]underlined[/underline]: {TIE}.", soft_wrap=True)
@@ -39,7 +38,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
 
 
 def _overview(found: pd.DataFrame, name: str) -> Table:
-    """One metric: a row per method, a column per split; what is not ranked below a rule."""
+    """Table of one metric: a row per method, a column per split; methods that are not ranked below a rule."""
     table = Table(title=f"{heading(name)}, lower is better", title_justify="left")
     table.add_column("method", no_wrap=True)
     for split in found.split.unique():
@@ -60,12 +59,12 @@ def _cell(row: Any) -> str:
 
 
 def verdict(pair: Paired) -> str:
-    """What a comparison shows; a difference that many comparisons would show by chance is marked by a star."""
+    """Verdict of a comparison, with a star if the difference does not outlive Holm's correction."""
     return pair.verdict + ("" if pair.verdict == "no difference shown" or pair.survives else "*")
 
 
 def verdicts(comparison: Comparison) -> list[str]:
-    """One sentence per split and method that is not classical: how it does against the best classical one."""
+    """Sentence per split and method that is not classical: its differences from the best classical one."""
     lines = []
     for split in comparison.splits():
         best = comparison.best_classical(split)

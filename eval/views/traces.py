@@ -1,4 +1,4 @@
-"""Motions to show: of some methods on one scenario of each split, run once more on their own."""
+"""Recordings of some methods on one scenario of each split, each run alone, for the pictures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Traces = dict[str, dict[str, Recording]]
 
 
 def shown_seed(comparison: Comparison, method: str) -> int:
-    """The training seed that stands for a method: the one whose cost on the main split is the median of all."""
+    """Training seed that represents a method: that of median cost on the main split."""
     outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.method.name == method}
     outcome = outcomes.get(comparison.main_split) or next(iter(outcomes.values()))
     costs = [interquartile_mean(of_seed) for of_seed in outcome.metrics["cost"]]
@@ -24,7 +24,7 @@ def shown_seed(comparison: Comparison, method: str) -> int:
 
 
 def seed_note(comparison: Comparison, methods: list[str]) -> str:
-    """Which training seeds stand for the learned methods among these, in a sentence; empty if there are none."""
+    """Sentence that names the training seeds that represent learned methods; empty without learned methods."""
     several = {o.method.name: o.seeds for o in comparison.methods() if o.method.name in methods and o.seeds > 1}
     if not several:
         return ""
@@ -45,7 +45,7 @@ def shown_methods(comparison: Comparison) -> list[str]:
 
 
 def shown_scenario(outcomes: list[MethodOutcome]) -> int:
-    """The scenario in which the first method does as well as it does in the median."""
+    """Scenario in which the first method has its median tip error."""
     errors = outcomes[0].metrics["tip_rms_mm"][0]
     return int(np.argsort(errors)[len(errors) // 2])
 
@@ -53,7 +53,7 @@ def shown_scenario(outcomes: list[MethodOutcome]) -> int:
 def motions(
     comparison: Comparison, split: Split, scenario: int, names: list[str]
 ) -> tuple[dict[str, Recording], list[Failure]]:
-    """Recordings of some methods on one scenario, each alone in its environment; and what failed there."""
+    """Record some methods on one scenario, each alone in its environment; also returns failures."""
     recordings, failures = {}, []
     for outcome in comparison.on(split.name):
         method = outcome.method
@@ -74,7 +74,7 @@ def motions(
 
 
 def record(comparison: Comparison, splits: dict[str, Split]) -> tuple[Traces, list[Failure]]:
-    """Record what is shown, and what fails when it is run on its own."""
+    """Record the shown methods on one scenario of each split; also returns failures."""
     names = shown_methods(comparison)
     traces: Traces = {}
     failures = []

@@ -1,4 +1,4 @@
-"""`report.html` of the comparison: one file that needs nothing else, for an argument between two people."""
+"""`report.html` of the comparison: a single file that loads nothing else."""
 
 from __future__ import annotations
 

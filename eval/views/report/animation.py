@@ -1,4 +1,4 @@
-"""Motions for the animation, as the page's script reads them."""
+"""Data of the animation, as the page's script reads them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def encode(values: np.ndarray) -> str:
 
 
 def animation(scenes: list[Scene], colours: dict[str, str]) -> dict[str, Any]:
-    """Everything that the script needs: JSON with arrays in base64."""
+    """Data for the script: JSON with arrays in base64."""
     return {"period": EVERY * CONTROL_PERIOD, "scenes": [_scene(scene, list(colours)) for scene in scenes]}
 
 
@@ -66,6 +66,6 @@ def _scene(scene: Scene, names: list[str]) -> dict[str, Any]:
 
 
 def _round_up(millimetres: float) -> float:
-    """To 1, 2 or 5 times a power of ten, at least 2 mm."""
+    """Round up to 1, 2 or 5 times a power of ten, at least 2 mm."""
     power = 10.0 ** np.floor(np.log10(max(millimetres, 2.0)))
     return float(next(step * power for step in (1, 2, 5, 10) if step * power >= max(millimetres, 2.0)))

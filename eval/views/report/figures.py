@@ -50,7 +50,7 @@ def _forest(comparison: Comparison, split: str) -> Panel:
 
 
 def _symmetric_log(axis: Axes, unit: float) -> None:
-    """Linear within a power of ten near `unit`, logarithmic beyond, with room for the labels."""
+    """Scale an axis linearly within a power of ten near `unit`, logarithmically beyond, with room for the labels."""
     threshold = 10.0 ** np.round(np.log10(max(unit, 1e-6)))
     axis.set_xscale("symlog", linthresh=threshold, linscale=0.7)
     axis.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=threshold))

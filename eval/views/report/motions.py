@@ -1,4 +1,4 @@
-"""Pictures of motions: tip error, torque, phase plane, and the spectrum of what rings on after the move."""
+"""Pictures of motions: tip error, torque, phase plane, spectrum of the residual vibration."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _HIGHEST_HZ = 25.0
 
 
 def scene_panels(scene: Scene, number: int, colours: dict[str, str]) -> list[Panel]:
-    """Four pictures of one scene."""
+    """Pictures of one scene: tip error, torque, spectrum, phase plane."""
     drawn = {
         "tip error": _tip_error,
         "motor torque": _torque,
@@ -57,7 +57,7 @@ def _panel(scene: Scene, name: str, title: str, draw: Draw, colours: dict[str, s
 
 
 def _finish(axis: Axes, title: str, recording: Recording) -> str:
-    """Labels, marks; returns what the numbers of the alternative text are."""
+    """Label and mark an axis; returns the quantity and unit of the numbers in the alternative text."""
     duration = recording.moves[0, 2]
     if title in ("tip error", "motor torque"):
         axis.axvspan(0, duration, color=SHADE, zorder=0, lw=0)

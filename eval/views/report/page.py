@@ -1,4 +1,4 @@
-"""The page itself: everything that it shows, put into the template beside this file."""
+"""Page of the report, rendered with the template beside this file."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write_report(comparison: Comparison, recordings: Recordings, out: Path) -> P
 
 
 def render(comparison: Comparison, recordings: Recordings) -> str:
-    """The page as text."""
+    """Render the page."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined
     )
@@ -84,7 +84,7 @@ def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
 
 
 def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
-    """Methods with a colour: those whose motion is shown, in their order, or else the best of both camps."""
+    """Methods with a colour: those whose motion is shown, or else the best challenger and classical controller."""
     shown = {method for scene in recordings.scenes for method in scene.motions}
     split = comparison.main_split
     best = comparison.best_classical(split)
@@ -93,7 +93,7 @@ def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
 
 
 def _by_opponent(maps: list[Map]) -> dict[str, list[Panel]]:
-    """Pictures of the maps, by who is compared with whom."""
+    """Pictures of the maps by the pair of methods that they compare."""
     found: dict[str, list[Panel]] = {}
     for map_, panel in zip(maps, map_panels(maps), strict=True):
         found.setdefault(f"{map_.challenger} over {map_.classical}", []).append(panel)
@@ -107,5 +107,5 @@ def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:
 
 
 def without_paths(command: str) -> str:
-    """A command as others may read it: of absolute paths the last part only."""
+    """Command with absolute paths cut to their last part."""
     return " ".join(re.sub(r"^(--[\w-]+=)?(?:~[^/]*)?/(?:.*/)?", r"\1…/", part) for part in shlex.split(command))

@@ -1,4 +1,4 @@
-"""Scenarios worth a look, and the motions of a few methods in them, run once more on their own."""
+"""Notable scenarios (median, worst, largest loss and gain) and recordings of a few methods in them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _USUALLY = 5  # methods side by side
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One scenario, with the motions of a few methods in it."""
+    """Scenario with recordings of a few methods."""
 
     title: str  # why it was chosen
     split: str
@@ -45,14 +45,14 @@ class Map:
 
 @dataclass(frozen=True, slots=True)
 class Recordings:
-    """What was run for the report alone."""
+    """Simulations that only the report needs."""
 
     scenes: list[Scene]
     maps: list[Map] = field(default_factory=list)
 
 
 def challengers(comparison: Comparison, split: str) -> list[MethodOutcome]:
-    """What is put up against the classical controllers on a split, best first: learned methods, or else added ones."""
+    """Rivals of the classical controllers on a split, best first: learned methods, or else added ones."""
     found = [outcome for kind in CHALLENGERS for outcome in comparison.on(split) if outcome.method.kind == kind]
     kinds = {outcome.method.kind for outcome in comparison.outcomes}
     wanted = next((kind for kind in CHALLENGERS if kind in kinds), None)
@@ -60,7 +60,7 @@ def challengers(comparison: Comparison, split: str) -> list[MethodOutcome]:
 
 
 def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[list[Scene], list[Failure]]:
-    """Record the scenes of the report, and what fails when it is run on its own."""
+    """Record the scenes of the report; also returns failures."""
     chosen: dict[tuple[str, int], str] = {}
     for title, split, scenario in _chosen(comparison):
         before = chosen.get((split, scenario))
@@ -76,7 +76,7 @@ def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[lis
 
 
 def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
-    """Methods in all scenes, so that a colour is one method.
+    """Methods in all scenes: the same in each, so that a colour is one method.
 
     The best challenger, the best classical controller of each split, what the challenger corrects or else the first
     method, and as far as there is room the next challenger and the next classical ones.
@@ -94,7 +94,7 @@ def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
 
 
 def _chosen(comparison: Comparison) -> list[tuple[str, str, int]]:
-    """Title, split and scenario of what is worth a look."""
+    """Title, split and scenario of each scene."""
     home = comparison.main_split
     rivals = challengers(comparison, home)
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]

@@ -1,4 +1,4 @@
-"""Matplotlib figures as SVG within a page: colours that follow its light or dark theme, names that do not clash."""
+"""SVG of Matplotlib figures for a page: colours follow its light or dark theme, element names do not clash."""
 
 from __future__ import annotations
 
@@ -50,18 +50,18 @@ _LOOK: dict[Any, Any] = {
 
 
 def line(colours: dict[str, str], method: str) -> dict[str, Any]:
-    """How the line of a method looks: its name, colour and dashes, for those who do not see the one or the other."""
+    """Style of a method's line: colour and dashes, so that either alone tells methods apart, and its name."""
     return {"color": colours[method], "ls": STYLES[list(colours).index(method)], "gid": f"{_NAMED}{method}"}
 
 
 def faint(method: str) -> dict[str, Any]:
-    """How the line of a method in the background looks."""
+    """Style of a method's line in the background."""
     return {"color": MUTED, "lw": 0.8, "alpha": 0.8, "gid": f"{_NAMED}{method}"}
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """A picture of the page."""
+    """Picture of the page."""
 
     svg: str
     title: str
@@ -69,13 +69,13 @@ class Panel:
 
 @contextmanager
 def panel_style() -> Iterator[None]:
-    """Draw as the page looks."""
+    """Apply the page's style to all figures drawn within."""
     with matplotlib.rc_context(_LOOK):
         yield
 
 
 def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
-    """A figure as SVG.
+    """Render a figure as SVG.
 
     Args:
         figure: What is drawn; closed afterwards.

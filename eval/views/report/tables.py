@@ -1,4 +1,4 @@
-"""The tables of the report."""
+"""Tables of the report."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.timing import PERIOD_US
 from eval.style.metrics import heading, numbers
-from eval.views.frame import MethodLine, frame_of, lines
+from eval.views.frame import MethodLine, frame_of, lines, part
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One value of a table."""
+    """Cell of a table."""
 
     text: str
     detail: str = ""  # the interval, or what else is smaller print
@@ -48,7 +48,7 @@ def metric_tables(comparison: Comparison) -> list[Table]:
     """Methods by splits, in the metrics that are compared scenario by scenario."""
     found = frame_of(comparison)
     return [
-        Table(heading(name), comparison.splits(), lines(found[found.metric == name], "split", _metric_cell, FAILED))
+        Table(heading(name), comparison.splits(), lines(part(found, metric=[name]), "split", _metric_cell, FAILED))
         for name in PAIRED_METRICS
     ]
 
@@ -78,7 +78,7 @@ def _failure_cell(outcome: MethodOutcome) -> Cell:
 
 
 def effort_table(comparison: Comparison) -> Table:
-    """What each method takes: simulator steps and time of tuning or training, and time per action."""
+    """Effort of each method: simulator steps and time of tuning or training, and time per action."""
     columns = ["training seeds", "simulator steps per seed", "wall-clock per seed (s)"]
     columns += ["per action, median (µs)", "per action, 99 % (µs)"]
     return _table(comparison, "What each method takes", columns, _effort)

@@ -1,4 +1,4 @@
-"""The verdict in three sentences, made from the numbers alone."""
+"""Verdict of the report: three sentences, made from the numbers alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KINDS = {"learned": "learned method", "added": "added controller"}
 
 @dataclass(frozen=True, slots=True)
 class Duel:
-    """The best challenger of a split against its best classical controller."""
+    """Best challenger of a split against its best classical controller."""
 
     split: str
     challenger: MethodOutcome
@@ -36,7 +36,7 @@ class Duel:
 
 
 def duels(comparison: Comparison) -> list[Duel]:
-    """One per split that has both a challenger and a classical controller."""
+    """Duels of all splits that have both a challenger and a classical controller."""
     found = []
     for split in comparison.splits():
         rivals, best = challengers(comparison, split), comparison.best_classical(split)
@@ -71,7 +71,7 @@ def _count(fought: list[Duel], kind: str) -> str:
 
 
 def _among_all(duel: Duel, outcomes: list[MethodOutcome]) -> str:
-    """How many classical controllers the challenger is shown to beat, where it does not beat the best."""
+    """Words for the number of classical controllers beaten, where the best is not."""
     classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
     if duel.result == "wins" or len(classical) < 2:
         return ""
@@ -102,7 +102,7 @@ def _worst(duel: Duel, kind: str) -> str:
 
 
 def _by(duel: Duel) -> str:
-    """By how much of the classical controller's cost, which is what least and most are about."""
+    """Words for the difference relative to the classical controller's cost, by which most and least are told."""
     if duel.result == "ties":
         return ""
     size = abs(duel.relative)
