@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
+from beltarm_env.metrics import SHOWN
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Kind, Method, classical_methods
 from eval.comparison.pairs import LEFT, Failure
 from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
 from eval.comparison.schema import to_json
 from eval.comparison.splits import load
-from eval.style.metrics import REPORTED_METRICS
 from eval.views.frame import frame_of, frame_of_rows, lines, part
 from eval.views.markdown import markdown
 from eval.views.report.animation import EVERY, animation, encode
@@ -57,7 +57,7 @@ def outcome(
     scenarios = np.linspace(0.9, 1.1, 24)
     noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, 24))
     values = np.broadcast_to(np.asarray(costs) * scenarios, (seeds, 24)) + noise
-    metrics = {metric: values.copy() for metric in REPORTED_METRICS} | {LEFT: np.zeros((seeds, 24))}
+    metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, 24))}
     metrics["failure_share"] = metrics["saturated_share"] = np.zeros((seeds, 24))
     return make_outcome(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
 
@@ -197,7 +197,7 @@ def test_a_comparison_and_its_results_file_have_one_table():
     found, of_file = frame_of(comparison), frame_of_rows(to_json(comparison)["rows"])
     assert found.drop(columns="mark").equals(of_file.drop(columns="mark"))
     assert set(of_file["mark"]) == {""}
-    assert len(found) == 4 * len(REPORTED_METRICS)
+    assert len(found) == 4 * len(SHOWN)
     costs = part(found, metric=["cost"])
     assert dict(zip(costs["method"], costs["mark"], strict=True))["privileged"] == ""
     shown = lines(costs, "split", lambda row: f"{row.iqm:.0f} {row.mark}", "failed")

@@ -15,6 +15,7 @@ from baselines import CONTROLLERS
 from baselines.gains import read_file
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams
+from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from eval.comparison import custom
 
@@ -37,7 +38,7 @@ class Method:
     base: str | None = None  # of a learned method: the controller that it corrects
 
     @property
-    def sensors(self) -> Literal["encoder", "full"]:
+    def sensors(self) -> Sensors:
         """Sensor tier of its observations."""
         return "full" if self.kind == "privileged" else "encoder"
 

@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.rollout import Controller
+from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
 from eval.comparison.timing import PERIOD_US, action_times, drive
 
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-_SEED = 6_900_000  # arms of no test
-_ARMS, _STEPS = 5, 600
+_SEED, _ARMS = PROTOCOL_CHECK
+_STEPS = 600
 _CLOSE = 1e-5  # of the torque limit: what a batch's size may change in a network's last digits
 
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from baselines.tools.provenance import commit
 from beltarm_env import __version__
+from beltarm_env.metrics import METRICS, SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
 from eval.comparison.methods import Method, policies_of
 from eval.comparison.pairs import LEFT, Failure, Metrics
-from eval.style.metrics import REPORTED_METRICS, SHARES
 
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 _THRESHOLDS = 25  # of a performance profile
@@ -58,7 +58,7 @@ class MethodOutcome:
 
 def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> MethodOutcome:
     """Estimate the metrics of one method on one split."""
-    estimates = {name: estimate(metrics[name], mean=name in SHARES) for name in REPORTED_METRICS}
+    estimates = {name: estimate(metrics[name], mean=METRICS[name].share) for name in SHOWN}
     return MethodOutcome(method, split, metrics, estimates, action_times)
 
 

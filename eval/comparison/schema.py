@@ -30,11 +30,11 @@ import pandas as pd
 from jsonschema import Draft202012Validator, validators
 
 from baselines.tools.files import write_atomically, write_text
+from beltarm_env.metrics import SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Paired
 from eval.comparison.methods import Kind
 from eval.comparison.results import PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
-from eval.style.metrics import REPORTED_METRICS
 
 AGAINST = ("best classical", "base")
 """What a method is compared with."""
@@ -155,7 +155,7 @@ SCHEMA = _object(
             split=_TEXT,
             episodes=_INTEGER,
             seeds=_INTEGER,
-            metrics=_object(**dict.fromkeys(REPORTED_METRICS, _object(**_ESTIMATE))),
+            metrics=_object(**dict.fromkeys(SHOWN, _object(**_ESTIMATE))),
             failures=_object(runs=_INTEGER, not_settled=_INTEGER, left_workspace=_INTEGER),
             action_us=_object(p50=_NUMBER, p99=_NUMBER),
             training=_mapping(_list(_NUMBER)),

@@ -4,8 +4,7 @@
     python eval/scenarios.py             check the file, and that the physics is still that of the file
 
 A scenario is one arm with one move and its sensors. Arm i of a split is what the environment draws from seed + i with
-the split's ranges. Training uses seeds below 4 000 000 and validation those from 7 000 000 on (see
-`agents.runs.settings`); the splits lie above.
+the split's ranges; the seeds are a range of their own (`beltarm_env.task.seeds`).
 
 Every split but `nominal` has the arms and moves of `randomized`, with what its name says replaced: an episode draws the
 same random numbers whatever its ranges, so a shifted constant has the same place in its new range that it had in the
@@ -28,10 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import FIELDS, params_columns
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import TRAIN_RANGES, Ranges
+from beltarm_env.task.seeds import TEST_NOMINAL, TEST_RANDOMIZED
 
 Floats = NDArray[np.float64]
 
@@ -40,18 +40,18 @@ FORMAT = "beltarm-scenarios"
 VERSION = 1
 """Changes whenever the physics or a scenario changes: results of different versions must not be compared."""
 COMMAND = "python eval/scenarios.py --write"
-EPISODES = 200
+EPISODES = TEST_RANDOMIZED.size
 """Scenarios of a split."""
 QUICK_EPISODES = 24
 
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """What the scenarios of a split are."""
+    """Definition of a split: ranges, settings and delays from which its scenarios are drawn."""
 
     description: str
     ranges: Ranges
-    seed: int = 8_100_000
+    seed: int = TEST_RANDOMIZED.first
     settings: dict[str, Any] = field(default_factory=dict)  # of the environment, beyond its defaults
     delays: tuple[int, ...] = (0,)  # of the measurements [samples], in turn
 
@@ -67,7 +67,7 @@ def _shifted(**factors: tuple[float, float]) -> dict[str, tuple[float, float]]:
 _FRICTION = _shifted(coulomb_friction=(1.3, 1.8), motor_viscous_friction=(1.3, 1.8))
 _STIFFNESS = _shifted(belt_stiffness=(0.5, 0.8))
 SPLITS = {
-    "nominal": Definition("the nominal arm, random moves", {}, seed=8_000_000),
+    "nominal": Definition("the nominal arm, random moves", {}, seed=TEST_NOMINAL.first),
     "randomized": Definition("arms from the training ranges, random moves", TRAIN_RANGES),
     "payload": Definition("heavier payloads, 0.2 to 0.5 kg", {**TRAIN_RANGES, "payload_mass": (0.2, 0.5)}),
     "stiffness": Definition("softer belts, 0.5 to 0.8 of the nominal stiffness", {**TRAIN_RANGES, **_STIFFNESS}),
@@ -86,7 +86,7 @@ SPLITS = {
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """The scenarios of one split."""
+    """Scenarios of one split."""
 
     name: str
     seed: int
@@ -97,20 +97,19 @@ class Split:
     digest: str  # SHA-256 of its content
 
     def arms(self, chosen: NDArray[np.intp]) -> list[ArmParams]:
-        """Constants of some of the arms."""
-        return [ArmParams(**dict(zip(FIELDS, map(float, row), strict=True))) for row in self.table[chosen]]
+        """Return the constants of some of the arms."""
+        return [ArmParams.from_row(row) for row in self.table[chosen]]
 
     def batches(self, episodes: int) -> Iterator[tuple[NDArray[np.intp], dict[str, Any]]]:
-        """The first scenarios in groups that one environment holds: which ones, and arguments of `rollout`."""
+        """Yield the first scenarios in groups of one environment each: their numbers, and arguments of `rollout`."""
         for delay in np.unique(self.delays[:episodes]):
             chosen = np.flatnonzero(self.delays[:episodes] == delay)
-            params = dict(zip(FIELDS, self.table[chosen].T, strict=True))
             move = dict(zip(MOVE_FIELDS, self.moves[chosen].T, strict=True))
-            options = {"params": params, "move": move}
+            options = {"params": params_columns(self.table[chosen]), "move": move}
             yield chosen, {"seed": self.seed, "options": options, "delay": int(delay), **self.settings}
 
     def run(self, controller: Controller, scenario: int) -> Recording:
-        """One scenario on its own."""
+        """Run a controller on one scenario by itself."""
         here = slice(scenario, scenario + 1)
         only = replace(self, table=self.table[here], moves=self.moves[here], delays=self.delays[here])
         ((_, arguments),) = only.batches(1)
@@ -132,20 +131,21 @@ def _split(name: str, seed: int, settings: dict[str, Any], table: Floats, moves:
 
 
 def digest_of(content: object) -> str:
-    """SHA-256 of something that JSON can hold."""
+    """SHA-256 of content that JSON can hold."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def columns_of(split: Split) -> dict[str, NDArray[Any]]:
-    """Everything that differs from scenario to scenario; constants that are nominal throughout are left out."""
+    """Columns of a split by name, without the constants that are nominal in all its scenarios."""
     nominal = ArmParams()
-    table = {name: split.table[:, k] for k, name in enumerate(FIELDS)}
-    varied = {name: values for name, values in table.items() if np.any(values != getattr(nominal, name))}
+    varied = {
+        name: values for name, values in params_columns(split.table).items() if np.any(values != getattr(nominal, name))
+    }
     return {**varied, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
 
 
 def load(path: Path = FILE) -> dict[str, Split]:
-    """All splits, from their file.
+    """Read all splits from their file.
 
     Raises:
         ValueError: If the file is missing, damaged, changed by hand, or of another version.

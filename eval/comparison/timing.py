@@ -5,16 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, BeltArmVectorEnv
+from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 
-Sensors = Literal["encoder", "tip", "full"]
 TIMED_ACTIONS = 300
 PERIOD_US = 1e6 * CONTROL_PERIOD
 

@@ -8,11 +8,12 @@ from typing import Any, Literal
 
 import pandas as pd
 
+from beltarm_env.metrics import METRICS, heading
 from eval.comparison.estimates import RESAMPLES
 from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.splits import SPLITS
 from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell, heading, title
+from eval.style.metrics import cell
 from eval.views.frame import frame_of, lines, part
 from eval.views.terminal import TIE, verdict
 from eval.views.traces import seed_note, shown_methods
@@ -47,7 +48,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
 
 
 def _listed(metrics: Sequence[str]) -> str:
-    *first, last = map(title, metrics)
+    *first, last = (METRICS[name].title for name in metrics)
     return f"{', '.join(first)} and {last}"
 
 

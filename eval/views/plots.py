@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from baselines.tools.files import write_atomically
+from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
 from eval.comparison.results import Comparison, MethodOutcome, best_classical
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import BLUE, COLOURS, GREEN, ORANGE
-from eval.style.metrics import heading
 from eval.views.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"

@@ -12,7 +12,7 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 import numpy as np
 
-from beltarm_env.arm import FIELDS, ArmParams
+from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
 from beltarm_env.rendering.window import Window, import_pygame
 from beltarm_env.rollout import Controller, Recording
@@ -44,7 +44,7 @@ class Track:
     @property
     def params(self) -> ArmParams:
         """Constants of this arm."""
-        return ArmParams(**dict(zip(FIELDS, map(float, self.motion.params[0]), strict=True)))
+        return ArmParams.from_row(self.motion.params[0])
 
     @property
     def error(self) -> np.ndarray:
@@ -109,7 +109,7 @@ def _frames(tracks: list[Track], samples: list[int]) -> Iterator[np.ndarray]:
 
 
 def _torque_limit(track: Track) -> float:
-    return float(track.motion.params[0, FIELDS.index("torque_limit")])
+    return float(track.motion.params[0, COLUMN.torque_limit])
 
 
 def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: tuple[float, float]) -> None:

@@ -9,9 +9,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from beltarm_env.metrics import METRICS, heading
 from eval.comparison.estimates import Paired
 from eval.comparison.results import PAIRED_METRICS, Comparison
-from eval.style.metrics import cell, heading, numbers, title, with_unit
+from eval.style.metrics import cell, numbers, with_unit
 from eval.views.frame import frame_of, lines, part
 
 TIE = "not shown to differ from the best, by the paired test with Holm's correction"
@@ -75,6 +76,8 @@ def verdicts(comparison: Comparison) -> list[str]:
             parts = []
             for name in PAIRED_METRICS:
                 shown = with_unit(name, cell(name, pairs[name].difference))
-                parts.append(f"{title(name)} {verdict(pairs[name])} ({shown}, wins {pairs[name].win_rate.iqm:.0%})")
+                parts.append(
+                    f"{METRICS[name].title} {verdict(pairs[name])} ({shown}, wins {pairs[name].win_rate.iqm:.0%})"
+                )
             lines.append(f"{split}: {outcome.method.name} against {best.method.name}: " + "; ".join(parts) + ".")
     return lines

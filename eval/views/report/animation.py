@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.timing import CONTROL_PERIOD
@@ -22,7 +22,7 @@ _LONGEST_MM = 500.0  # an arm that left its workspace may be anywhere
 def frames(recording: Recording) -> np.ndarray:
     """Every fourth sample as float32, shape (frames, 5), columns as `COLUMNS`."""
     chosen = slice(EVERY - 1, None, EVERY)
-    gear_ratio = recording.params[0, FIELDS.index("gear_ratio")]
+    gear_ratio = recording.params[0, COLUMN.gear_ratio]
     state = recording.state[chosen, 0]
     errors = np.clip(1000 * recording.tip_error[chosen, 0], -_LONGEST_MM, _LONGEST_MM)
     columns = [state[:, 0] / gear_ratio, state[:, 2], errors[:, 0], errors[:, 1], recording.torque[chosen, 0]]
@@ -48,14 +48,14 @@ def animation(scenes: list[Scene], colours: dict[str, str]) -> dict[str, Any]:
 def _scene(scene: Scene, names: list[str]) -> dict[str, Any]:
     moved = {method: frames(recording) for method, recording in scene.motions.items()}
     first = next(iter(scene.motions.values()))
-    constants = dict(zip(FIELDS, first.params[0], strict=True))
+    arm = ArmParams.from_row(first.params[0])
     reference = reference_angles(first)[EVERY - 1 :: EVERY]
     largest = [float(np.hypot(found[:, 2], found[:, 3]).max()) for found in moved.values()]
     return {
         "title": scene.title,
-        "link": float(constants["link_length"]),
-        "hand": float(constants["hand_length"]),
-        "payload": float(constants["payload_mass"]),
+        "link": arm.link_length,
+        "hand": arm.hand_length,
+        "payload": arm.payload_mass,
         "duration": float(first.moves[0, 2]),
         "magnified": _round_up(float(np.median(largest))),
         "reference": encode(reference),

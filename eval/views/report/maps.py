@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
+from beltarm_env.task.seeds import MAPS
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.pairs import Failure, attempt
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.views.report.scenes import Map, challengers
 
-SEED = 8_500_000  # neither trained, tuned, validated nor tested on
-ARMS = 8
 _STIFFNESS = [0.5, 0.65, 0.8, 1.0, 1.2]
 _PAYLOAD = [0.0, 0.1, 0.2, 0.35, 0.5]
 _FRICTION = [0.5, 0.75, 1.0, 1.4, 1.8]
@@ -48,7 +47,7 @@ def robustness_maps(comparison: Comparison) -> tuple[list[Map], list[Failure]]:
 
 def _against(rival: str, classical: str, costs: dict[str, tuple[Floats, Floats]]) -> list[Map]:
     plants, delays = (one / other for one, other in zip(costs[rival], costs[classical], strict=True))
-    names = rival, classical, ARMS, SEED
+    names = rival, classical, MAPS.size, MAPS.first
     return [
         Map("belt stiffness over nominal", "payload (kg)", _STIFFNESS, _PAYLOAD, plants.tolist(), *names),
         Map("Coulomb friction over nominal", "delay (samples)", _FRICTION, _DELAY, delays.tolist(), *names),
@@ -73,13 +72,13 @@ def _of_delays(outcome: MethodOutcome) -> Floats:
 
 def _cells(outcome: MethodOutcome, params: dict[str, np.ndarray], cells: int, delay: int) -> np.ndarray:
     """Interquartile mean of the cost in each cell, over its arms and all training seeds."""
-    drawn = BeltArmVectorEnv(ARMS)
-    drawn.reset(seed=SEED)
+    drawn = BeltArmVectorEnv(MAPS.size)
+    drawn.reset(seed=MAPS.first)
     move = {name: np.tile(values, cells) for name, values in zip(MOVE_FIELDS, drawn.moves.T, strict=True)}
-    options = {"params": {name: np.repeat(values, ARMS) for name, values in params.items()}, "move": move}
+    options = {"params": {name: np.repeat(values, MAPS.size) for name, values in params.items()}, "move": move}
     costs = []
     for seed in range(outcome.seeds):
         controller = outcome.method.controller(seed, [])
-        run = rollout(controller, cells * ARMS, seed=SEED, options=options, delay=delay)
-        costs.append(run.cost.reshape(cells, ARMS))
+        run = rollout(controller, cells * MAPS.size, seed=MAPS.first, options=options, delay=delay)
+        costs.append(run.cost.reshape(cells, MAPS.size))
     return np.array([interquartile_mean(np.stack(costs)[:, cell]) for cell in range(cells)])

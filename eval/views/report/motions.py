@@ -13,7 +13,7 @@ from scipy.signal import detrend
 from scipy.signal.windows import hann
 
 from baselines.models.modes import held_mode
-from beltarm_env.arm import FIELDS, ArmParams
+from beltarm_env.arm import ArmParams
 from beltarm_env.rollout import Recording
 from beltarm_env.timing import CONTROL_PERIOD
 from eval.views.report.scenes import Scene
@@ -126,5 +126,5 @@ def spectrum(recording: Recording) -> tuple[Floats, Floats]:
 
 def _mode(recording: Recording) -> float:
     """Frequency of this arm's mode at the goal with the motor held [Hz]."""
-    params = ArmParams(**dict(zip(FIELDS, map(float, recording.params[0]), strict=True)))
+    params = ArmParams.from_row(recording.params[0])
     return float(1 / held_mode(params, recording.moves[:, 1]).period[0])

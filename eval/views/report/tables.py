@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from beltarm_env.metrics import heading
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.timing import PERIOD_US
-from eval.style.metrics import heading, numbers
+from eval.style.metrics import numbers
 from eval.views.frame import MethodLine, frame_of, lines, part
 
 

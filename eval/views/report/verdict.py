@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from beltarm_env.metrics import METRICS
 from eval.comparison.estimates import Estimate, Paired, holm, paired
 from eval.comparison.results import Comparison, MethodOutcome
-from eval.style.metrics import cell, numbers, title, with_unit
+from eval.style.metrics import cell, numbers, with_unit
 from eval.views.report.scenes import challengers
 
 _KINDS = {"learned": "learned method", "added": "added controller"}
@@ -142,7 +143,7 @@ def _other_metrics(duel: Duel) -> str:
     for name in ("tip_rms_mm", "residual_pp_mm"):
         pair = duel.pairs[name]
         word = pair.verdict if pair.survives else "no difference shown"
-        parts.append(f"{title(name)} {word} ({with_unit(name, signed(name, pair.difference))})")
+        parts.append(f"{METRICS[name].title} {word} ({with_unit(name, signed(name, pair.difference))})")
     return f"In other metrics {duel.challenger.method.name} against {duel.classical.method.name}: {'; '.join(parts)}."
 
 
