@@ -149,7 +149,7 @@ def claims_of_the_moves(study: PaperStudy) -> Iterator[Claim]:
     counts = answers[AS_ANALYSED]
     yield Claim("Of {} other values tried, the answer becomes *in part* with {}", (counts.total(), counts["in part"]))
     yield Claim(
-        "and *no* with {}, an arm {} % heavier than the controller takes it to be, which keeps {} %",
+        "and *no* with {}, an arm whose M2(90°) is {} % above what the controller takes it to be, which keeps {} %",
         (counts["no"], 100 * (0.09 / 0.07 - 1), tried(AS_ANALYSED, "M2(90°) 0.09, taken for 0.07")),
     )
     counts = answers[FRICTION]
