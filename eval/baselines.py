@@ -24,6 +24,7 @@ try:
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
+    from beltarm_env.task.seeds import LOOPS
     from eval.loops.page import margins_table, markdown, stability_line
     from eval.loops.pictures import save_pictures
     from eval.loops.study import run_study
@@ -31,7 +32,6 @@ except ModuleNotFoundError as error:
     stop_without("eval/baselines.py", error)
 
 MOST_ARMS = 10_000
-MOST_BATCH = 100_000
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Config:
         batch = (64 if self.quick else 1024) if self.batch is None else self.batch
         if not 4 <= arms <= MOST_ARMS:
             raise ValueError(f"--arms must lie within 4 and {MOST_ARMS}, got {arms}")
-        if not 1 <= batch <= MOST_BATCH:
-            raise ValueError(f"--batch must lie within 1 and {MOST_BATCH}, got {batch}")
+        if not 1 <= batch <= LOOPS.size:
+            raise ValueError(f"--batch must lie within 1 and {LOOPS.size}, got {batch}")
         return arms, batch
 
 

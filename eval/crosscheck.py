@@ -20,6 +20,7 @@ try:
     import tyro
 
     from baselines.tools.files import require_writable, write_text
+    from beltarm_env.task.seeds import CROSSCHECK
     from eval.verification.crosscheck import crosscheck
     from eval.verification.crosscheck_report import markdown, save_picture
 except ModuleNotFoundError as error:
@@ -34,7 +35,7 @@ class Config:
     """Folder for summary.md and the picture."""
     arms: int = 8
     """Arms of each regime, 1 to 1000."""
-    seed: int = 4_000_000
+    seed: int = CROSSCHECK.first
     """Of the first arm; arm i has seed + i."""
 
     def check(self) -> None:
@@ -43,8 +44,8 @@ class Config:
         Raises:
             ValueError: If one is out of range.
         """
-        if not 1 <= self.arms <= 1000:
-            raise ValueError(f"--arms must lie within 1 and 1000, got {self.arms}")
+        if not 1 <= self.arms <= CROSSCHECK.size:
+            raise ValueError(f"--arms must lie within 1 and {CROSSCHECK.size}, got {self.arms}")
         if self.seed < 0:
             raise ValueError(f"--seed must not be negative, got {self.seed}")
 

@@ -21,8 +21,9 @@ try:
     import tyro
 
     from baselines.tools.files import require_writable, write_text
+    from beltarm_env.task.seeds import REPETITION
     from eval.repetition.report import as_json, markdown, save_picture, verdict
-    from eval.repetition.study import KINDS, SEED, run_study
+    from eval.repetition.study import KINDS, run_study
 except ModuleNotFoundError as error:
     stop_without("eval/iterative.py", error)
 
@@ -37,7 +38,7 @@ class Config:
     """Arms of each kind, 4 to 1000."""
     repetitions: int = 10
     """How often each move is made, 2 to 100."""
-    seed: int = SEED
+    seed: int = REPETITION.first
     """Of the first arm and its move; arm i has seed + i."""
 
     def check(self) -> None:
@@ -46,8 +47,8 @@ class Config:
         Raises:
             ValueError: If one is out of range.
         """
-        if not 4 <= self.arms <= 1000:
-            raise ValueError(f"--arms must lie within 4 and 1000, got {self.arms}")
+        if not 4 <= self.arms <= REPETITION.size:
+            raise ValueError(f"--arms must lie within 4 and {REPETITION.size}, got {self.arms}")
         if not 2 <= self.repetitions <= 100:
             raise ValueError(f"--repetitions must lie within 2 and 100, got {self.repetitions}")
         if self.seed < 0:

@@ -1,14 +1,34 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import baselines
 from baselines import CONTROLLERS, PaperController, PaperGains, rigid_controller
 from baselines.servo.paper import TorsionSimulation
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_public_names_are_imported_on_first_use():
+    """Commands import the package before they can say that a package is not installed."""
+    code = (
+        "import sys, baselines.tools.command\n"
+        "print([name for name in ('control', 'matplotlib', 'baselines.registry') if name in sys.modules])\n"
+        "from baselines import *\nprint(sorted(CONTROLLERS)[0], sorted(set(baselines.__all__) - set(globals())))\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (result.stdout, result.stderr) == ("[]\nadaptive []\n", "")
+    with pytest.raises(AttributeError, match=r"'baselines'.*'Paper'"):
+        _ = baselines.Paper
 
 
 def observations(count: int = 6, steps: int = 300) -> np.ndarray:

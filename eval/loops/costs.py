@@ -16,14 +16,13 @@ from baselines import CONTROLLERS
 from baselines.yardsticks.oracle import METRICS, read_file
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import params_columns, params_table
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.reference import MoveShape
+from beltarm_env.task.seeds import LOOPS
 
 Floats = NDArray[np.float64]
 
-SEED = 7_500_000
-"""Of the first arm; arm i has this + i."""
 PRIVILEGED = "privileged"
 """Name of the yardstick that knows arm and state; never ranked."""
 _NOMINAL = ArmParams()
@@ -76,18 +75,17 @@ def _blind(controller: Controller) -> Maker:
 
 
 def run_arms(name: str, make: Maker, arms: list[ArmParams], **settings: Any) -> Recording:
-    """Run episodes on given arms, arm i with the move that seed `SEED + i` draws."""
+    """Run episodes on given arms, arm i with the move that seed `LOOPS.first + i` draws."""
     if name == PRIVILEGED:
         settings["sensors"] = "full"
-    params = {field: [getattr(arm, field) for arm in arms] for field in FIELDS}
-    options = {"params": params} | settings.pop("options", {})
-    return rollout(make(arms), len(arms), seed=SEED, options=options, **settings)
+    options = {"params": params_columns(params_table(arms))} | settings.pop("options", {})
+    return rollout(make(arms), len(arms), seed=LOOPS.first, options=options, **settings)
 
 
 def drawn_arms(count: int) -> list[ArmParams]:
     """Draw arms of the training ranges."""
     env = BeltArmVectorEnv(count, randomization="train")
-    env.reset(seed=SEED)
+    env.reset(seed=LOOPS.first)
     return list(env.params)
 
 

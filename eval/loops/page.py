@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from beltarm_env.metrics import METRICS, heading
+from beltarm_env.task.seeds import LOOPS
 from eval.comparison.estimates import Estimate, estimate
-from eval.loops.costs import CHANGES, PRIVILEGED, SEED
+from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.gains import gains_table
 from eval.loops.models import Margins, Poles
 from eval.loops.study import LoopStudy, at_angle, worst
@@ -16,8 +18,7 @@ from eval.style.markdown_table import markdown_table
 from eval.style.text import number, poles_text
 
 _SHOWN = (0, 45, 90)
-_METRICS = {"cost": ("cost", 0), "tip_rms_mm": ("tip RMS (mm)", 1), "residual_pp_mm": ("residual p-p (mm)", 1)}
-"""Title of each metric, and digits after the point."""
+_SHOWN_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 _MOST_POLES = 3
 
 
@@ -108,14 +109,14 @@ def costs_table(study: LoopStudy) -> str:
     """Metrics on nominal and randomized arms."""
     titles = [
         "controller",
-        *(f"{title}, {arms}" for arms in ("nominal", "train ranges") for title, _ in _METRICS.values()),
+        *(f"{heading(name)}, {arms}" for arms in ("nominal", "train ranges") for name in _SHOWN_METRICS),
     ]
     rows = []
     for name, costs in study.costs.items():
         cells = [
-            _interval(estimate(found[metric][None]), digits)
+            _interval(estimate(found[metric][None]), METRICS[metric].digits)
             for found in (costs.nominal, costs.randomized)
-            for metric, (_, digits) in _METRICS.items()
+            for metric in _SHOWN_METRICS
         ]
         rows.append([_label(name), *cells])
     return markdown_table(titles, rows)
@@ -187,8 +188,8 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "Poles s = ln z / 1.5 ms, upper half plane; faster ones lie outside. Dashed: damping ratios 0.1 and 0.3.",
         "## Costs",
         f"Interquartile means with bootstrap 95 % intervals over {study.arms} arms with Coulomb friction, nominal and "
-        f"from the training ranges, seeds {SEED} to {SEED + study.arms - 1}, on which nothing was tuned, trained "
-        f"or tested. *{PRIVILEGED}* knows the true constants and the true state.",
+        f"from the training ranges, seeds {LOOPS.first} to {LOOPS.first + study.arms - 1}, on which nothing was tuned, "
+        f"trained or tested. *{PRIVILEGED}* knows the true constants and the true state.",
         costs_table(study),
         "## Where each breaks",
         f"Mean cost over the mean cost on the nominal arm, same {study.arms} moves, one thing moved at a time; "

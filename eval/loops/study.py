@@ -11,8 +11,9 @@ import numpy as np
 
 from baselines import CONTROLLERS
 from baselines.models.linear import ANGLES
+from beltarm_env.task.seeds import LOOPS
 from eval.comparison.timing import Times, measure_times
-from eval.loops.costs import SEED, Costs, OracleCosts, makers, measure, oracle
+from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
 from eval.loops.models import Margins, Scan, scan
 
 Result = TypeVar("Result")
@@ -43,7 +44,9 @@ def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str],
     for name, make in known.items():
         costs[name] = _told(f"{name}: costs", tell, lambda name=name, make=make: measure(name, make, arms))
     for name in names:
-        times[name] = _told(f"{name}: times", tell, lambda name=name: measure_times(known[name]([]), batch, SEED))
+        times[name] = _told(
+            f"{name}: times", tell, lambda name=name: measure_times(known[name]([]), batch, LOOPS.first)
+        )
     return LoopStudy(arms, batch, scans, costs, times, oracle())
 
 

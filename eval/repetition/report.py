@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
+from beltarm_env.metrics import METRICS, heading
 from eval.comparison.estimates import interquartile_mean, paired
 from eval.repetition.study import ARM, KINDS, MOTOR, TORQUE, RepetitionResult
 from eval.style.colours import BLUE, ORANGE, VERMILION
@@ -30,9 +31,7 @@ _Label = tuple[float, str, str]  # value at the end of a curve, name, colour
 COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
 _LABEL_HEIGHT = 0.05  # least distance of two labels, of the axes' height
 _COLUMNS = {
-    "cost": ("cost", 1),
-    "tip_rms_mm": ("tip RMS (mm)", 2),
-    "residual_pp_mm": ("residual p-p (mm)", 2),
+    **{name: (heading(name), METRICS[name].digits + 1) for name in ("cost", "tip_rms_mm", "residual_pp_mm")},
     "motor_rms_mrad": ("motor RMS (mrad at the joint)", 2),
 }
 """Title and decimals of each metric."""

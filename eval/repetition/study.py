@@ -19,15 +19,13 @@ from baselines.optimal.adaptive import AdaptiveGains
 from baselines.optimal.preview import PreviewGains
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.reference import TRAPEZOID, sample_references
 from eval.comparison.estimates import Estimate, estimate
 
 Floats = NDArray[np.float64]
 
-SEED = 4_100_000
-"""Of the first arm and its move, unless another is asked for."""
 TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
 LEARNERS: dict[str, Callable[..., Any]] = {
     TORQUE: IterativeController,
@@ -70,7 +68,7 @@ def metrics(run: Recording) -> dict[str, Floats]:
     count, steps = run.moves.shape[0], len(run.state)
     tasks = np.empty((count, steps + 1, 3))
     sample_references(TRAPEZOID, run.moves, CONTROL_PERIOD, tasks)
-    joint = run.state[:, :, 0] / run.params[:, FIELDS.index("gear_ratio")]
+    joint = run.state[:, :, 0] / run.params[:, COLUMN.gear_ratio]
     of_tip = run.metrics()
     wanted = {name: of_tip[name] for name in ("cost", "tip_rms_mm", "residual_pp_mm")}
     return {**wanted, "motor_rms_mrad": 1e3 * np.sqrt(np.mean((joint - tasks[:, 1:, 0].T) ** 2, axis=0))}

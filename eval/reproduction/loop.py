@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from baselines.servo.paper import PaperGains
 from beltarm_env import ArmParams, state_space
-from beltarm_env.arm import params_table, plant_of
 from beltarm_env.physics.lumped import inverse_inertia
 from eval.loops.laws import torsion_feedback
 from eval.loops.models import closed_poles, continuous, law_model, sampled_arm, slowest_first
@@ -164,5 +163,4 @@ def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains, *, model: s
 
 def nominal_m2(angle: float, payload: float = 0.0) -> float:
     """M2 [kg m^2] of the nominal arm at an angle [rad], with a payload [kg]."""
-    plant = plant_of(params_table([ArmParams(payload_mass=payload)])[0])
-    return 1 / inverse_inertia(math.cos(angle), plant)[2]
+    return 1 / inverse_inertia(math.cos(angle), ArmParams(payload_mass=payload).plant())[2]

@@ -16,11 +16,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from baselines.tools.files import write_atomically
+from beltarm_env.task.seeds import PAPER_MOVES
 from eval.reproduction.locus_plots import damping_picture, locus_picture
 from eval.reproduction.loop import PAPER_ARM, k4_locus
 from eval.reproduction.responses import Response
 from eval.reproduction.ringing import PHASES, REDUCED, REMOVED, Suppression
-from eval.reproduction.study import AS_ANALYSED, FRICTION, MAIN, RANDOM_MOVES, STANDARD, TO_0, PaperStudy, Scene
+from eval.reproduction.study import AS_ANALYSED, FRICTION, MAIN, STANDARD, TO_0, PaperStudy, Scene
 from eval.style.colours import BLUE, GREEN, ORANGE, PINK
 from eval.style.text import degrees
 
@@ -195,7 +196,7 @@ def _distribution(axis: Axes, study: PaperStudy) -> None:
     axis.set(xlabel=f"ringing with K4 = {study.gains.k4:g} over that with 0", ylabel="share of moves up to here (%)")
     axis.set(xlim=(0.08, 8), ylim=(0, 100))
     axis.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
-    axis.set_title(f"{RANDOM_MOVES} random moves", fontsize=11)
+    axis.set_title(f"{PAPER_MOVES.size} random moves", fontsize=11)
     axis.grid(alpha=0.3)
     _legend_below(axis)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import MoveShape
+from beltarm_env.task.seeds import SeedRange
 from eval.reproduction.loop import ServoGains, without_and_with
 from eval.reproduction.runs import Conditions, run_moves, run_random_moves
 
@@ -117,6 +118,6 @@ def suppression(conditions: Conditions, gains: ServoGains, moves: list[MoveShape
     return Suppression(*(ringing_of(run_moves(conditions, g, moves)) for g in without_and_with(gains)))
 
 
-def random_suppression(conditions: Conditions, gains: ServoGains, count: int, seed: int) -> Suppression:
+def random_suppression(conditions: Conditions, gains: ServoGains, seeds: SeedRange) -> Suppression:
     """Run moves that the environment draws without and with vibration feedback."""
-    return Suppression(*(ringing_of(run_random_moves(conditions, g, count, seed)) for g in without_and_with(gains)))
+    return Suppression(*(ringing_of(run_random_moves(conditions, g, seeds)) for g in without_and_with(gains)))

@@ -15,6 +15,7 @@ from beltarm_env.observation import decode, size
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import check_moves
 from beltarm_env.task.reference import TRAPEZOID, MoveShape
+from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.reproduction.loop import PAPER_ARM, ServoGains
 
@@ -98,9 +99,9 @@ def run_moves(conditions: Conditions, gains: ServoGains, moves: list[MoveShape])
     return _run(conditions, gains, len(moves), 0, {"move": table})
 
 
-def run_random_moves(conditions: Conditions, gains: ServoGains, count: int, seed: int) -> Recording:
-    """Run moves that the environment draws, move i with seed + i."""
-    return _run(conditions, gains, count, seed, {})
+def run_random_moves(conditions: Conditions, gains: ServoGains, seeds: SeedRange) -> Recording:
+    """Run the moves that the environment draws from each of the seeds."""
+    return _run(conditions, gains, seeds.size, seeds.first, {})
 
 
 def _run(conditions: Conditions, gains: ServoGains, count: int, seed: int, options: dict[str, Any]) -> Recording:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.task.reference import MoveShape
+from beltarm_env.task.seeds import PAPER_MOVES
 from eval.reproduction.assumptions import Alternative, Assumption, list_assumptions, try_alternatives
 from eval.reproduction.loop import ServoGains, without_and_with
 from eval.reproduction.responses import Response, response
@@ -26,9 +27,6 @@ from eval.reproduction.runs import ANALYSED, SIMULATED, is_allowed, run_moves
 
 Floats = NDArray[np.float64]
 
-RANDOM_MOVES = 300
-RANDOM_SEED = 6_000_000
-"""Of the first random move; outside the seeds of training, tuning, validation and test."""
 _SWEPT = 33  # ramp times
 _SAME = 1e-6  # relative difference below which a value changes nothing; actions are rounded to float32
 
@@ -133,7 +131,7 @@ def run_study(gains: ServoGains, move: MoveShape) -> PaperStudy:
         {view: try_alternatives(assumptions, base, gains) for view, base in MAIN.items()},
         np.array([one.ramp_time for one in swept]),
         {view: suppression(conditions, gains, swept) for view, conditions in MAIN.items()},
-        {view: random_suppression(under, gains, RANDOM_MOVES, RANDOM_SEED) for view, under in BOTH_ARMS.items()},
+        {view: random_suppression(under, gains, PAPER_MOVES) for view, under in BOTH_ARMS.items()},
     )
 
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import CONTROL_PERIOD, __version__
+from beltarm_env.task.seeds import PAPER_MOVES
 from eval.reproduction.pole_tables import best_gain_table, frequency_table, full_arm_table, pole_table
 from eval.reproduction.responses import Response
 from eval.reproduction.ringing import ANSWERS, END_WINDOW, PHASES, Suppression
-from eval.reproduction.study import AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, RANDOM_MOVES, RANDOM_SEED, TO_0, PaperStudy
+from eval.reproduction.study import AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, TO_0, PaperStudy
 from eval.style.markdown_table import markdown_table
 from eval.style.text import degrees, number
 
@@ -46,8 +47,8 @@ def markdown(study: PaperStudy, pictures: Sequence[Path], seconds: float) -> str
         assumption_table(study),
         shown["assumptions"],
         "## Other moves",
-        f"{RANDOM_MOVES} moves drawn as the environment draws them (seeds {RANDOM_SEED} to "
-        f"{RANDOM_SEED + RANDOM_MOVES - 1}), on the nominal arm.",
+        f"{PAPER_MOVES.size} moves drawn as the environment draws them (seeds {PAPER_MOVES.first} to "
+        f"{PAPER_MOVES.first + PAPER_MOVES.size - 1}), on the nominal arm.",
         random_table(study),
         shown["moves"],
         f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s.",

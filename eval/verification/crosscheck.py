@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import params_columns, params_table
 from beltarm_env.mujoco.model import load_model, mujoco, read_state, write_state
 from beltarm_env.rollout import rollout
 from beltarm_env.task.reference import MoveShape
@@ -84,19 +84,18 @@ def motions(regime: str, arms: int, seed: int) -> list[Motion]:
     return _in_the_kernel(params, starts, torques)
 
 
-def _options(params: list[ArmParams]) -> dict[str, Floats]:
-    return {name: np.array([getattr(p, name) for p in params]) for name in FIELDS}
-
-
 def _under_the_papers_controller(params: list[ArmParams], moves: Floats, friction: bool) -> Floats:
     controller = PaperController(ArmParams() if friction else ArmParams(coulomb_friction=0.0))
-    options = {"params": _options(params), "move": dict(zip(MoveShape._fields, moves.T, strict=True))}
+    options = {
+        "params": params_columns(params_table(params)),
+        "move": dict(zip(MoveShape._fields, moves.T, strict=True)),
+    }
     return rollout(controller, len(params), seed=0, options=options, model="lagrangian").torque
 
 
 def _in_the_kernel(params: list[ArmParams], starts: Floats, torques: Floats) -> list[Motion]:
     env = BeltArmVectorEnv(len(params), model="lagrangian", autoreset_mode="Disabled")
-    env.reset(seed=0, options={"params": _options(params), "state": starts})
+    env.reset(seed=0, options={"params": params_columns(params_table(params)), "state": starts})
     limits = np.array([p.torque_limit for p in params])
     states = np.empty((len(torques), len(params), 4))
     for k, torque in enumerate(torques):
