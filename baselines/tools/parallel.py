@@ -1,4 +1,4 @@
-"""Running tasks side by side: worker processes of joblib, with news, results as they come, and requests to stop.
+"""Tasks side by side in worker processes of joblib, with news, results as they come, and requests to stop.
 
     task(channel) -> result        a picklable callable, which may be called again
 
@@ -36,7 +36,7 @@ BACKEND = "loky"
 """Backend of joblib; one that spreads tasks over machines needs a mailbox that all of them reach."""
 _POLL = 0.1  # [s]
 _GONE = (EOFError, OSError)
-"""What a call to the mailbox raises once the process that began the tasks has ended."""
+"""Errors of a call to the mailbox after the process that began the tasks has ended."""
 
 Result = TypeVar("Result")
 
@@ -61,7 +61,7 @@ class Channel:
     """Connection of a task to whoever began it; by default nobody."""
 
     report: Callable[[Any], object] = lambda _: None
-    """Passes news on."""
+    """Sends news."""
     stop: StopRequest = field(default_factory=StopRequest)
     """Whether the task should end; it may then raise `Interrupted`."""
 
@@ -154,7 +154,7 @@ def _attempt(task: Task[Result], channel: Channel) -> Result | Failure:
 
 
 class _Message(NamedTuple):
-    """What a worker puts into the mailbox."""
+    """Message from a worker."""
 
     name: str  # of the task
     kind: Literal["began", "news", "outcome"]
@@ -211,9 +211,9 @@ class _Pool:
                     del self._waiting[message.name]
                     yield message.name, message.content
         finally:
-            if dispatcher.is_alive():
-                get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
-            dispatcher.join()
+            while dispatcher.is_alive():
+                get_reusable_executor(reuse=True).shutdown(kill_workers=True)  # pyright: ignore[reportArgumentType]
+                dispatcher.join(timeout=1)
         if dispatcher.error is not None:
             raise dispatcher.error
 
@@ -233,11 +233,12 @@ class _Dispatcher(threading.Thread):
         self.error: Exception | None = None
 
     def run(self) -> None:
-        """Body of the thread."""
+        """Run all calls."""
         _block_signals()
         try:
             with parallel_config(backend=BACKEND, inner_max_num_threads=self._threads):
-                Parallel(n_jobs=self._jobs, batch_size=1)(delayed(call)() for call in self._calls)
+                parallel = Parallel(n_jobs=self._jobs, batch_size=1)  # pyright: ignore[reportArgumentType]
+                parallel(delayed(call)() for call in self._calls)
         except BrokenProcessPool:
             pass  # the pool begins again what has no outcome
         except Exception as error:
@@ -245,7 +246,7 @@ class _Dispatcher(threading.Thread):
 
 
 def _block_signals() -> None:
-    """Keep signals from this thread, and from every process that it starts."""
+    """Block signals in this thread, and in every process that it starts."""
     for tracker in (resource_tracker, loky_resource_tracker):
         tracker.ensure_running()  # as the start of a process does, unblocking signals where it is the first
     if hasattr(signal, "pthread_sigmask"):
@@ -281,7 +282,7 @@ def _end_with_parent() -> None:
 
 
 class _RemoteStop(StopRequest):
-    """A request to stop as a worker sees it, looked for now and then."""
+    """Request to stop as seen by a worker, polled now and then."""
 
     def __init__(self, asked: Any) -> None:
         self._asked = asked
@@ -290,7 +291,7 @@ class _RemoteStop(StopRequest):
 
     @property
     def made(self) -> bool:
-        """Whether it was made, or nobody waits for the task any more."""
+        """Whether it was made, or the process that began the task has ended."""
         if not self._made and time.monotonic() - self._looked >= _POLL:
             self._looked = time.monotonic()
             try:
@@ -306,7 +307,7 @@ class _RemoteStop(StopRequest):
 
 @dataclass(frozen=True)
 class _Call:
-    """A task with its way back, to be called in a worker."""
+    """Picklable call of a task with its channel, for a worker."""
 
     name: str
     task: Task[Any]
@@ -333,7 +334,7 @@ class _Call:
 
 
 def _portable(outcome: Any) -> Any:
-    """The outcome, or a failure that says why it cannot be sent."""
+    """The outcome if it can be pickled, otherwise a failure that says so."""
     try:
         pickle.loads(pickle.dumps(outcome))
     except Exception as error:
