@@ -28,7 +28,7 @@ from baselines.tools.files import require_writable
 from baselines.tools.parallel import BrokenOff, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
-from baselines.tuning.search import CHOICE_SEED, Found, State, search, split
+from baselines.tuning.search import CHOICE_SEED, SearchProgress, SearchResult, search, split_budget
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
 
@@ -48,11 +48,11 @@ class Config:
     jobs: int = 2
     """Controllers tuned side by side, each in a process of its own."""
     out: Path = FILE
-    """File of gains; what it holds of other controllers stays."""
+    """File of gains; entries of other controllers are kept."""
     journals: Path = Path("results/tune")
     """Folder of the journals."""
     resume: bool = False
-    """Go on with the searches that have a journal; the other controllers named begin."""
+    """Resume the searches that have a journal; those of the other controllers begin."""
 
     def chosen(self) -> list[str]:
         """Names of the controllers to tune.
@@ -60,7 +60,7 @@ class Config:
         Raises:
             ValueError: If an option is out of range, a name unknown, or there is nothing to do.
         """
-        split(self.budget)
+        split_budget(self.budget)
         for option in ("jobs", "seed"):
             if getattr(self, option) < (least := {"jobs": 1, "seed": 0}[option]):
                 raise ValueError(f"--{option} must be at least {least}, got {getattr(self, option)}")
@@ -77,12 +77,12 @@ class Config:
         return names
 
     def journal(self, name: str) -> Path:
-        """The journal of a controller's search."""
+        """Journal file of a controller's search."""
         return self.journals / f"{name}.journal"
 
 
 def tune(config: Config, console: Console) -> None:
-    """Tune all that is asked for, and write the gains of each as soon as they are found.
+    """Tune the controllers chosen, and write the gains of each as soon as they are found.
 
     Raises:
         ValueError: If an option or file is bad, or, once the others are through, if searches failed.
@@ -105,13 +105,13 @@ def tune(config: Config, console: Console) -> None:
         progress_rows(names, config.budget, console) as rows,
     ):
 
-        def tell(name: str, state: State) -> None:
+        def tell(name: str, state: SearchProgress) -> None:
             rows.show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
 
         outcomes = run_side_by_side(searches, config.jobs, stop=stop, tell=tell)
         with closing(outcomes):
             for name, found in outcomes:
-                if isinstance(found, Found):
+                if isinstance(found, SearchResult):
                     write_entry(name, TUNABLE[name].gains(**found.gains), provenance(config, found), config.out)
                     rows.show(name, config.budget, summary(found))
                 elif not isinstance(found.error, Interrupted):
@@ -124,12 +124,12 @@ def tune(config: Config, console: Console) -> None:
 
 
 def _explained(failure: Failure) -> str:
-    """Why a search failed, and what to do where it was not to blame."""
+    """Message of a failed search, with a remedy if its process died."""
     return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
 
 
-def provenance(config: Config, found: Found) -> dict[str, object]:
-    """Where gains come from."""
+def provenance(config: Config, found: SearchResult) -> dict[str, object]:
+    """Provenance of gains."""
     return {
         "command": command_line(),
         "seed": config.seed,
@@ -148,13 +148,13 @@ def provenance(config: Config, found: Found) -> dict[str, object]:
     }
 
 
-def summary(found: Found) -> str:
-    """A search in one line."""
+def summary(found: SearchResult) -> str:
+    """One-line summary of a search."""
     return f"{found.trials} trials, cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {found.seconds:.0f} s"
 
 
 def main() -> None:
-    """Command line."""
+    """Run the command."""
     config = tyro.cli(Config, description=__doc__)
     try:
         tune(config, Console())

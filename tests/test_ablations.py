@@ -23,6 +23,7 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import make_env
 from agents.runs.settings import MAX_SEED, SEED_SPACING, first_arm_seed
 from baselines import PaperController
+from baselines.tools.parallel import StopRequest
 from eval.ablations import main
 from eval.learning import ablation_runs
 from eval.learning.ablation_report import COLUMNS, AblationStudy, VariantResult, as_json, draw, markdown
@@ -124,6 +125,13 @@ def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
     after = run.finish(4)
     assert after["scores"] == before["scores"]
     assert [point[0] for point in after["curve"]] == [point[0] for point in before["curve"]]
+
+
+def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
+    config, stop = AblationConfig(runs=tmp_path, only=("default",), quick=True, arms=4), StopRequest()
+    stop.made = True
+    with pytest.raises(KeyboardInterrupt, match="what was begun is saved, the same command goes on"):
+        run_all(config, lambda _: None, stop)
 
 
 def test_a_folder_with_another_run_is_refused(done: Path):

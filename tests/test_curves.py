@@ -12,14 +12,17 @@ import numpy as np
 import optuna
 import pandas as pd
 import pytest
+from commands import mistake
 from matplotlib.axes import Axes
 
 from agents.learners import ppo
 from agents.learners.registry import ALGORITHMS
 from agents.learners.spaces import SPACES
-from agents.learners.tuning import TuningConfig, counted, open_study, training_command, tune
+from agents.learners.tuning import TuningConfig, _search, counted, open_study, training_command, tune
 from agents.policy.bundle import BundleError
 from agents.runs.training import train
+from baselines.tools.parallel import Channel, StopRequest
+from eval import curves
 from eval.learning.curves import Curve, draw, find_curves
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -87,9 +90,7 @@ def test_the_script_draws(runs: Path, tmp_path: Path):
     result = run("eval/curves.py", "--runs", str(runs), "--out", "out", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "2 runs" in result.stdout and (tmp_path / "out/curves.png").exists()
-    result = run("eval/curves.py", "--runs", "nowhere", "--out", "out", cwd=tmp_path)
-    assert result.returncode == 2 and "no run and no policy in nowhere" in result.stderr
-    assert len(result.stderr.splitlines()) == 1
+    assert "no run and no policy in nowhere" in mistake(curves.main, ("--runs", "nowhere", "--out", "out"), tmp_path)
 
 
 # The search for hyper-parameters
@@ -143,6 +144,17 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     again = tune(few(tmp_path, resume=True, trials=3))
     assert len(counted(again)) == 3
     assert not again.get_trials(states=(optuna.trial.TrialState.RUNNING,))
+
+
+def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path: Path):
+    config, stop = few(tmp_path), StopRequest()
+    study = open_study(config)
+    for worker in range(2):
+        study.ask().set_user_attr("worker", worker)
+    stop.made = True
+    _search(config, 0, Channel(stop=stop))
+    states = [trial.state for trial in open_study(config).get_trials()]
+    assert states == [optuna.trial.TrialState.FAIL, optuna.trial.TrialState.RUNNING]
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,8 @@ TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 def tiny(name: str, out: Path, **options: Any) -> ReinforcementConfig:
     """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
     common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
-    return ALGORITHMS[name].config(**{"out": out, **common, **OWN[name], **options})
+    kind: Any = ALGORITHMS[name].config
+    return kind(**{"out": out, **common, **OWN[name], **options})
 
 
 def as_script(out: Path, **options: Any) -> ReinforcementConfig:

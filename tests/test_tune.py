@@ -26,11 +26,11 @@ from baselines.tuning.search import (
     MIN_BUDGET,
     RUNGS,
     SEARCH_SEED,
-    State,
+    SearchProgress,
     estimate,
     hopeless,
     search,
-    split,
+    split_budget,
 )
 from baselines.tuning.study import begin_anew, rounded, space
 from beltarm_env import EPISODE_STEPS
@@ -78,10 +78,10 @@ class Fragile(Counting):
 @pytest.mark.parametrize("budget", [MIN_BUDGET, 3 * MIN_BUDGET + 1])
 def test_budget_is_kept_and_counted(budget: int, tmp_path: Path):
     Counting.steps = 0
-    told: list[State] = []
+    told: list[SearchProgress] = []
     found = search(Tunable(Counting, OneGain), budget, 0, tmp_path / "journal", Channel(told.append))
     assert found.steps == Counting.steps == told[-1].steps <= budget
-    assert split(budget).search - BATCH < told[-1].steps
+    assert split_budget(budget).search - BATCH < told[-1].steps
     assert found.cost <= found.cost_untuned
     assert found.trials == told[-1].trials and found.failed == 0
 
@@ -94,7 +94,7 @@ def test_same_seed_finds_the_same_gains_and_tuning_helps(tmp_path: Path):
 
 
 def test_interrupted_search_goes_on(tmp_path: Path):
-    def interrupt(state: State) -> None:
+    def interrupt(state: SearchProgress) -> None:
         if state.steps >= 5 * BATCH:
             raise KeyboardInterrupt
 
@@ -118,7 +118,7 @@ def test_interrupted_search_goes_on(tmp_path: Path):
 
 
 def test_search_interrupted_in_its_first_trial_begins_with_the_untuned_gains(tmp_path: Path):
-    def interrupt(_: State) -> None:
+    def interrupt(_: SearchProgress) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

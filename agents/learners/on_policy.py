@@ -1,4 +1,4 @@
-"""What the training scripts of on-policy algorithms share: PPO, with and without memory of its own."""
+"""Options shared by the on-policy algorithms: PPO and recurrent PPO."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from agents.policy.actor import ACTIVATIONS
 
 @dataclass(frozen=True)
 class OnPolicyConfig(ReinforcementConfig):
-    """Options of PPO and its kind."""
+    """Options of on-policy algorithms."""
 
     rollout_steps: int = 64
     """Agent steps per arm between two updates."""
@@ -38,14 +38,14 @@ class OnPolicyConfig(ReinforcementConfig):
             raise ValueError("--arms times --rollout-steps must be at least 2")
 
     def learning_rate_left(self, remaining: float) -> float:
-        """Learning rate while a share `remaining` of the run is left; the last rollout takes that below 0."""
+        """Linearly decaying learning rate, at a share `remaining` of the run, which the last rollout takes below 0."""
         return self.learning_rate * max(remaining, 0.0)
 
     def arguments(self, **policy: Any) -> dict[str, Any]:
-        """Arguments that the algorithms have in common; the learning rate falls linearly to zero.
+        """Arguments of the Stable-Baselines3 model; the learning rate falls linearly to zero.
 
         Args:
-            **policy: What the algorithm's policy takes besides layers and exploration noise.
+            **policy: Further arguments of the policy.
         """
         return {
             "learning_rate": self.learning_rate_left,

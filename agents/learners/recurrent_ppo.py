@@ -23,7 +23,7 @@ class RecurrentPpoConfig(OnPolicyConfig):
     out: Path = Path("runs/recurrent_ppo")
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
     knowledge: Knowledge = "none"
-    """What the agent is told besides the observation: nothing, for its LSTM is to find out, or what is identified."""
+    """Inputs of the agent besides the observation: none, as the LSTM is to identify the arm, or the belief."""
     hidden: tuple[int, ...] = (64,)
     """Hidden layers after the LSTM."""
     lstm_width: int = 64

@@ -1,4 +1,4 @@
-"""What training scripts of reinforcement learning share: options, arms, and a Stable-Baselines3 model as learner."""
+"""Reinforcement learning: shared options, training arms, and a Stable-Baselines3 model as learner."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from beltarm_env import BeltArmVectorEnv
 
 @dataclass(frozen=True)
 class ReinforcementConfig(RunConfig):
-    """Options of all scripts that learn by trial and error; each adds its algorithm's own."""
+    """Options of all reinforcement learning algorithms."""
 
     log_interval: ClassVar[int] = 10  # iterations, or episodes off-policy, between rows of the training log
 
@@ -42,7 +42,7 @@ class ReinforcementConfig(RunConfig):
 
     @property
     def worst_reward(self) -> float:
-        """What rewards are cut to, see `agents.residual.env.ResidualVecEnv`."""
+        """Reward floor, as a positive number, see `agents.residual.env.ResidualVecEnv`."""
         return math.inf
 
     def check(self) -> None:
@@ -55,7 +55,7 @@ class ReinforcementConfig(RunConfig):
 
 
 def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
-    """The training arms."""
+    """Make the environment of training arms."""
     arms = BeltArmVectorEnv(config.arms, sensors=config.sensors, randomization="train", autoreset_mode="SameStep")
     return ResidualVecEnv(
         arms,
@@ -86,7 +86,7 @@ class ModelLearner:
         return self.model.num_timesteps
 
     def actor(self) -> Actor:
-        """The policy as it acts now, a copy."""
+        """Copy of the current policy."""
         return actor_of(self.model.policy, self.config.spec().shape())
 
     def learn(self, monitor: TrainingMonitor) -> None:
@@ -103,7 +103,7 @@ class ModelLearner:
             raise
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that the next step depends on, between an update and the next rollout."""
+        """State that determines the next step, between an update and the next rollout."""
         model = self.model
         _, variables = model._get_torch_save_params()
         return {
@@ -115,7 +115,7 @@ class ModelLearner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Bring a new model of the same settings to where a snapshot was taken."""
+        """Restore a snapshot into a new model of the same options."""
         model = self.model
         model.set_parameters(state["parameters"], exact_match=True, device=model.device)
         for name, value in state["variables"].items():
@@ -158,7 +158,7 @@ _BUFFERS = ("observations", "next_observations", "actions", "rewards", "dones", 
 
 
 def _replay(model: BaseAlgorithm) -> dict[str, Any] | None:
-    """The filled part of a replay buffer."""
+    """Copy of the filled part of a replay buffer."""
     buffer = getattr(model, "replay_buffer", None)
     if buffer is None:
         return None
@@ -168,7 +168,7 @@ def _replay(model: BaseAlgorithm) -> dict[str, Any] | None:
 
 
 class _Pauses(BaseCallback):
-    """Lets the monitor act between update and rollout."""
+    """Callback that runs the monitor between update and rollout."""
 
     def __init__(self, monitor: TrainingMonitor) -> None:
         super().__init__()

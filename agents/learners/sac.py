@@ -43,7 +43,7 @@ class SacConfig(ReinforcementConfig):
     residual_limit: float = 0.5
     """Largest residual, as a share of the torque limit."""
     gamma: float = 0.9
-    """Discount per agent step: of what a torque does, most is done after 180 ms."""
+    """Discount per agent step: a horizon of 180 ms."""
     reward_scale: float = 0.1
     """Factor on the mean reward over a hold, so that values are of order 1."""
     validation_every: int = 250_000
@@ -53,7 +53,7 @@ class SacConfig(ReinforcementConfig):
     hidden: tuple[int, ...] = (128, 128)
     """Hidden layers of all networks."""
     buffer_size: int = 400_000
-    """Transitions that are kept."""
+    """Transitions in the replay buffer."""
     batch_size: int = 1024
     """Transitions per gradient step."""
     gradient_steps: int = 4
@@ -141,7 +141,7 @@ class ResidualSAC(SAC):
 def make_model(config: SacConfig, env: ResidualVecEnv) -> ResidualSAC:
     """Make an untrained model whose mean residual is near zero."""
     model = ResidualSAC("MlpPolicy", env, **config.arguments())
-    actor = model.actor
+    actor: Any = model.actor
     with torch.no_grad():
         actor.mu.weight.mul_(_NEAR_ZERO)
         actor.mu.bias.zero_()

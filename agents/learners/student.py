@@ -1,4 +1,4 @@
-"""Learning by imitation: a student is told, wherever it gets itself into, what a practised teacher would do there.
+"""Imitation learning by DAgger: a student learns a practised teacher's torques in the states that it visits itself.
 
 The teacher is `baselines.iterative.controller`: norm-optimal iterative learning [2] on the very move and arm, again and
 again. What practice leaves behind is a law about the practised path, not a list of torques, so the teacher can be asked
@@ -83,13 +83,13 @@ class StudentConfig(RunConfig):
     rounds: int = 6
     """Rounds of practice, of asking the teacher, and of fitting; a run that is resumed may have more."""
     repetitions: int = 3
-    """How often the teacher practises a move."""
+    """Repetitions of each move that the teacher practises."""
     epochs: int = 12
     """Passes over the pairs of all rounds in each fit."""
     batch_size: int = 2048
     """Pairs per gradient step."""
     huber: float = 0.02
-    """Difference from the teacher, as a share of the residual's limit, beyond which it weighs linearly."""
+    """Threshold of the Huber loss, as a share of the residual's limit."""
 
     @property
     def samples(self) -> int:
@@ -98,7 +98,7 @@ class StudentConfig(RunConfig):
 
     @property
     def length(self) -> int:
-        """Agent steps of the whole run, those that the teacher practises for included."""
+        """Agent steps of the whole run, the teacher's practice included."""
         return self.rounds * self.samples // self.hold
 
     def check(self) -> None:
@@ -112,7 +112,7 @@ class StudentConfig(RunConfig):
 
 
 class Student:
-    """A residual policy that learns by imitation, as `agents.runs.monitor.Learner`."""
+    """Residual policy that learns by imitation, as `agents.runs.monitor.Learner`."""
 
     def __init__(self, config: StudentConfig) -> None:
         torch.manual_seed(config.seed)
@@ -130,13 +130,13 @@ class Student:
         return self.rounds * self.config.samples // self.config.hold
 
     def actor(self) -> Actor:
-        """The policy as it acts now, a copy."""
+        """Copy of the current policy."""
         return copy.deepcopy(self._actor).requires_grad_(False)
 
     def learn(self, monitor: TrainingMonitor) -> None:
         """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`.
 
-        A checkpoint is of the end of a round: what an interruption leaves of one is made again.
+        Checkpoints are taken at the end of a round; an interrupted round is repeated.
         """
         monitor.begin()
         while self.rounds < self.config.rounds:
@@ -146,11 +146,11 @@ class Student:
             monitor.logger.dump(self.steps)
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that the next round depends on."""
+        """State that determines the next round."""
         return {"rounds": self.rounds, "actor": self._actor.state_dict(), "pairs": self.pairs}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Bring a new student of the same settings to where a snapshot was taken."""
+        """Restore a snapshot into a new student of the same options."""
         self.rounds, self.pairs = state["rounds"], state["pairs"]
         self._actor.load_state_dict(state["actor"])
 
@@ -177,7 +177,7 @@ class Student:
         monitor.logger.record("imitation/difference", difference)
 
     def _fit(self, pause: Callable[[int], None]) -> float:
-        """Fit the student to all pairs; returns the mean absolute difference in the last pass."""
+        """Fit the student to all pairs, and return the mean absolute error of the last pass."""
         config, network = self.config, self._actor.layers.to(self.config.device)
         inputs, labels = (torch.cat(parts).to(config.device) for parts in zip(*self.pairs, strict=True))
         optimiser = torch.optim.Adam(network.parameters(), config.learning_rate)
@@ -207,7 +207,7 @@ def make_learner(config: StudentConfig) -> Student:
 
 
 class _Pause:
-    """Between two samples, or two passes: tells how far a round has come, and breaks it off if that is asked for."""
+    """Reports progress within a round, and interrupts it on request."""
 
     def __init__(self, monitor: TrainingMonitor) -> None:
         self._monitor = monitor
@@ -225,7 +225,7 @@ class _Pause:
 
 
 class _Paused:
-    """A controller, with a pause before each of its samples."""
+    """Controller with a pause before each sample."""
 
     def __init__(self, controller: Controller, pause: Callable[[int], None]) -> None:
         self._controller = controller
@@ -238,6 +238,6 @@ class _Paused:
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, Any]:
-        """As the controller's own."""
+        """Pause, then call the controller's `predict`."""
         self._pause(len(observation))
         return self._controller.predict(observation, state, episode_start, deterministic)

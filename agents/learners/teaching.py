@@ -1,4 +1,4 @@
-"""A practised teacher beside its student: what `agents.learners.student` learns from."""
+"""Labels for imitation: the torques of a practised teacher beside its student."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Trial = Callable[[Controller], Recording]
 
 
 class Pairs(NamedTuple):
-    """What a student observed, and the residuals that its teacher would have liked."""
+    """Observations of a student, and the residuals that its teacher would choose."""
 
     inputs: torch.Tensor  # shape (pairs, inputs)
     labels: torch.Tensor  # shape (pairs, 1)
 
 
 def practise(trial: Trial, repetitions: int) -> tuple[Lesson, Recording]:
-    """Let a teacher practise: what it has learnt after so many trials, one at least, and the last of them."""
+    """Let a teacher practise, at least once; returns what it has learnt and the last trial."""
     lesson, recording = None, None
     for _ in range(repetitions):
         teacher = IterativeController(lesson)
@@ -40,7 +40,7 @@ def practise(trial: Trial, repetitions: int) -> tuple[Lesson, Recording]:
 
 
 def ask(trial: Trial, student: ResidualController, lesson: Lesson) -> tuple[Pairs, Recording]:
-    """Let a student make the moves of a lesson, and ask the teacher about all that it meets.
+    """Run a student on the moves of a lesson, and label every state by the teacher's torque.
 
     Returns:
         The pairs, of arms that have not left their workspace, and the student's trial.
@@ -51,7 +51,7 @@ def ask(trial: Trial, student: ResidualController, lesson: Lesson) -> tuple[Pair
 
 
 class Advised:
-    """A student at work with its teacher beside it, for one trial; as `Controller` it is the student.
+    """Student with its teacher beside it for one trial; as a `Controller`, the student.
 
     Args:
         student: Whose torques are applied.
@@ -75,7 +75,7 @@ class Advised:
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, tuple[ResidualMemory, Any]]:
-        """As the student's own."""
+        """Call the student's `predict`, and note the teacher's torque."""
         before, taught = state or (None, None)
         action, own = self.student.predict(observation, before, episode_start, deterministic)
         advice, taught = self._teacher.predict(observation, taught, episode_start)
@@ -90,7 +90,7 @@ class Advised:
         return action, (own, taught)
 
     def pairs(self) -> Pairs:
-        """Inputs and labels of the trial, in the order in which they came up."""
+        """Inputs and labels of the trial, in order of time."""
         hold, limit = self.student.settings.hold, self.student.settings.limit
         spans = [slice(k, k + hold) for k in range(0, len(self._advice), hold)]
         running = np.concatenate([np.all(self._running[span], axis=0) for span in spans])

@@ -41,7 +41,7 @@ class TuningConfig:
     """Options of `train/tune.py`."""
 
     algorithm: tyro.conf.Positional[Searched]
-    """Whose hyper-parameters."""
+    """Algorithm to tune."""
     trials: int = 40
     """Trials, those before an interruption included."""
     jobs: int = 2
@@ -59,7 +59,7 @@ class TuningConfig:
     out: Path = Path("results/train-tune")
     """Folder of the SQLite files, ALGORITHM.db, and of the tables made of them, ALGORITHM.csv."""
     resume: bool = False
-    """Go on with the study that is there."""
+    """Resume the study in the folder."""
 
     @property
     def file(self) -> Path:
@@ -223,7 +223,7 @@ def _value(config: TuningConfig, trial: Trial, stop: StopRequest) -> float:
 
 
 def counted(study: optuna.Study) -> list[FrozenTrial]:
-    """All trials but those that an interruption cost."""
+    """Trials without those that an interruption cost."""
     return [
         trial
         for trial in study.get_trials(deepcopy=False)
@@ -232,13 +232,13 @@ def counted(study: optuna.Study) -> list[FrozenTrial]:
 
 
 def trials_as_csv(study: optuna.Study) -> str:
-    """All trials: number, validation cost, settings, and whether one was stopped before its end."""
+    """Format all trials as CSV: number, validation cost, settings, state and duration."""
     table = study.trials_dataframe(attrs=("number", "value", "params", "state", "duration"))
     return table.to_csv(index=False)
 
 
 def training_command(config: TuningConfig, study: optuna.Study) -> str:
-    """The command that trains with the settings found.
+    """Command that trains with the settings found.
 
     Raises:
         ValueError: If no trial was completed.

@@ -1,4 +1,4 @@
-"""Folder of a run, and checkpoints from which a run goes on bit for bit as if it had not been interrupted.
+"""Folder of a run, and checkpoints from which it resumes bit for bit.
 
     config.json       every option, what makes the run this one, and the software that writes it
     checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
@@ -38,12 +38,12 @@ _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
 
 
 def written_by() -> dict[str, Any]:
-    """The software of this process, as it is noted with what it writes."""
+    """Versions of the software of this process, noted in what it writes."""
     return software(*_PACKAGES)
 
 
 class RunFolder:
-    """The folder of a run."""
+    """Files of one run."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -55,7 +55,7 @@ class RunFolder:
         self._software = written_by()
 
     def begin(self, config: RunConfig) -> None:
-        """Make the folder ready for a new run, or for going on with the one that it holds.
+        """Prepare the folder for a new run, or for resuming the one that it holds.
 
         Raises:
             FileNotFoundError: If there is nothing to resume.
@@ -71,12 +71,12 @@ class RunFolder:
                 half_written.unlink(missing_ok=True)
 
     def note(self, config: RunConfig) -> None:
-        """Write the options of the run, once a checkpoint that it goes on from has been read."""
+        """Write config.json; when resuming, only after the checkpoint has been read."""
         content = {"config": asdict(config), "identity": config.identity(), "written_by": self._software}
         write_text(self.config, json.dumps(content, indent=2, default=str) + "\n")
 
     def check(self, config: RunConfig) -> None:
-        """Check that the folder holds no run, or the one to be resumed, or one to be overwritten; raises as `begin`."""
+        """Check that the folder is free, holds the run to resume, or may be overwritten; raises as `begin`."""
         if config.resume:
             self._require_same(config)
         elif config.overwrite and self.best.exists() and not self.config.exists():
@@ -108,7 +108,7 @@ class RunFolder:
                 raise ValueError(f"the run in {self.folder} began with {known}: {remedy}")
 
     def delete_run(self) -> None:
-        """Delete what runs write, and nothing else."""
+        """Delete the files that runs write, and nothing else."""
         for folder in (self.best, self.last):
             if folder.exists():
                 shutil.rmtree(folder)
@@ -137,10 +137,10 @@ class RunFolder:
             raise OSError(message) from None
 
     def load(self, restore: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-        """Go back to the last checkpoint.
+        """Restore the last checkpoint.
 
         Args:
-            restore: Brings a new learner to its snapshot.
+            restore: Restores a new learner from its snapshot.
 
         Returns:
             The run's progress.
@@ -160,7 +160,7 @@ class RunFolder:
             raise self._misfit(error, origin) from error
 
     def _read(self) -> dict[str, Any]:
-        """What the checkpoint holds."""
+        """Unpickle the checkpoint."""
         try:
             with self.checkpoint.open("rb") as file:
                 content = pickle.load(file)
@@ -173,11 +173,11 @@ class RunFolder:
         return content
 
     def _misfit(self, error: Exception, origin: Any) -> ValueError:
-        """A checkpoint that is sound, but not for this version."""
+        """Error about a checkpoint that another version wrote."""
         return ValueError(f"{self.checkpoint} does not fit this version ({_words(error)}): {_remedy(origin)}")
 
     def _noted(self) -> Any:
-        """The software that wrote the run, as its settings have it."""
+        """Software that wrote config.json, or None."""
         try:
             return json.loads(self.config.read_text(encoding="utf-8"))["written_by"]
         except (OSError, ValueError, KeyError, TypeError):
@@ -190,7 +190,7 @@ def _words(error: Exception) -> str:
 
 
 def _remedy(origin: Any) -> str:
-    """How to go on with a run of another version, without losing it."""
+    """Advice on a run of another version that keeps the run."""
     known = isinstance(origin, dict) and {"version", "commit"} <= set(origin)
     writer = f"beltarm {origin['version']} at commit {origin['commit']}" if known else "the version that wrote it"
     return f"go on with it by {writer}, or choose another --out"
@@ -217,7 +217,7 @@ def _dump(content: dict[str, Any], path: Path) -> None:
 
 
 def _table(curve: list[dict[str, float]]) -> str:
-    """Rows as CSV."""
+    """Format rows as CSV."""
     text = io.StringIO(newline="")
     if curve:
         writer = csv.DictWriter(text, fieldnames=list(curve[0]), lineterminator="\n")

@@ -80,7 +80,7 @@ def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
 
 
 def runs_of(config: RunConfig) -> dict[str, RunConfig]:
-    """The run of each seed, by the name of its folder; with `--resume`, those without a checkpoint begin.
+    """Options of each seed's run, by the name of its folder; with `--resume`, runs without a checkpoint begin.
 
     Raises:
         FileNotFoundError: If there is nothing to resume.
@@ -128,7 +128,7 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
 
 
 def _explained(failure: Failure) -> str:
-    """Why a run failed, and what to do where it was not to blame."""
+    """Message of a failed run, with a remedy if its process died."""
     return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
 
 

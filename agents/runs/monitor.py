@@ -1,4 +1,4 @@
-"""What goes on beside a training run: validation, keeping the best policy, checkpoints, telling how far it has come."""
+"""Monitor of a training run: validation, the best policy, checkpoints and progress."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _NEWS_EVERY = 0.5  # [s]
 
 
 def validate(controller: Controller, arms: int, sensors: Any = "encoder") -> dict[str, float]:
-    """Mean scores over arms drawn from the training ranges with the validation seed."""
+    """Compute mean scores over arms drawn from the training ranges with the validation seed."""
     metrics = rollout(controller, arms, seed=VALIDATION_SEED, randomization="train", sensors=sensors).metrics()
     return {name: float(np.mean(metrics[name])) for name in SCORES}
 
 
 class News(NamedTuple):
-    """How far a run has come."""
+    """Progress of a run."""
 
     steps: int
     scores: str  # of the last validation, in words
@@ -41,19 +41,19 @@ class News(NamedTuple):
 
 
 class Learner(Protocol):
-    """What a run trains: an actor, and all that its training depends on."""
+    """Protocol of a learner: an actor, and the whole state of its training."""
 
     @property
     def steps(self) -> int:
-        """Agent steps learnt from so far, each of `hold` simulated samples."""
+        """Agent steps so far, each of `hold` simulated samples."""
         ...
 
     def actor(self) -> Actor:
-        """The policy as it acts now, a copy."""
+        """Copy of the current policy."""
         ...
 
     def learn(self, monitor: TrainingMonitor) -> None:
-        """Learn to the end of the run, and let the monitor know.
+        """Learn to the end of the run, calling the monitor.
 
         Raises:
             Interrupted: If the monitor was asked to stop.
@@ -62,31 +62,31 @@ class Learner(Protocol):
         ...
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that the next step depends on, but for the random generators of Python, NumPy and PyTorch."""
+        """State that determines the next step, without the random generators of Python, NumPy and PyTorch."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Bring a new learner of the same settings to where a snapshot was taken."""
+        """Restore a snapshot into a new learner of the same options."""
         ...
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Release resources."""
         ...
 
 
 class TrainingMonitor:
-    """Validates when told to, keeps the best policy and a checkpoint, tells about progress, and stops when asked.
+    """Validates a run, keeps its best policy and a checkpoint, reports progress, and stops on request.
 
-    A learner calls it between two updates, where everything that a run consists of is at rest.
+    A learner calls it between two updates, where the state of the run is complete.
 
     Args:
         config: Options of the run.
         folder: Where to save.
-        learner: What is trained.
-        spec: What the policy is; its provenance is completed with what was reached.
+        learner: The learner.
+        spec: Specification of the policy; the scores reached are added to its provenance.
         logger: The training log.
         channel: Gets news, twice a second at most, and after every validation; asks the run to stop.
-        progress: What an interrupted run had reached.
+        progress: Progress of the interrupted run that is resumed.
     """
 
     def __init__(
@@ -122,12 +122,12 @@ class TrainingMonitor:
         return [(row["steps"], row["seconds"], row["cost"]) for row in self.progress["curve"]]
 
     def begin(self) -> None:
-        """Validate what is untrained: where the curve begins, and what a run can be resumed from at the least."""
+        """Validate the untrained policy and save the first checkpoint."""
         if not self.folder.checkpoint.exists():
             self.evaluate()
 
     def stop_if_asked(self, save: bool = True) -> None:
-        """Raise Interrupted if the run is to stop, having saved a checkpoint unless the last one is to be gone on from.
+        """Raise Interrupted on a request to stop, after saving a checkpoint if `save`.
 
         Raises:
             Interrupted: If it was asked to.
@@ -139,13 +139,13 @@ class TrainingMonitor:
             raise Interrupted(f"interrupted at {self.learner.steps} steps, saved in {self.config.out}")
 
     def tell(self, steps: int) -> None:
-        """Report so many steps, unless something was reported just now."""
+        """Report the steps reached, twice a second at most."""
         if time.perf_counter() - self._told >= _NEWS_EVERY:
             self._told = time.perf_counter()
             self.channel.report(News(steps, self.progress["scores"]))
 
     def evaluate(self) -> None:
-        """Validate, log, keep the policy if it is the best so far, and save a checkpoint; once for every state."""
+        """Validate, log, keep the best policy and save a checkpoint, once per number of steps."""
         steps = self.learner.steps
         if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
             return
@@ -171,7 +171,7 @@ class TrainingMonitor:
         self.folder.save(self.learner.snapshot(), self.progress)
 
     def provenance(self) -> dict[str, Any]:
-        """What is known of the run by now, for the provenance of its policies."""
+        """Steps, time and learning curve so far, for the provenance of policies."""
         run = {"steps": self.learner.steps, "seconds": round(self.seconds, 1)}
         return {"run": run, "curve": [list(point) for point in self.curve]}
 
@@ -182,4 +182,4 @@ class TrainingMonitor:
 
 
 Maker = Callable[[Any], Learner]
-"""Makes an untrained learner from a script's options."""
+"""Makes an untrained learner from options."""

@@ -1,4 +1,4 @@
-"""What every training script can be told, and how training arms are seeded.
+"""Options of all training scripts, and the seeds of training arms.
 
 **Seeds.** Arm i of training seed s is seeded with `SEED_SPACING` s + i: no two training seeds share an arm, and all lie
 below 4 000 000. Above are those of the cross-check (4), the tuner (5), the paper's reproduction (6), validation
@@ -20,13 +20,13 @@ from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
 
 SEED_SPACING = 4096
-"""Seeds between the first arms of two training seeds, and so the most arms that a run can have."""
+"""Seeds between the first arms of two training seeds: the maximum number of arms of a run."""
 MAX_SEED = 4_000_000 // SEED_SPACING - 1
 MAY_CHANGE = (
     *("out", "seeds", "jobs", "threads", "device", "resume", "overwrite"),
     *("total_steps", "validation_every", "rounds"),
 )
-"""Options that may differ when a run is resumed; with other values of the others it would be another run."""
+"""Options that may differ when a run is resumed; all others identify the run."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class RunConfig:
     seed: int = 0
     """Seed of everything: arms, moves, weights, exploration. At most 975."""
     seeds: int = 1
-    """Train so many runs, with this and the following seeds, each in a process of its own."""
+    """Number of runs, with this and the following seeds, each in a process of its own."""
     jobs: int = 2
     """Runs side by side, with --seeds."""
     base: str = "paper"
     """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
     knowledge: Knowledge = "belief"
-    """What the agent is told besides the observation: what is identified of the arm, or nothing."""
+    """Inputs of the agent besides the observation: the belief of the identification, or none."""
     sensors: Literal["encoder", "tip", "full"] = "encoder"
-    """Sensors of the arm; "full" is the true torsion, an upper bound and no equal to compare with."""
+    """Sensors of the arm; "full" measures the true torsion: an upper bound, not comparable with the others."""
     arms: int = 512
     """Arms simulated side by side."""
     learning_rate: float = 5e-4
@@ -66,9 +66,9 @@ class RunConfig:
     threads: int = 1
     """Threads of PyTorch; more than one slows networks of this size down."""
     device: str = "cpu"
-    """Where the networks live: cpu, cuda, cuda:1, ..."""
+    """Device of the networks: cpu, cuda, cuda:1, ..."""
     resume: bool = False
-    """Go on with the run in `out` exactly where its last checkpoint was."""
+    """Resume the run in `out` from its last checkpoint."""
     overwrite: bool = False
     """Delete the run that is in `out` and begin anew."""
 
@@ -79,7 +79,7 @@ class RunConfig:
 
     @property
     def residual(self) -> ResidualSettings:
-        """How the residual acts."""
+        """Settings of the residual."""
         return ResidualSettings(self.residual_limit, self.hold, self.knowledge)
 
     @property
@@ -88,7 +88,7 @@ class RunConfig:
         return 0
 
     def check(self) -> None:
-        """Check what the algorithm itself does not.
+        """Check the options.
 
         Raises:
             ValueError: Naming the option, its value and what is allowed.
@@ -106,7 +106,7 @@ class RunConfig:
         _check_device(self.device)
 
     def at_least(self, least: float, *names: str) -> None:
-        """Raise ValueError unless these options are at least so much."""
+        """Raise ValueError unless these options are at least `least`."""
         for name in names:
             if not getattr(self, name) >= least:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least {least}, got {getattr(self, name)}")
@@ -119,7 +119,7 @@ class RunConfig:
                 raise ValueError(f"--{option} must be finite and above 0, got {getattr(self, name)}")
 
     def spec(self, **provenance: Any) -> BundleSpec:
-        """What the trained policy will be."""
+        """Specification of the trained policy."""
         return BundleSpec(
             self.algorithm,
             self.base,
@@ -132,7 +132,7 @@ class RunConfig:
         )
 
     def identity(self) -> dict[str, Any]:
-        """What makes a run this one and no other: options, and what is under them."""
+        """Identity of a run: its options, the gains of its base, and the observation layout."""
         options = {name: value for name, value in asdict(self).items() if name not in MAY_CHANGE}
         plain = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
         settings = base_settings(self.base, self.knowledge)

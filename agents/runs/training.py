@@ -1,4 +1,4 @@
-"""A training run, from its options to its policies; `agents.runs.command_line` is the command line around it."""
+"""Training run from options to policies; `agents.runs.command_line` is the command line around it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def train(
         command: What the policies' provenance says made them; by default the command of this process.
 
     Returns:
-        The monitor, which knows what came out.
+        The monitor, with the learning curve.
 
     Raises:
         Interrupted: If it was asked to stop; it can be resumed.
@@ -60,7 +60,7 @@ def train(
 
 
 def _finish(monitor: TrainingMonitor, spec: BundleSpec) -> None:
-    """Leave the last policy, and in the best one what has become of the run since."""
+    """Save the last policy, and complete the provenance of the best one."""
     folder, known = monitor.folder, monitor.provenance()
     scores = {name: value for name, value in monitor.progress["curve"][-1].items() if name not in ("steps", "seconds")}
     reached = {**known["run"], "validation": scores}

@@ -1,1 +1,1 @@
-"""Files, provenance, command lines, and running things side by side: nothing of control."""
+"""Tools of all commands: files, provenance, command lines, progress, and tasks side by side."""

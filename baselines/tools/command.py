@@ -1,4 +1,4 @@
-"""What the commands of this folder do about a user's mistakes: one clear line, and no stack trace."""
+"""Errors of commands: one clear line for a user's mistakes, without a stack trace."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
 
 @contextmanager
 def one_line_errors(script: str) -> Iterator[None]:
-    """Exit with 2 on what a user can put right, and with 130 on Ctrl-C, saying so in one line."""
+    """Exit with status 2 on a user's mistake, and with 130 on Ctrl-C, with one line of text."""
     try:
         yield
     except BrokenPipeError:  # the reader of the output has seen enough

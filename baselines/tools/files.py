@@ -1,4 +1,4 @@
-"""Writing files so that an interrupted run never leaves half of one."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """Create `folder` and check that files can be written there, before work is spent on what will be.
+    """Create `folder`, and check that files can be written there before any work is done.
 
     Raises:
         OSError: If not, naming the folder.

@@ -1,1 +1,1 @@
-"""The search for gains, the same for all controllers."""
+"""Search for gains, the same for all controllers."""

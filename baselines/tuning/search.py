@@ -1,4 +1,4 @@
-"""The search for a controller's gains: one optimiser, one set of arms, one objective and one budget for all of them.
+"""Search for a controller's gains: one optimiser, one set of arms, one objective and one budget for all of them.
 
 **Objective.** The mean episode cost (`beltarm_env.task.cost`) over arms of the training ranges with random moves. An
 arm that leaves its workspace is charged as everywhere; a controller that fails counts as the highest cost there is.
@@ -60,8 +60,8 @@ WORST = MAX_COST * EPISODE_STEPS
 Floats = NDArray[np.float64]
 
 
-class State(NamedTuple):
-    """How far a search has come."""
+class SearchProgress(NamedTuple):
+    """Progress of a search."""
 
     steps: int  # simulated
     trials: int
@@ -69,8 +69,8 @@ class State(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """What a search found, and what it took."""
+class SearchResult:
+    """Result of a search, and its effort."""
 
     gains: dict[str, float]
     cost: float  # mean episode cost over the arms of the choice
@@ -83,15 +83,15 @@ class Found:
     seconds: float  # of trials and choice
 
 
-class Split(NamedTuple):
-    """How a budget of simulated steps is spent."""
+class BudgetSplit(NamedTuple):
+    """Division of a budget of simulated steps."""
 
     search: int  # steps
     arms: int  # of the choice, for each finalist and for the untuned gains
 
 
-def split(budget: int) -> Split:
-    """Keep a fifth of the budget for the choice, or what `MAX_CHOICE_ARMS` take.
+def split_budget(budget: int) -> BudgetSplit:
+    """Divide a budget: a fifth for the choice, at most `MAX_CHOICE_ARMS` arms.
 
     Raises:
         ValueError: If the budget is too small.
@@ -100,11 +100,11 @@ def split(budget: int) -> Split:
         raise ValueError(f"--budget must be at least {MIN_BUDGET} steps, enough for one trial, got {budget}")
     each = (FINALISTS + 1) * EPISODE_STEPS
     arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
-    return Split(budget - arms * each, arms)
+    return BudgetSplit(budget - arms * each, arms)
 
 
 def estimate(costs: Floats, best: Floats) -> float:
-    """Mean cost on all arms of a trial that has run on some, from its differences to the best trial so far.
+    """Estimate a trial's mean cost on all arms from those that it has run on, and the best trial so far.
 
     Args:
         costs: Of the trial, shape (n,).
@@ -116,33 +116,33 @@ def estimate(costs: Floats, best: Floats) -> float:
 
 
 def hopeless(costs: Floats, best: Floats) -> bool:
-    """Whether a trial has lost against the best one; arguments as those of `estimate`."""
+    """Whether a trial has lost the race against the best one; arguments as those of `estimate`."""
     if not len(best):
         return False
     difference = costs - best[: len(costs)]
     return bool(difference.mean() > MARGIN * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
-def search(tunable: Tunable, budget: int, seed: int, journal: Path, channel: Channel | None = None) -> Found:
-    """Find gains, going on with what the journal holds.
+def search(tunable: Tunable, budget: int, seed: int, journal: Path, channel: Channel | None = None) -> SearchResult:
+    """Search for gains, resuming from the journal.
 
     Args:
-        tunable: What to tune.
+        tunable: Controller and gains to tune.
         budget: Simulated steps, those in the journal included.
         seed: Of the optimiser.
         journal: File in which every trial is noted as it runs.
-        channel: Gets a `State` after every batch of arms.
+        channel: Gets a `SearchProgress` after every batch of arms.
 
     Raises:
         ValueError: If the budget is too small, the controller fails with its untuned gains, the journal belongs to
             another search, or another process searches with it.
         Interrupted: If asked to stop; the journal is in order.
     """
-    parts = split(budget)
+    parts = split_budget(budget)
     with own(journal):
         study = open_study(tunable.gains, seed, journal)
         if study.user_attrs.get("budget") == budget:
-            return Found(**study.user_attrs["found"])
+            return SearchResult(**study.user_attrs["found"])
         run = _Search(tunable, study, channel or Channel())
         if run.steps > parts.search:
             raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
@@ -155,16 +155,16 @@ def search(tunable: Tunable, budget: int, seed: int, journal: Path, channel: Cha
 
 
 class _FailureError(Exception):
-    """A controller raised an error or returned what is no torque."""
+    """Raised where a controller fails or returns no finite torque."""
 
 
 class _Search:
-    """Trials and choice of one search.
+    """Trials of one search, and the choice among them.
 
     Args:
-        tunable: What to tune.
+        tunable: Controller and gains to tune.
         study: Where trials are kept; a complete one has the `costs` of its arms, a failed one its `failure`.
-        channel: Gets a `State` after every batch of arms.
+        channel: Gets a `SearchProgress` after every batch of arms.
     """
 
     def __init__(self, tunable: Tunable, study: optuna.Study, channel: Channel) -> None:
@@ -176,7 +176,7 @@ class _Search:
         self.steps = EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
 
     def trial(self, limit: int) -> None:
-        """Run one trial, for as long as it may win and stays within the limit of steps."""
+        """Run one trial until it is complete, pruned, or at the limit of steps."""
         complete = self._complete()
         best = np.array(complete[0].user_attrs["costs"] if complete else [])
         trial = self._study.ask(self._space)
@@ -198,15 +198,15 @@ class _Search:
             trial.set_user_attr("costs", costs.tolist())
         self._study.tell(trial, value)
 
-    def choose(self, arms: int) -> Found:
-        """Run the finalists and the untuned gains on other arms and take the best."""
+    def choose(self, arms: int) -> SearchResult:
+        """Run the finalists and the untuned gains on other arms, and choose the best."""
         began = time.perf_counter()
         candidates = [self._untuned, *(trial.params for trial in self._complete()[:FINALISTS])]
         costs = [self._mean_cost(params, arms) for params in candidates]
         best = int(np.argmin(costs))
         trials = [trial for trial in self._trials() if trial.state is TrialState.COMPLETE]
         failed = sum("failure" in trial.user_attrs for trial in trials)
-        return Found(
+        return SearchResult(
             gains=asdict(rounded(candidates[best], self._tunable.gains)),
             cost=costs[best],
             cost_untuned=costs[0],
@@ -238,7 +238,7 @@ class _Search:
             raise _FailureError(f"{type(error).__name__}: {error}") from error
         complete = self._complete()
         best = (complete[0].value if complete else None) or np.inf
-        self._channel.report(State(self.steps, len(self._trials()), best))
+        self._channel.report(SearchProgress(self.steps, len(self._trials()), best))
         if self._channel.stop.made:
             raise Interrupted("interrupted")
         return costs

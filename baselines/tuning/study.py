@@ -1,4 +1,4 @@
-"""The Optuna study behind a search: what it varies, and the journal that it is kept in."""
+"""Optuna study of a search: its ranges, and the journal that stores it."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from baselines.gains import Gains
 
 
 def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
-    """The ranges of all gains."""
+    """Distributions of all gains."""
     ranges = {gain.name: gain.metadata for gain in fields(kind)}
     return {name: FloatDistribution(of["low"], of["high"], log=of["log"]) for name, of in ranges.items()}
 
 
 def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
-    """Gains with six significant digits, so that a trial runs with what will be written."""
+    """Gains rounded to six significant digits, as they are written to the file."""
     near = {name: float(f"{value:.6g}") for name, value in params.items()}
     ranges = {gain.name: gain.metadata for gain in fields(kind)}
     return kind(**{name: min(max(near[name], of["low"]), of["high"]) for name, of in ranges.items()})
@@ -32,7 +32,7 @@ def rounded(params: dict[str, float], kind: type[Gains]) -> Gains:
 
 @contextmanager
 def own(journal: Path) -> Iterator[None]:
-    """Hold the journal for this process alone; the lock of a process that was killed is free.
+    """Lock the journal for this process; the system releases the lock of a process that is killed.
 
     Raises:
         ValueError: If another process holds it.
@@ -57,7 +57,7 @@ def begin_anew(journal: Path) -> None:
 
 
 def open_study(kind: type[Gains], seed: int, journal: Path) -> optuna.Study:
-    """Open the study that a journal of this process's own holds, or begin one with the untuned gains.
+    """Open the study in a locked journal, or begin one with the untuned gains.
 
     Raises:
         ValueError: If the journal is damaged, or was begun with another seed or other gains.

@@ -51,16 +51,16 @@ class VariantResult:
 
     @property
     def base(self) -> str:
-        """The controller that was corrected."""
+        """Base controller."""
         return self.runs[0]["base"]
 
     def score(self, name: str) -> Floats:
-        """A score of every run."""
+        """Score of each run."""
         return np.array([run["scores"][name] for run in self.runs])
 
     @property
     def minutes(self) -> float:
-        """Wall-clock of a run."""
+        """Mean wall-clock of a run [min]."""
         return float(np.mean([run["minutes"] for run in self.runs]))
 
 
@@ -75,7 +75,7 @@ class AblationStudy:
     classical_validated: float  # cost of the best classical controller on the validation arms
 
     def factors(self) -> dict[str, list[VariantResult]]:
-        """Outcomes by what is varied; the default is the first of each."""
+        """Results by factor; the default is the first of each."""
         default, *others = self.results
         grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in QUESTIONS}
         return {factor: [default, *group] for factor, group in grouped.items() if group}
@@ -86,7 +86,7 @@ def _label(result: VariantResult, factor: str) -> str:
 
 
 def as_json(study: AblationStudy) -> str:
-    """The content of `ablations.json`."""
+    """Content of `ablations.json`."""
     content = {
         "provenance": {
             "command": command_line(),
@@ -102,7 +102,7 @@ def as_json(study: AblationStudy) -> str:
 
 
 def markdown(study: AblationStudy, seconds: float) -> str:
-    """The content of `ablations.md`."""
+    """Content of `ablations.md`."""
     seeds = len(study.results[0].runs)
     parts = [
         "# What makes learning work: ablations",
@@ -130,7 +130,7 @@ def markdown(study: AblationStudy, seconds: float) -> str:
 
 
 def _common(study: AblationStudy) -> str:
-    """The default's command without its seed."""
+    """Command of the default run, without its seed."""
     return study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
 
 
@@ -205,7 +205,7 @@ def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantR
 
 
 def _scale(panels: list[Axes], study: AblationStudy) -> None:
-    """One scale for all: from below the best to above the base."""
+    """Set common axes: from below the best to above the base."""
     lowest = min(point[2] for result in study.results for run in result.runs for point in run["curve"])
     base = study.results[0].runs[0]["validation_of_base"]
     for axis in panels:

@@ -39,7 +39,7 @@ class AblationConfig:
     arms: int = 256
     """Arms on which the last policy is scored."""
     quick: bool = False
-    """A first look whether everything runs: a few arms, one update's worth of steps."""
+    """Trial of the command: a few arms, and the steps of one update."""
 
     def check(self) -> None:
         """Check the options.
@@ -53,7 +53,7 @@ class AblationConfig:
         self.chosen()
 
     def chosen(self) -> list[Variant]:
-        """The variants to train, the default run first.
+        """Variants to train, the default run first.
 
         Raises:
             ValueError: If there is no such factor or variant.

@@ -44,7 +44,7 @@ class Curve:
 
 
 def find_curves(folders: list[Path]) -> list[Curve]:
-    """The curves of all runs and policies in folders.
+    """Read the curves of all runs and policies in folders.
 
     Raises:
         BundleError: If there are none in one of them, or a bundle is damaged.
@@ -62,7 +62,7 @@ def find_curves(folders: list[Path]) -> list[Curve]:
 
 
 def _read_curve(bundle: Path) -> Curve:
-    """The curve that a bundle holds; of a run under way, the one that its folder has by now."""
+    """Read the curve of a bundle; of a run under way, the newer one of its folder."""
     spec, _ = read_spec(bundle)
     known = spec.provenance
     points = known.get("curve", [])
@@ -89,7 +89,7 @@ def _method(spec: BundleSpec) -> str:
 
 
 def classical_cost(arms: int) -> float:
-    """Validation cost of the best classical controller."""
+    """Compute the validation cost of the best classical controller."""
     return validate(CONTROLLERS[BEST_CLASSICAL](), arms)["cost"]
 
 
@@ -116,7 +116,7 @@ def draw(curves: list[Curve], classical: float, path: Path) -> None:
 
 
 def _references(axis: Axes, curves: list[Curve], classical: float, named: bool) -> None:
-    """Lines of the bases and of the best classical controller."""
+    """Draw the costs of the bases and of the best classical controller."""
     levels = {curve.base: curve.base_cost for curve in curves} | {BEST_CLASSICAL: classical}
     for name, level in levels.items():
         axis.axhline(level, color="0.35", lw=1, ls="--", zorder=1)
@@ -126,7 +126,7 @@ def _references(axis: Axes, curves: list[Curve], classical: float, named: bool) 
 
 
 def _draw_method(axis: Axes, curves: list[Curve], of: Callable[[Curve], Floats], colour: str) -> None:
-    """The runs of one method; of several, each thinly, their median and interquartile band as far as all of them go."""
+    """Draw the runs of one method, with their median and interquartile band if there are several."""
     if len(curves) == 1:
         axis.plot(of(curves[0]), curves[0].cost, color=colour, lw=2)
         return
@@ -141,7 +141,7 @@ def _draw_method(axis: Axes, curves: list[Curve], of: Callable[[Curve], Floats],
 
 
 def _name_methods(axis: Axes, curves: list[Curve], colours: dict[str, str], of: Callable[[Curve], Floats]) -> None:
-    """Names beside the ends of the curves, moved apart where they would overlap."""
+    """Write names beside the ends of the curves, moved apart where they would overlap."""
     furthest = max(of(curve)[-1] for curve in curves)
     axis.set_xlim(0, 1.6 * furthest)
     runs = {name: [curve for curve in curves if curve.method == name] for name in colours}

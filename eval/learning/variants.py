@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Variant:
-    """Options of one training run, by the thing of the default run that they change."""
+    """Training run that changes one option of the default run."""
 
     name: str  # its folder's
     factor: str  # key of `QUESTIONS`

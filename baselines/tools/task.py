@@ -1,0 +1,66 @@
+"""Tasks that can run in another process: what they get, and how they end."""
+
+from __future__ import annotations
+
+import os
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+class StopRequest:
+    """Request to end early, made by a signal or by a test."""
+
+    def __init__(self) -> None:
+        self.made = False
+
+
+class Interrupted(Exception):  # noqa: N818
+    """Raised by a task that ends early because it was asked to, with its work saved."""
+
+
+class BrokenOff(Exception):  # noqa: N818
+    """A task whose process died, and died again when it was begun anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """Connection of a task to whoever began it; by default nobody."""
+
+    report: Callable[[Any], object] = lambda _: None
+    """Sends news."""
+    stop: StopRequest = field(default_factory=StopRequest)
+    """Whether the task should end; it may then raise `Interrupted`."""
+
+
+Task = Callable[[Channel], Result]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """The exception with which a task ended."""
+
+    error: Exception
+
+    @property
+    def message(self) -> str:
+        """The error in one line, with its kind and place unless it is about options or files."""
+        words = " ".join(str(self.error).split())
+        if isinstance(self.error, (OSError, ValueError, Interrupted, BrokenOff)):
+            return words
+        return " ".join([f"{type(self.error).__name__}: {words}", *getattr(self.error, "__notes__", [])[:1]])
+
+
+def attempt(task: Task[Result], channel: Channel) -> Result | Failure:
+    """Run a task, and return its result or failure."""
+    try:
+        return task(channel)
+    except SystemExit as end:
+        return Failure(ValueError(f"exit status {end.code}"))
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        error.add_note(f"({os.path.basename(frame.filename)}, line {frame.lineno})")
+        return Failure(error)
