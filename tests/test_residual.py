@@ -15,12 +15,14 @@ from agents.policy.bundle import BundleSpec, load_controller, read_spec, save_bu
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combine
 from agents.residual.env import ResidualEnv, ResidualVecEnv
-from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space, tip_errors
+from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.arm import plant_of_params
 from beltarm_env.observation import index, size
+from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
 
 BASES = ("paper", "rigid")
@@ -227,7 +229,9 @@ def test_believed_tip_errors_are_the_true_ones_of_a_true_state():
     seen, _ = plain.reset(seed=30)
     for _ in range(60):
         seen, *_ = plain.step(np.full((4, 1), 0.4, np.float32))
-    errors, exact = tip_errors(plain.state, read(seen, ArmParams()), ArmParams()), plain.tip_errors()
+    reading, exact = read(seen, ArmParams()), plain.tip_errors()
+    reference = np.stack([reading.reference_angle, reading.reference_speed], axis=1)
+    errors = tip_errors(plain.state, reference, plant_of_params(ArmParams()))
     assert np.abs(exact[:, 1]).min() > 1e-4
     np.testing.assert_allclose(errors[:, 0], exact[:, 0], atol=1e-7)
     np.testing.assert_allclose(errors[:, 1], exact[:, 1], atol=1e-7)
