@@ -237,6 +237,46 @@ def test_believed_tip_errors_are_the_true_ones_of_a_true_state():
     np.testing.assert_allclose(errors[:, 1], exact[:, 1], atol=1e-7)
 
 
+class TestArmsOfAnotherDataSheet:
+    """Observations are relative to gear ratio and torque limit, see `Controller`."""
+
+    PARAMS = ArmParams(gear_ratio=100.0, torque_limit=0.2)
+
+    def test_belief_is_about_the_arm_that_the_base_is_made_for(self):
+        informed = InformedBase(CONTROLLERS["paper"](params=self.PARAMS))
+        plain, memory = BeltArmVectorEnv(2), None
+        seen, _ = plain.reset(seed=30, options={"params": {"gear_ratio": 100.0, "torque_limit": 0.2}})
+        for _ in range(200):
+            memory = informed.advance(seen, memory, None)
+            seen, *_ = plain.step(memory.action)
+        memory = informed.advance(seen, memory, None)
+        assert memory.belief is not None
+        np.testing.assert_allclose(memory.belief.state[:, 0], plain.state[:, 0], atol=0.01)
+        np.testing.assert_allclose(memory.belief.state[:, 2], plain.state[:, 2], atol=2e-4)
+        told = informed.seen(seen, memory)[:, size() :] * [entry.scale for entry in ENTRIES["belief"]]
+        np.testing.assert_allclose(told[:, 4:6], plain.tip_errors()[:, :2], atol=2e-4)
+
+    def test_residual_controller_is_made_for_the_arm_of_its_base(self):
+        class Nothing:
+            def predict(self, observation, state=None, episode_start=None, deterministic=True):
+                return np.zeros((len(observation), 1), np.float32), None
+
+        options = {"params": {"gear_ratio": 100.0, "torque_limit": 0.2}}
+        base = CONTROLLERS["ei"](params=self.PARAMS)
+        alone = rollout(base, 2, seed=30, options=options).torque
+        residual = rollout(ResidualController(base, Nothing(), SETTINGS), 2, seed=30, options=options).torque
+        np.testing.assert_array_equal(residual, alone)
+        with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 88.0, but ResidualController is made for 100.0"):
+            rollout(ResidualController(base, Nothing(), SETTINGS), 2, seed=30)
+
+    def test_environments_refuse_others(self):
+        with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 100.0, but PaperController is made for 88.0"):
+            one().reset(seed=0, options={"params": {"gear_ratio": 100.0}})
+        with pytest.raises(ValueError, match=r"torque_limit 0.2, but PaperController is made for 0.3"):
+            weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
+            ResidualVecEnv(weak, CONTROLLERS["paper"](), SETTINGS).reset()
+
+
 def test_knowledge_none_is_the_base_torque_alone():
     settings = replace(SETTINGS, knowledge="none")
     batch = many(3, settings)
