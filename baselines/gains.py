@@ -56,7 +56,7 @@ AnyGains = TypeVar("AnyGains", bound=Gains)
 class Tunable(NamedTuple):
     """A controller that `baselines/tune.py` can tune."""
 
-    controller: Callable[[Any], Controller]  # makes one with gains of the kind below
+    controller: Callable[..., Controller]  # makes one from gains of the type below, and `params`
     gains: type[Gains]
 
 

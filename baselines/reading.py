@@ -1,4 +1,4 @@
-"""What a controller reads from its observation, in physical units."""
+"""Observations decoded into physical units, for a batch of arms."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
-from beltarm_env.observation import index
+from beltarm_env.task.moves import MOVE_FIELDS
 
 Floats = NDArray[np.float64]
-
-_ENTRIES = observation.size("encoder")
-_SCALES = observation.scales("encoder")
-_MOVE = slice(index("start"), index("ramp_time") + 1)
+Flags = NDArray[np.bool_]
 
 
 class Reading(NamedTuple):
     """Measurements and reference of n arms; arrays of shape (n,) but for `move`."""
 
+    angle_error: Floats  # reference minus measured motor angle [rad]
+    speed_error: Floats  # reference minus measured motor speed [rad/s]
     motor_angle: Floats  # theta_a by the encoder [rad]
     motor_speed: Floats  # by differencing it [rad/s]
     reference_angle: Floats  # of the joint [rad]
@@ -28,37 +27,43 @@ class Reading(NamedTuple):
     move: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
     step: NDArray[np.intp]  # control periods since the move's start
     last_torque: Floats  # held over the last period [N m]
+    torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
 
 
-def read(observations: NDArray[np.float32], params: ArmParams) -> Reading:
-    """Decode observations of shape (n, size) for arms with the nominal gear ratio and torque limit of `params`.
+def read(observations: NDArray[np.float32], params: ArmParams, sensors: str = "encoder") -> Reading:
+    """Decode observations of shape (n, size).
+
+    Args:
+        observations: Of `sensors` or of a tier with more entries, which are ignored.
+        params: Arm with the gear ratio and the torque limit that angles and torques are scaled by.
+        sensors: "encoder", or "full" for the torsion as well.
 
     Raises:
-        ValueError: If there are fewer entries than encoder and reference have.
+        ValueError: If there are fewer entries than the sensors have.
     """
-    if observations.ndim != 2 or observations.shape[1] < _ENTRIES:
-        raise ValueError(f"observations must have shape (n, {_ENTRIES}) or wider, got {observations.shape}")
-    values = observations[:, :_ENTRIES].astype(np.float64) * _SCALES
-    error, _, speed, angle, reference_speed, acceleration = values[:, :6].T
+    size = observation.size(sensors)
+    if observations.ndim != 2 or observations.shape[1] < size:
+        remedy = "" if sensors == "encoder" else f": use an environment with sensors={sensors!r}"
+        raise ValueError(f"observations must have shape (n, {size}) or wider, got {observations.shape}{remedy}")
+    by_column = np.asfortranarray(observations[:, :size])  # each entry of all arms in a row: laws read it faster
+    seen = observation.decode(by_column, sensors)
     return Reading(
-        motor_angle=params.gear_ratio * angle - error,
-        motor_speed=speed,
-        reference_angle=angle,
-        reference_speed=reference_speed,
-        reference_acceleration=acceleration,
-        move=values[:, _MOVE],
-        step=np.rint(values[:, index("elapsed_time")] / CONTROL_PERIOD).astype(np.intp),
-        last_torque=values[:, index("last_torque")] * params.torque_limit,
+        angle_error=seen["motor_angle_error"],
+        speed_error=seen["motor_speed_error"],
+        motor_angle=params.gear_ratio * seen["reference_angle"] - seen["motor_angle_error"],
+        motor_speed=seen["motor_speed"],
+        reference_angle=seen["reference_angle"],
+        reference_speed=seen["reference_speed"],
+        reference_acceleration=seen["reference_acceleration"],
+        move=np.stack([seen[name] for name in MOVE_FIELDS], axis=1),
+        step=np.rint(seen["elapsed_time"] / CONTROL_PERIOD).astype(np.intp),
+        last_torque=seen["last_torque"] * params.torque_limit,
+        torsion=np.stack([seen["torsion"], seen["torsion_speed"]], axis=1) if sensors == "full" else None,
     )
 
 
-def beginning(memory: object, episode_start: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_]:
+def beginning(memory: object, episode_start: Flags | None, count: int) -> Flags:
     """Which of `count` arms begin an episode with this call, shape (count,): all of them if there is no memory yet."""
     if memory is None:
         return np.ones(count, np.bool_)
     return np.zeros(count, np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_)
-
-
-def as_action(torque: Floats, params: ArmParams) -> NDArray[np.float32]:
-    """Torque [N m] of shape (n,) as actions of shape (n, 1), cut at the limit."""
-    return np.clip(torque / params.torque_limit, -1, 1).astype(np.float32)[:, None]

@@ -17,6 +17,7 @@ from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.servo.shaping import GAINS as SHAPING_GAINS
 from baselines.servo.shaping import ShapingController
 from baselines.servo.smooth import SmoothController, SmoothGains
+from beltarm_env import ArmParams
 
 TUNABLE = {
     "retuned": Tunable(RetunedController, RetunedGains),
@@ -31,18 +32,25 @@ TUNABLE = {
 """Controllers that `baselines/tune.py` tunes, by name."""
 
 
-def tuned_controller(name: str) -> Any:
-    """One of `TUNABLE` with its gains of `gains.json`.
+def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
+    """Make one of `TUNABLE` with its gains of `gains.json`.
+
+    Args:
+        name: Of the controller.
+        params: The nominal arm.
 
     Raises:
         ValueError: If the file of gains is damaged or out of date.
     """
-    return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains))
+    return TUNABLE[name].controller(tuned(name, TUNABLE[name].gains), params=params)
 
 
-CONTROLLERS: dict[str, Callable[[], Any]] = {
+CONTROLLERS: dict[str, Callable[..., Any]] = {
     "paper": PaperController,
     "rigid": rigid_controller,
     **{name: partial(tuned_controller, name) for name in TUNABLE},
 }
-"""Controllers by the name used on command lines, in results and in policy bundles; call without arguments."""
+"""Controllers by the name used on command lines, in results and in policy bundles.
+
+Call without arguments, or with `params` for arms with another gear ratio or torque limit than the nominal one's.
+"""

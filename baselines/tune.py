@@ -11,10 +11,7 @@ from __future__ import annotations
 import difflib
 import shlex
 import sys
-from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -23,14 +20,10 @@ import tyro
 from rich.console import Console
 
 from baselines import TUNABLE
-from baselines.gains import FILE, read_file, write_entry
-from baselines.tools.files import require_writable
-from baselines.tools.parallel import BrokenOff, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
-from baselines.tools.progress import progress_rows
-from baselines.tools.provenance import command_line, commit
-from baselines.tuning.search import CHOICE_SEED, SearchProgress, SearchResult, search, split_budget
-from baselines.tuning.study import begin_anew
-from beltarm_env import __version__
+from baselines.gains import FILE
+from baselines.tools.parallel import Interrupted
+from baselines.tuning.run import journal_file, tune
+from baselines.tuning.search import split_budget
 
 
 @dataclass(frozen=True)
@@ -72,92 +65,25 @@ class Config:
                 hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(TUNABLE)}"
                 raise ValueError(f"no controller {name!r} to tune; {hint}")
         names = list(dict.fromkeys(self.names)) or list(TUNABLE)
-        if self.resume and not any(self.journal(name).exists() for name in names):
+        if self.resume and not any(journal_file(self.journals, name).exists() for name in names):
             raise ValueError(f"nothing to resume in {self.journals}: run once without --resume")
         return names
-
-    def journal(self, name: str) -> Path:
-        """Journal file of a controller's search."""
-        return self.journals / f"{name}.journal"
-
-
-def tune(config: Config, console: Console) -> None:
-    """Tune the controllers chosen, and write the gains of each as soon as they are found.
-
-    Raises:
-        ValueError: If an option or file is bad, or, once the others are through, if searches failed.
-        OSError: If files cannot be written.
-        Interrupted: If a signal asked to stop; the journals are in order.
-    """
-    names = config.chosen()
-    read_file(config.out)
-    require_writable(config.out.parent)
-    require_writable(config.journals)
-    if not config.resume:
-        for name in names:
-            begin_anew(config.journal(name))
-    stop, errors = StopRequest(), list[str]()
-    searches = {
-        name: partial(search, TUNABLE[name], config.budget, config.seed, config.journal(name)) for name in names
-    }
-    with (
-        stop_on_signals(stop, lambda: console.print("stopping soon; once more to stop at once")),
-        progress_rows(names, config.budget, console) as rows,
-    ):
-
-        def tell(name: str, state: SearchProgress) -> None:
-            rows.show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
-
-        outcomes = run_side_by_side(searches, config.jobs, stop=stop, tell=tell)
-        with closing(outcomes):
-            for name, found in outcomes:
-                if isinstance(found, SearchResult):
-                    write_entry(name, TUNABLE[name].gains(**found.gains), provenance(config, found), config.out)
-                    rows.show(name, config.budget, summary(found))
-                elif not isinstance(found.error, Interrupted):
-                    errors.append(f"{name}: {_explained(found)}")
-    if errors:
-        raise ValueError("\n".join(errors))
-    if stop.made:
-        raise Interrupted
-    console.print(f"written to {config.out}: {', '.join(names)}")
-
-
-def _explained(failure: Failure) -> str:
-    """Message of a failed search, with a remedy if its process died."""
-    return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
-
-
-def provenance(config: Config, found: SearchResult) -> dict[str, object]:
-    """Provenance of gains."""
-    return {
-        "command": command_line(),
-        "seed": config.seed,
-        "budget": config.budget,
-        "steps": found.steps,
-        "trials": found.trials,
-        "pruned": found.pruned,
-        "failed": found.failed,
-        "cost": round(found.cost, 2),
-        "cost_untuned": round(found.cost_untuned, 2),
-        "measured_on": f"{found.arms} arms of the training ranges, seeds from {CHOICE_SEED}",
-        "date": datetime.now(UTC).date().isoformat(),
-        "version": __version__,
-        "commit": commit(),
-        "seconds": round(found.seconds, 1),
-    }
-
-
-def summary(found: SearchResult) -> str:
-    """One-line summary of a search."""
-    return f"{found.trials} trials, cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {found.seconds:.0f} s"
 
 
 def main() -> None:
     """Run the command."""
     config = tyro.cli(Config, description=__doc__)
     try:
-        tune(config, Console())
+        tune(
+            config.chosen(),
+            budget=config.budget,
+            seed=config.seed,
+            jobs=config.jobs,
+            out=config.out,
+            journals=config.journals,
+            resume=config.resume,
+            console=Console(),
+        )
     except (Interrupted, KeyboardInterrupt):
         arguments = [argument for argument in sys.argv[1:] if argument != "--resume"]
         command = shlex.join(["python", "baselines/tune.py", *arguments, "--resume"])

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN
+from beltarm_env.arm import COLUMN, FIELDS, ArmParams
 from beltarm_env.metrics import episode_metrics
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
@@ -23,7 +23,12 @@ Floats = NDArray[np.float64]
 
 
 class Controller(Protocol):
-    """Protocol of everything that turns observations into torques."""
+    """Protocol of everything that turns observations into torques.
+
+    Observations and actions are relative to constants of the arm's data sheet, which nobody identifies: `gear_ratio`
+    and `torque_limit`. A controller that relies on them has an attribute `params`, the `ArmParams` that it is made for,
+    and is refused arms with others. One without `params` is not checked.
+    """
 
     def predict(
         self,
@@ -44,6 +49,40 @@ class Controller(Protocol):
             Torque over its limit, shape (n, 1), float32, and the memory for the next call.
         """
         ...
+
+
+DATA_SHEET = ("gear_ratio", "torque_limit")
+"""Fields of `ArmParams` that controllers decode their observations with."""
+
+
+def nominal_params(controller: Controller) -> ArmParams | None:
+    """The arm that a controller is made for, if it says so in an attribute `params`."""
+    params = getattr(controller, "params", None)
+    return params if isinstance(params, ArmParams) else None
+
+
+def check_data_sheet(params: ArmParams | None, table: Floats, name: str) -> None:
+    """Check that arms have the gear ratio and the torque limit that a controller is made for.
+
+    Args:
+        params: What the controller is made for; None for any arm.
+        table: Constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS)).
+        name: Of the controller.
+
+    Raises:
+        ValueError: If an arm has another one.
+    """
+    if params is None:
+        return
+    for field in DATA_SHEET:
+        column, expected = table[:, FIELDS.index(field)], getattr(params, field)
+        others = np.flatnonzero(column != expected)
+        if len(others):
+            value = float(column[others[0]])
+            raise ValueError(
+                f"arm {others[0]} has {field} {value!r}, but {name} is made for {expected!r} and would decode its "
+                f"observations wrongly: make it with params=ArmParams({field}={value!r})"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +134,13 @@ def rollout(
         **settings: Arguments of `BeltArmVectorEnv`: sensors, profile, randomization, ...
 
     Raises:
-        ValueError: If a setting or option is not allowed, or the controller returns another shape or NaN.
+        ValueError: If a setting or option is not allowed, the controller is made for arms with another gear ratio or
+            torque limit, or it returns another shape or NaN.
     """
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
     params, moves = env.params_table, env.moves
+    check_data_sheet(nominal_params(controller), params, type(controller).__name__)
     states = np.empty((EPISODE_STEPS, num_arms, 4))
     errors = np.empty((EPISODE_STEPS, num_arms, 4))
     torque = np.zeros((EPISODE_STEPS, num_arms))

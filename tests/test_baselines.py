@@ -155,3 +155,34 @@ def test_an_arm_that_leaves_its_workspace_stays_there_and_fails():
     np.testing.assert_array_equal(run.state[-1], run.state[-2])
     assert (run.cost > 10_000).all()
     assert np.isfinite(run.tip_error).all()
+
+
+GEARED = {"gear_ratio": 100.0, "torque_limit": 0.2}
+"""Constants of another data sheet."""
+EASY = {"start": 0.3, "goal": 0.9, "duration": 1.0, "ramp_time": 0.3}
+
+
+class TestDataSheet:
+    """Gear ratio and torque limit, which observations and actions are relative to."""
+
+    @pytest.mark.parametrize("name", CONTROLLERS)
+    def test_controller_made_for_an_arm_drives_it_as_the_nominal_one_its_own(self, name: str):
+        nominal = rollout(CONTROLLERS[name](), 1, seed=0, options={"move": EASY}).metrics()
+        controller = CONTROLLERS[name](params=ArmParams(**GEARED))
+        geared = rollout(controller, 1, seed=0, options={"move": EASY, "params": GEARED}).metrics()
+        for metric in ("tip_rms_mm", "cost"):
+            np.testing.assert_allclose(geared[metric], nominal[metric], rtol=0.15)
+
+    @pytest.mark.parametrize(("field", "value"), GEARED.items())
+    def test_other_arms_are_refused(self, field: str, value: float):
+        message = rf"arm 1 has {field} {value}, but PaperController is made for {getattr(ArmParams(), field)} .*"
+        options = {"params": {field: [getattr(ArmParams(), field), value]}}
+        with pytest.raises(ValueError, match=message + rf"params=ArmParams\({field}={value}\)"):
+            rollout(PaperController(), 2, seed=0, options=options)
+
+    def test_controller_that_is_made_for_no_arm_in_particular_takes_any(self):
+        class Idle:
+            def predict(self, observation, state=None, episode_start=None, deterministic=True):
+                return np.zeros((len(observation), 1), np.float32), None
+
+        assert rollout(Idle(), 1, seed=0, options={"params": GEARED}).params[0, 0] == 100.0

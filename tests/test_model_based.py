@@ -273,8 +273,10 @@ class TestControllers:
         yardstick = PrivilegedController(env.params)
         cost = rollout(yardstick, 30, seed=SEED, randomization="train", sensors="full").cost.mean()
         assert cost < rollout(AdaptiveController(), 30, seed=SEED, randomization="train").cost.mean()
-        with pytest.raises(ValueError, match=r"observations must have shape \(30, 24\), sensors=\"full\""):
+        with pytest.raises(ValueError, match=r"shape \(n, 24\) or wider, got \(30, 22\): use .* sensors='full'"):
             yardstick.predict(np.zeros((30, observation.size()), np.float32))
+        with pytest.raises(ValueError, match="this yardstick knows 30 arms, got observations of 4"):
+            yardstick.predict(np.zeros((4, observation.size("full")), np.float32))
 
 
 class TestGains:

@@ -15,12 +15,13 @@ from agents.policy.bundle import BundleSpec, load_controller, read_spec, save_bu
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combine
 from agents.residual.env import ResidualEnv, ResidualVecEnv
-from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space, tip_errors
+from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import index, size
+from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
 
 BASES = ("paper", "rigid")
@@ -227,10 +228,52 @@ def test_believed_tip_errors_are_the_true_ones_of_a_true_state():
     seen, _ = plain.reset(seed=30)
     for _ in range(60):
         seen, *_ = plain.step(np.full((4, 1), 0.4, np.float32))
-    errors, exact = tip_errors(plain.state, read(seen, ArmParams()), ArmParams()), plain.tip_errors()
+    reading, exact = read(seen, ArmParams()), plain.tip_errors()
+    reference = np.stack([reading.reference_angle, reading.reference_speed], axis=1)
+    errors = tip_errors(plain.state, reference, ArmParams().plant())
     assert np.abs(exact[:, 1]).min() > 1e-4
     np.testing.assert_allclose(errors[:, 0], exact[:, 0], atol=1e-7)
     np.testing.assert_allclose(errors[:, 1], exact[:, 1], atol=1e-7)
+
+
+class TestArmsOfAnotherDataSheet:
+    """Observations are relative to gear ratio and torque limit, see `Controller`."""
+
+    PARAMS = ArmParams(gear_ratio=100.0, torque_limit=0.2)
+
+    def test_belief_is_about_the_arm_that_the_base_is_made_for(self):
+        informed = InformedBase(CONTROLLERS["paper"](params=self.PARAMS))
+        plain, memory = BeltArmVectorEnv(2), None
+        seen, _ = plain.reset(seed=30, options={"params": {"gear_ratio": 100.0, "torque_limit": 0.2}})
+        for _ in range(200):
+            memory = informed.advance(seen, memory, None)
+            seen, *_ = plain.step(memory.action)
+        memory = informed.advance(seen, memory, None)
+        assert memory.belief is not None
+        np.testing.assert_allclose(memory.belief.state[:, 0], plain.state[:, 0], atol=0.01)
+        np.testing.assert_allclose(memory.belief.state[:, 2], plain.state[:, 2], atol=2e-4)
+        told = informed.seen(seen, memory)[:, size() :] * [entry.scale for entry in ENTRIES["belief"]]
+        np.testing.assert_allclose(told[:, 4:6], plain.tip_errors()[:, :2], atol=2e-4)
+
+    def test_residual_controller_is_made_for_the_arm_of_its_base(self):
+        class Nothing:
+            def predict(self, observation, state=None, episode_start=None, deterministic=True):
+                return np.zeros((len(observation), 1), np.float32), None
+
+        options = {"params": {"gear_ratio": 100.0, "torque_limit": 0.2}}
+        base = CONTROLLERS["ei"](params=self.PARAMS)
+        alone = rollout(base, 2, seed=30, options=options).torque
+        residual = rollout(ResidualController(base, Nothing(), SETTINGS), 2, seed=30, options=options).torque
+        np.testing.assert_array_equal(residual, alone)
+        with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 88.0, but ResidualController is made for 100.0"):
+            rollout(ResidualController(base, Nothing(), SETTINGS), 2, seed=30)
+
+    def test_environments_refuse_others(self):
+        with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 100.0, but PaperController is made for 88.0"):
+            one().reset(seed=0, options={"params": {"gear_ratio": 100.0}})
+        with pytest.raises(ValueError, match=r"torque_limit 0.2, but PaperController is made for 0.3"):
+            weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
+            ResidualVecEnv(weak, CONTROLLERS["paper"](), SETTINGS).reset()
 
 
 def test_knowledge_none_is_the_base_torque_alone():

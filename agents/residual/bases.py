@@ -57,7 +57,7 @@ def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]
         ValueError: If there is no such base, or the file of gains is damaged.
     """
     gains = getattr(make_base(name), "gains", None)
-    doubts = asdict(tuned("adaptive", AdaptiveGains).doubt()) if knowledge == "belief" else {}
+    doubts = asdict(tuned("adaptive", AdaptiveGains).uncertainty()) if knowledge == "belief" else {}
     return {"gains": asdict(gains) if gains is not None else {}, "doubts": doubts}
 
 

@@ -91,6 +91,7 @@ class ResidualController:
         self.informed = InformedBase(base, settings.knowledge)
         self.policy = policy
         self.settings = settings
+        self.params = self.informed.params
 
     def predict(
         self,

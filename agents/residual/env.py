@@ -16,7 +16,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from agents.residual.controller import ResidualSettings, checked_residual, combine
 from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.rollout import Controller
+from beltarm_env.arm import params_table
+from beltarm_env.rollout import Controller, check_data_sheet
 
 Singles = NDArray[np.float32]
 
@@ -28,6 +29,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
         super().__init__(env)
         if not isinstance(env.unwrapped, BeltArmEnv):
             raise TypeError(f"ResidualEnv wraps a BeltArmEnv, got {env.unwrapped!r}")
+        self._arm = env.unwrapped
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -41,6 +43,7 @@ class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
     ) -> tuple[Singles, dict[str, Any]]:
         """Begin an episode, see `BeltArmEnv.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
+        check_data_sheet(self.informed.params, params_table([self._arm.params]), type(self.informed.base).__name__)
         self._memory = self.informed.advance(observation[None], None, None)
         return self.informed.seen(observation[None], self._memory)[0], info
 
@@ -104,6 +107,7 @@ class ResidualVecEnv(VecEnv):
         """Begin new episodes in all arms."""
         seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
         observation, _ = self.env.reset(seed=seeds)
+        check_data_sheet(self.informed.params, self.env.params_table, type(self.informed.base).__name__)
         self._reset_seeds()
         self._reset_options()
         self._memory = None

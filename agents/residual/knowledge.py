@@ -19,13 +19,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from baselines.estimation.arm_ekf import IDENTIFIED
-from baselines.estimation.identification import Belief
+from baselines.estimation.identification import Belief, IdentifyingController
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env import observation as layout
 from beltarm_env.observation import Entry
-from beltarm_env.rollout import Controller
+from beltarm_env.physics.kinematics import tip_errors
+from beltarm_env.rollout import Controller, nominal_params
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -65,38 +66,25 @@ def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = 
     return spaces.Box(-bounds, bounds, dtype=np.float32)
 
 
-def tip_errors(state: Floats, reading: Reading, params: ArmParams) -> Floats:
-    """Errors of the tip in x, y [m] and their rates [m/s] if the arm is in this state, shape (n, 4).
-
-    Equations as in `beltarm_env.physics.kinematics`, on arrays: the same tip, for states that are believed, not
-    simulated.
-    """
-    link, hand = 2 * params.link_length, params.hand_length
-    phi, torsion = state[:, 0] / params.gear_ratio - state[:, 2], state[:, 2]
-    reach = link * np.cos(phi) + hand
-    reach_speed = -link * np.sin(phi) * (state[:, 1] / params.gear_ratio - state[:, 3])
-    cosine, sine, turning = np.cos(torsion), np.sin(torsion), reach * state[:, 3]
-    wanted = link * np.cos(reading.reference_angle) + hand
-    wanted_speed = -link * np.sin(reading.reference_angle) * reading.reference_speed
-    speed_x, speed_y = reach_speed * cosine - turning * sine, reach_speed * sine + turning * cosine
-    return np.stack([reach * cosine - wanted, reach * sine, speed_x - wanted_speed, speed_y], axis=1)
-
-
 @dataclass(frozen=True, slots=True)
 class InformedMemory:
-    """Memory of an `InformedBase`."""
+    """Memory of an `InformedBase`, brought up to one sample."""
 
     base: Any  # the base controller's own
-    action: Singles  # of the base, for this sample, shape (n, 1)
-    belief: Belief | None
+    action: Singles  # of the base, shape (n, 1)
+    reading: Reading | None  # the observation decoded, and
+    belief: Belief | None  # what is believed of the arm; None without knowledge
 
 
 class InformedBase:
-    """A base controller, and beside it what the agent is told.
+    """A base controller, and the belief about the arm that the agent observes beside it.
 
     Args:
-        base: The base controller.
+        base: The base controller. One that identifies its arm shares its belief.
         knowledge: "belief" for the identified arm, "none" for the base's torque alone.
+
+    Attributes:
+        params: The arm that base and identification are made for, see `Controller`; None if they take any.
     """
 
     def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:
@@ -104,52 +92,56 @@ class InformedBase:
             raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {knowledge!r}")
         self.base = base
         self.knowledge: Knowledge = knowledge
-        self._params = ArmParams()
-        self._identifier = tuned_identifier() if knowledge == "belief" else None
+        self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
+        self._plant = (self.params or ArmParams()).plant()
+        self._identifier = tuned_identifier(self.params) if knowledge == "belief" else None
         entries = ENTRIES[knowledge]
         self._scales = np.array([entry.scale for entry in entries])
         self._bounds = np.array([entry.bound for entry in entries])
 
     def advance(self, observation: Singles, memory: InformedMemory | None, start: Flags | None) -> InformedMemory:
-        """The base's action for this sample, and what is known by now; observations of shape (n, size)."""
+        """Run base and identification for one sample; observations of shape (n, size)."""
         action, base = self.base.predict(observation, memory.base if memory else None, start)
         if self._identifier is None:
-            return InformedMemory(base, action, None)
-        belief = getattr(base, "belief", None)  # of a base that identifies the arm itself
-        if not isinstance(belief, Belief):
-            reading = read(observation, self._params)
-            before = memory.belief if memory else None
-            belief = self._identifier.update(before, reading, beginning(before, start, len(observation)))
-        return InformedMemory(base, action, belief)
+            return InformedMemory(base, action, None, None)
+        reading = read(observation, self._identifier.params)
+        if isinstance(self.base, IdentifyingController):
+            return InformedMemory(base, action, reading, self.base.belief(base))
+        before = memory.belief if memory else None
+        belief = self._identifier.update(before, reading, beginning(before, start, len(observation)))
+        return InformedMemory(base, action, reading, belief)
 
     def ended(
         self, last: Singles, observation: Singles, memory: InformedMemory, ended: Flags
     ) -> tuple[InformedMemory, InformedMemory]:
-        """Where some arms' episodes end: what is known at their last sample, and at the first of their next episode.
+        """Advance a batch in which some episodes end: to their last sample, and to the first of the next episode.
 
         Args:
             last: Observations, of arms that ended those of their last sample.
-            observation: The same, but of arms that ended those of their next episode's first sample.
+            observation: Observations, of arms that ended those of their next episode's first sample.
             memory: Of the sample before.
             ended: Which arms, shape (n,).
         """
         final = self.advance(last, memory, None)
-        if self._identifier is None or final.belief is None or final.belief is getattr(final.base, "belief", None):
+        if self._identifier is None or final.belief is None or isinstance(self.base, IdentifyingController):
             return final, self.advance(observation, memory, ended)
         action, base = self.base.predict(observation, memory.base, ended)
-        belief = self._identifier.begun(final.belief, read(observation, self._params).motor_angle, ended)
-        return final, InformedMemory(base, action, belief)
+        reading = read(observation, self._identifier.params)
+        belief = self._identifier.reset(final.belief, reading.motor_angle, ended)
+        return final, InformedMemory(base, action, reading, belief)
 
     def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
-        """What the agent observes, shape (n, size + told), of the sample that `memory` has advanced to."""
+        """Observation of the agent, shape (n, size + told), at the sample that `memory` has advanced to."""
         told = memory.action.astype(np.float64)
-        if memory.belief is not None:
-            told = np.concatenate([told, self._believed(memory.belief, read(observation, self._params))], axis=1)
+        if memory.belief is not None and memory.reading is not None:
+            told = np.concatenate([told, self._believed(memory.belief, memory.reading)], axis=1)
         scaled = np.clip(told, -self._bounds, self._bounds) / self._scales
         return np.concatenate([observation, scaled.astype(np.float32)], axis=1)
 
     def _believed(self, belief: Belief, reading: Reading) -> Floats:
+        """Estimated state, errors of the tip, constants and their standard deviations."""
         doubted = [4 + IDENTIFIED.index(name) for name in _DOUBTED]
         doubts = np.sqrt(np.maximum(belief.variance[:, doubted], 0.0))
-        errors = tip_errors(belief.state, reading, self._params)
+        reference = np.stack([reading.reference_angle, reading.reference_speed], axis=1)
+        errors = tip_errors(belief.state, reference, self._plant)
         return np.concatenate([belief.state[:, 1:], errors, belief.logs, doubts], axis=1)

@@ -33,7 +33,7 @@ from baselines.gains import tuned
 from baselines.iterative.lesson import Law, Lesson, Notes
 from baselines.iterative.norm_optimal import Linearisation, norm_weights, optimal_change
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
-from baselines.reading import Reading, as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.task.reference import TRAPEZOID, sample_references
 
@@ -68,7 +68,8 @@ class IterativeController(AdaptiveController):
         lesson: What was learnt before; None in the first trial.
         gains: Of the plan and of the identification; those of `adaptive` if not given.
         params: The nominal arm.
-        learning: How the torque is learnt; None to learn the arm alone.
+        learning: How the torque is learnt.
+        learn_torque: Whether the torque is learnt, beside the arm.
     """
 
     def __init__(
@@ -76,33 +77,28 @@ class IterativeController(AdaptiveController):
         lesson: Lesson | None = None,
         gains: AdaptiveGains | None = None,
         params: ArmParams | None = None,
-        learning: Learning | None = Learning(),
+        learning: Learning | None = None,
+        learn_torque: bool = True,
     ) -> None:
         super().__init__(gains or tuned("adaptive", AdaptiveGains), params)
         self.lesson = lesson
-        self.learning = learning
+        self.learning = learning or Learning()
+        self.learn_torque = learn_torque
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
+    def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`.
 
         Raises:
             ValueError: If there are not as many arms as in the lesson.
         """
-        reading = read(observation, self.params)
-        begins = beginning(state, episode_start, len(observation))
-        belief = self._believed(state.belief if state else None, reading, begins)
-        torque, memory = self._planned(belief, reading, begins, state)
-        if self.lesson:
-            torque = self.lesson.torque(torque, belief, reading)
-        return as_action(torque, self.params), memory
+        torque, memory = super().law(reading, begins, memory)
+        return self.lesson.torque(torque, memory.belief, reading) if self.lesson else torque, memory
 
-    def _believed(self, belief: Belief | None, reading: Reading, begins: NDArray[np.bool_]) -> Belief:
+    def _identified(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> Belief:
+        return self._recalled(reading, begins, memory.belief if memory else None)
+
+    def _recalled(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
+        """Belief at this sample, which begins with the lesson's constants."""
         new = self._identifier.update(belief, reading, begins)
         if self.lesson is None:
             return new
@@ -123,11 +119,11 @@ class IterativeController(AdaptiveController):
         begins[0] = True
         belief = None
         for reading, start in zip(readings, begins, strict=True):
-            belief = self._believed(belief, reading, start)
+            belief = self._recalled(reading, start, belief)
         assert belief is not None
         moves = readings[0].move.copy()
         new = Lesson(moves, belief.logs, belief.covariance[:, 4:, 4:].copy(), None)
-        if self.learning:
+        if self.learn_torque:
             table = self._identifier.table(belief)
             law = self._law(table, self._states(new, readings), notes.torques(self.params), moves)
             new = Lesson(moves, new.logs, new.covariance, law)
@@ -135,8 +131,8 @@ class IterativeController(AdaptiveController):
         return (self.lesson or self._nothing(moves)).kept(left, new) if left.any() else new
 
     def _nothing(self, moves: Floats) -> Lesson:
-        doubt = self._identifier.doubt.covariance(QUANTUM)[4:, 4:]
-        return Lesson(moves, np.zeros((len(moves), len(doubt))), np.repeat(doubt[None], len(moves), axis=0), None)
+        prior = self._identifier.uncertainty.covariance(QUANTUM)[4:, 4:]
+        return Lesson(moves, np.zeros((len(moves), len(prior))), np.repeat(prior[None], len(moves), axis=0), None)
 
     def _states(self, lesson: Lesson, readings: list[Reading]) -> Floats:
         """The trial's states by the filter that knows the lesson from the first sample on, shape (n, T, 4)."""
@@ -150,17 +146,16 @@ class IterativeController(AdaptiveController):
 
     def _law(self, table: Floats, states: Floats, torques: Floats, moves: Floats) -> Law:
         """The next trial's law, by constants (n, 12), states (n, T, 4) and torques (n, T) of the last one."""
-        learning = self.learning or Learning()
         before = np.column_stack([np.zeros(len(torques)), torques[:, :-1]])
         path = np.concatenate([states, before[:, :, None]], axis=2)
         law = Law(torques.copy(), np.empty(path.shape), path, np.empty(torques.shape, np.bool_))
         tasks = np.empty((len(torques), EPISODE_STEPS + 1, 3))
         sample_references(TRAPEZOID, moves, CONTROL_PERIOD, tasks)
         linearisation = Linearisation(self.params, EPISODE_STEPS)
-        soft = learning.softness, learning.change_softness
+        soft = self.learning.softness, self.learning.change_softness
         for i, change in enumerate(torques - before):
             trial = linearisation.about(states[i], torques[i], tasks[i, 1:, :2], table[i])
-            weights = norm_weights(trial.errors, change, self.params.torque_limit, learning.effort, soft)
+            weights = norm_weights(trial.errors, change, self.params.torque_limit, self.learning.effort, soft)
             added, law.gain[i] = optimal_change(trial, weights, change)
             law.torque[i] += added
             law.holds[i] = np.abs(trial.by_torque[:, 1]) > _YIELDS

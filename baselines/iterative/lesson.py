@@ -36,7 +36,7 @@ class Lesson:
 
     def recalled(self, belief: Belief, which: NDArray[np.bool_]) -> Belief:
         """The belief, with the constants of some arms as learnt; shape of `which`: (n,)."""
-        return belief.recalling(which, self.logs, self.covariance)
+        return belief.with_constants(which, self.logs, self.covariance)
 
     def torque(self, planned: Floats, belief: Belief, reading: Reading) -> Floats:
         """Torque [N m], shape (n,): that of the law where it holds, or else the one planned."""

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.norm_optimal import Trial, Weights, optimal_change
 from baselines.models.linear import LinearArms, at_angle, linear_arm
-from baselines.reading import Reading, as_action, read
+from baselines.reading import Flags, Reading
 from baselines.servo.paper import PaperController, PaperMemory
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
@@ -57,7 +58,7 @@ class FeedForward:
         return np.where(same, at_step, 0.0)
 
 
-class MotorLearningController:
+class MotorLearningController(ClassicalController[PaperMemory]):
     """The controller of one trial.
 
     Args:
@@ -66,27 +67,18 @@ class MotorLearningController:
     """
 
     def __init__(self, lesson: FeedForward | None = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
         self.lesson = lesson
-        self.params = params or ArmParams()
         self._paper = PaperController(self.params)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: PaperMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PaperMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`.
+    def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`.
 
         Raises:
             ValueError: If there are not as many arms as in the lesson.
         """
-        action, memory = self._paper.predict(observation, state, episode_start, deterministic)
-        if self.lesson is None:
-            return action, memory
-        torque = action[:, 0].astype(np.float64) * self.params.torque_limit
-        return as_action(torque + self.lesson.at(read(observation, self.params)), self.params), memory
+        torque, memory = self._paper.law(reading, begins, memory)
+        return torque + self.lesson.at(reading) if self.lesson else torque, memory
 
     def learned(self, notes: Notes) -> FeedForward:
         """What a trial of this controller has taught, on top of what was known.

@@ -32,8 +32,7 @@ from baselines.optimal.riccati import CostToGo, free_input, no_cost, slope_in_in
 from beltarm_env import ArmParams
 from beltarm_env.arm import plant_of
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.kinematics import reference_tip, tip_motion
-from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 
@@ -100,27 +99,13 @@ def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None
     to_go.matrix[4, 4] += weights.effort
 
 
-@compiled
-def _tip_errors(states: Floats, task: Floats, row: Floats, moves: Floats) -> tuple[Floats, Floats]:
-    plant = plant_of(row)
-    steps = len(states)
-    errors, of_state = np.empty((steps, 4)), np.empty((steps, 4, 4))
-    for k in range(steps):
-        x, x_speed = reference_tip(task[k, 0], task[k, 1], plant)
-        p = states[k].copy()
-        tip = tip_motion(ArmState(p[0], p[1], p[2], p[3]), plant)
-        errors[k, 0], errors[k, 1], errors[k, 2], errors[k, 3] = tip.x - x, tip.y, tip.x_speed - x_speed, tip.y_speed
-        for j in range(4):
-            p[j] = states[k, j] + moves[j]
-            there = tip_motion(ArmState(p[0], p[1], p[2], p[3]), plant)
-            p[j] = states[k, j] - moves[j]
-            back = tip_motion(ArmState(p[0], p[1], p[2], p[3]), plant)
-            p[j] = states[k, j]
-            of_state[k, 0, j] = (there.x - back.x) / (2 * moves[j])
-            of_state[k, 1, j] = (there.y - back.y) / (2 * moves[j])
-            of_state[k, 2, j] = (there.x_speed - back.x_speed) / (2 * moves[j])
-            of_state[k, 3, j] = (there.y_speed - back.y_speed) / (2 * moves[j])
-    return errors, of_state
+def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
+    """Errors of the tip, shape (T, 4), and their derivatives by the state, shape (T, 4, 4)."""
+    plant, of_state = plant_of(row), np.empty((len(states), 4, 4))
+    for j, move in enumerate(np.diag(_MOVES[:4])):
+        there, back = (tip_errors(states + sign * move, task, plant) for sign in (1.0, -1.0))
+        of_state[:, :, j] = (there - back) / (2 * _MOVES[j])
+    return tip_errors(states, task, plant), of_state
 
 
 class Linearisation:
@@ -155,7 +140,7 @@ class Linearisation:
         ends = self._simulation.advance(inputs[:, :, :4].reshape(-1, 4), inputs[:, :, 4].ravel())
         ends = ends.reshape(self._steps, _COPIES, 4)
         slopes = (ends[:, 1::2] - ends[:, 2::2]) / (2 * _MOVES[:, None])
-        errors, of_state = _tip_errors(ends[:, 0].copy(), np.ascontiguousarray(task), row, _MOVES)
+        errors, of_state = _tip_errors(ends[:, 0].copy(), np.ascontiguousarray(task), row)
         transition = np.ascontiguousarray(slopes[:, :4].swapaxes(1, 2))
         return Trial(transition, np.ascontiguousarray(slopes[:, 4]), errors, of_state)
 

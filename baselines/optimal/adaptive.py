@@ -21,26 +21,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimation.arm_ekf import IDENTIFIED, Doubt
-from baselines.estimation.identification import ArmIdentifier, Belief
+from baselines.controller import ClassicalController
+from baselines.estimation.arm_ekf import IDENTIFIED, Uncertainty
+from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import Reading, as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import ArmParams
 
 Floats = NDArray[np.float64]
 
 _EVERY = 20  # samples between plans
-_NEWS = 0.02  # change of a constant that makes a new plan worth while
-_BEYOND = 4.0  # torque over its limit from which the careful plan is asked
+_CHANGE = 0.02  # of a constant, relative, from which a plan is stale
+_BEYOND = 4.0  # torque over its limit from which the careful plan is used
 _DEARER = 100.0  # its weight of the torque over that of the other
 _FRICTION = IDENTIFIED.index("coulomb_friction")
 
 
 @dataclass(frozen=True)
 class AdaptiveGains(Gains):
-    """Weights of the plan and doubts of the identification."""
+    """Weights of the plan, prior uncertainty and noise of the identification."""
 
     velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
     torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
@@ -52,9 +53,9 @@ class AdaptiveGains(Gains):
     friction_share: float = tunable(1.0, 0.5, 1.3)  # [-]        of tau_c that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
 
-    def doubt(self) -> Doubt:
-        """What the identification does not know at first."""
-        return Doubt(
+    def uncertainty(self) -> Uncertainty:
+        """Prior uncertainty and noise of the identification's filter."""
+        return Uncertainty(
             swing=self.swing_doubt,
             stiffness=self.stiffness_doubt,
             friction=self.friction_doubt,
@@ -64,82 +65,74 @@ class AdaptiveGains(Gains):
 
 
 @dataclass(frozen=True)
-class Made:
-    """Plans of n arms, and what arms they were made for."""
+class PlanCache:
+    """Plans of n arms, and the constants that they were made for."""
 
     plans: Plans
-    logs: Floats  # as believed at the time, shape (n, 6); NaN where there is no plan
+    logs: Floats  # as believed then, shape (n, 6); NaN where there is no plan
 
-    def old(self, belief: Belief, reading: Reading) -> NDArray[np.bool_]:
-        """Which arms need a new plan: those without, and at times those of which there is news; shape (n,)."""
-        news = np.abs(belief.logs - self.logs).max(axis=1) > _NEWS
-        return np.isnan(self.logs[:, 0]) | (news & (reading.step % _EVERY == 0))
+    @classmethod
+    def empty(cls, belief: Belief) -> PlanCache:
+        """No plan for any arm."""
+        return cls([np.empty(0)] * len(belief.logs), np.full_like(belief.logs, np.nan))
 
-    def without(self, which: NDArray[np.bool_]) -> Made:
-        """The same, but some arms' plans are not to be used any more."""
-        return Made(self.plans, np.where(which[:, None], np.nan, self.logs)) if which.any() else self
+    def is_stale(self, belief: Belief, reading: Reading) -> Flags:
+        """Which arms need a new plan, shape (n,): those without one, and every 30 ms those whose belief has changed."""
+        changed = np.abs(belief.logs - self.logs).max(axis=1) > _CHANGE
+        return np.isnan(self.logs[:, 0]) | (changed & (reading.step % _EVERY == 0))
 
-    def renewed(
-        self, which: NDArray[np.bool_], reading: Reading, belief: Belief, identifier: ArmIdentifier, weights: Weights
-    ) -> Made:
-        """The same, but with those of some arms made anew, for the arms as the identifier believes them to be."""
+    def drop(self, which: Flags) -> PlanCache:
+        """Cache without the plans of some arms."""
+        return PlanCache(self.plans, np.where(which[:, None], np.nan, self.logs)) if which.any() else self
+
+    def replan(
+        self, which: Flags, reading: Reading, belief: Belief, identifier: ArmIdentifier, weights: Weights
+    ) -> PlanCache:
+        """Cache with new plans for some arms, made for their constants as believed."""
         if not which.any():
             return self
         plans = replanned(self.plans, which, reading.move, identifier.table(belief), weights)
-        return Made(plans, np.where(which[:, None], belief.logs, self.logs))
+        return PlanCache(plans, np.where(which[:, None], belief.logs, self.logs))
 
 
 @dataclass(frozen=True)
 class AdaptiveMemory:
-    """Belief about n arms, and plans for the arms once believed in."""
+    """Belief about n arms, and the plans made for them."""
 
     belief: Belief
-    bold: Made
-    careful: Made  # for dearer torque, of the arms that needed it
+    bold: PlanCache
+    careful: PlanCache  # with the torque weighted more, for the arms that needed it
 
 
-class AdaptiveController:
+class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingController[AdaptiveMemory]):
     """Adaptive preview LQG on encoder observations.
 
     Args:
-        gains: Weights, doubts and noise.
+        gains: Weights, prior uncertainty and noise.
         params: The nominal arm.
     """
 
     def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
         self.gains = gains or AdaptiveGains()
-        self.params = params or ArmParams()
         self._bold = Weights(self.gains.velocity_weight, self.gains.torque_weight)
         self._careful = Weights(self.gains.velocity_weight, self.gains.torque_weight * _DEARER)
-        self._identifier = ArmIdentifier(self.params, self.gains.doubt())
+        self._identifier = ArmIdentifier(self.params, self.gains.uncertainty())
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        reading = read(observation, self.params)
-        begins = beginning(state, episode_start, len(observation))
-        belief = self._identifier.update(state.belief if state else None, reading, begins)
-        torque, memory = self._planned(belief, reading, begins, state)
-        return as_action(torque, self.params), memory
+    def belief(self, memory: AdaptiveMemory) -> Belief:
+        """The belief that the memory holds."""
+        return memory.belief
 
-    def _planned(
-        self, belief: Belief, reading: Reading, begins: NDArray[np.bool_], state: AdaptiveMemory | None
-    ) -> tuple[Floats, AdaptiveMemory]:
-        """Torque [N m] of shape (n,) for the arms as believed in, with a new plan for those of which there is news."""
-        if state:
-            bold, careful = state.bold.without(begins), state.careful.without(begins)
-        else:
-            bold = careful = Made([np.empty(0)] * len(begins), np.full_like(belief.logs, np.nan))
-        bold = bold.renewed(bold.old(belief, reading), reading, belief, self._identifier, self._bold)
+    def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        belief = self._identified(reading, begins, memory)
+        bold = memory.bold.drop(begins) if memory else PlanCache.empty(belief)
+        careful = memory.careful.drop(begins) if memory else PlanCache.empty(belief)
+        bold = bold.replan(bold.is_stale(belief, reading), reading, belief, self._identifier, self._bold)
         torque = planned_torque(bold.plans, reading.step, belief.state)
         beyond = np.abs(torque) > _BEYOND * self.params.torque_limit
-        due = beyond & careful.old(belief, reading)
-        careful = careful.renewed(due, reading, belief, self._identifier, self._careful)
+        due = beyond & careful.is_stale(belief, reading)
+        careful = careful.replan(due, reading, belief, self._identifier, self._careful)
         for arm in np.flatnonzero(beyond):
             only = slice(arm, arm + 1)
             torque[only] = planned_torque(careful.plans[only], reading.step[only], belief.state[only])
@@ -147,11 +140,17 @@ class AdaptiveController:
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
         return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)
 
+    def _identified(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> Belief:
+        return self._identifier.update(memory.belief if memory else None, reading, begins)
 
-def tuned_identifier() -> ArmIdentifier:
-    """The identification with the doubts that this controller was tuned to, for others to use.
+
+def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:
+    """The identification as this controller was tuned, for others to use.
+
+    Args:
+        params: The nominal arm.
 
     Raises:
         ValueError: If the file of gains is damaged or out of date.
     """
-    return ArmIdentifier(ArmParams(), tuned("adaptive", AdaptiveGains).doubt())
+    return ArmIdentifier(params or ArmParams(), tuned("adaptive", AdaptiveGains).uncertainty())

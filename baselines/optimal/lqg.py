@@ -26,6 +26,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
@@ -33,7 +34,7 @@ from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
 from baselines.optimal.plan import Weights
 from baselines.optimal.tip_error import bounded_sine, error_weights, tip_error_rows
-from baselines.reading import as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
 Floats = NDArray[np.float64]
@@ -77,7 +78,7 @@ def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
     return gains
 
 
-class LqgController:
+class LqgController(ClassicalController[LqgMemory]):
     """Flatness feed-forward and gain-scheduled LQG on encoder observations.
 
     Args:
@@ -86,26 +87,18 @@ class LqgController:
     """
 
     def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
         self.gains = gains or LqgGains()
-        self.params = params or ArmParams()
         g = self.gains
         self._feedback = feedback_gains(self.params, Weights(g.velocity_weight, g.torque_weight))
         self._observer = StickSlipObserver(
             self.params, Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
         )
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: LqgMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], LqgMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        reading = read(observation, self.params)
-        begins = beginning(state, episode_start, len(observation))
-        estimate = self._observer.update(state.estimate if state else None, reading, begins)
-        corners = self._resmoothed(state.corners if state else None, begins, reading.move)
+    def law(self, reading: Reading, begins: Flags, memory: LqgMemory | None) -> tuple[Floats, LqgMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
+        corners = self._resmoothed(memory.corners if memory else None, begins, reading.move)
         time = CONTROL_PERIOD * reading.step.astype(np.float64)
         wanted = flat_motion(corners, time, self.params).state
         ahead = flat_motion(corners, time + 0.5 * CONTROL_PERIOD, self.params)
@@ -114,7 +107,7 @@ class LqgController:
         torque = ahead.torque - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
         direction = breakaway_direction(ahead.state[:, 1], torque, self.gains.friction_speed)
         friction = self.gains.friction_share * self.params.coulomb_friction * direction
-        return as_action(torque - estimate.disturbance + friction, self.params), LqgMemory(corners, estimate)
+        return torque - estimate.disturbance + friction, LqgMemory(corners, estimate)
 
     def _resmoothed(self, corners: Corners | None, begins: NDArray[np.bool_], moves: Floats) -> Corners:
         """The smoothed moves, with those of arms that begin an episode made anew."""

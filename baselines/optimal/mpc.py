@@ -19,11 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.horizon import horizon, plan
-from baselines.reading import as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
 Floats = NDArray[np.float64]
@@ -51,7 +52,7 @@ class MpcMemory:
     net_torque: Floats  # u of the last sample [N m], shape (n,)
 
 
-class MpcController:
+class MpcController(ClassicalController[MpcMemory]):
     """The law above, on encoder observations.
 
     Args:
@@ -60,27 +61,18 @@ class MpcController:
     """
 
     def __init__(self, gains: MpcGains | None = None, params: ArmParams | None = None) -> None:
-        self.params = params or ArmParams()
+        super().__init__(params)
         self.gains = gains or MpcGains()
         self._ahead = horizon(self.params, self.gains.velocity_weight, self.gains.change_weight)
         noise = Noise(self.gains.torque_noise, self.gains.torsion_noise, self.gains.bias_noise)
         self._observer = StickSlipObserver(self.params, noise)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: MpcMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], MpcMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        reading = read(observation, self.params)
-        begins = beginning(state, episode_start, len(observation))
-        estimate = self._observer.update(state.estimate if state else None, reading, begins)
-        last = np.where(begins, 0.0, state.net_torque) if state else np.zeros(len(begins))
+    def law(self, reading: Reading, begins: Flags, memory: MpcMemory | None) -> tuple[Floats, MpcMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
+        last = np.where(begins, 0.0, memory.net_torque) if memory else np.zeros(len(begins))
         friction = self.gains.friction_share * self.params.coulomb_friction
         time = reading.step.astype(np.float64) * CONTROL_PERIOD
         net = plan(self._ahead, estimate.state, last, time, reading.move, friction)[:, 0]
         direction = breakaway_direction(estimate.state[:, 1], net, _RESTING)
-        torque = net + friction * direction - estimate.disturbance
-        return as_action(torque, self.params), MpcMemory(estimate, net)
+        return net + friction * direction - estimate.disturbance, MpcMemory(estimate, net)

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table
 
@@ -48,7 +49,7 @@ class PreviewMemory:
     estimate: Estimate
 
 
-class PreviewController:
+class PreviewController(ClassicalController[PreviewMemory]):
     """Preview LQG on encoder observations.
 
     Args:
@@ -57,8 +58,8 @@ class PreviewController:
     """
 
     def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
         self.gains = gains or PreviewGains()
-        self.params = params or ArmParams()
         g = self.gains
         self._table = params_table([self.params])
         self._weights = Weights(g.velocity_weight, g.torque_weight)
@@ -66,19 +67,11 @@ class PreviewController:
             self.params, Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
         )
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: PreviewMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PreviewMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        reading = read(observation, self.params)
-        begins = beginning(state, episode_start, len(observation))
-        estimate = self._observer.update(state.estimate if state else None, reading, begins)
-        plans = replanned(state.plans if state else None, begins, reading.move, self._table, self._weights)
+    def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
+        plans = replanned(memory.plans if memory else None, begins, reading.move, self._table, self._weights)
         torque = planned_torque(plans, reading.step, estimate.state)
         direction = breakaway_direction(estimate.state[:, 1], torque, self.gains.friction_speed)
         friction = self.gains.friction_share * self.params.coulomb_friction * direction
-        return as_action(torque - estimate.disturbance + friction, self.params), PreviewMemory(plans, estimate)
+        return torque - estimate.disturbance + friction, PreviewMemory(plans, estimate)

@@ -35,10 +35,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
-from baselines.reading import Reading, as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
 Floats = NDArray[np.float64]
@@ -66,7 +67,7 @@ class DisturbanceMemory:
     held: NDArray[np.bool_]  # whether the last push was not meant to break the motor away
 
 
-class DisturbanceController:
+class DisturbanceController(ClassicalController[DisturbanceMemory]):
     """PD with disturbance observer and torsion-torque feedback.
 
     Args:
@@ -75,43 +76,35 @@ class DisturbanceController:
     """
 
     def __init__(self, gains: DisturbanceGains | None = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
         self.gains = gains or DisturbanceGains()
-        self.params = params or ArmParams()
         self._arm = RigidArm(self.params)
         self._share = 1 - np.exp(-self.gains.observer * CONTROL_PERIOD)
         self._fast_share = 1 - np.exp(-self.gains.reaction * CONTROL_PERIOD)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: DisturbanceMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], DisturbanceMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+    def law(
+        self, reading: Reading, begins: Flags, memory: DisturbanceMemory | None
+    ) -> tuple[Floats, DisturbanceMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
         p, gains = self.params, self.gains
-        now = read(observation, p)
-        load, fast_load = self._observe(state, beginning(state, episode_start, len(observation)), now)
-        wanted = task_motion(now)
-        error, speed_error = motor_errors(now, wanted, p)
+        load, fast_load = self._observe(memory, begins, reading)
+        wanted = task_motion(reading)
+        error, speed_error = motor_errors(reading, wanted, p)
         servo = p.motor_inertia * (gains.angle * error + gains.speed * speed_error)
         push = servo - (gains.reaction_gain - 1) * (fast_load - load)
         direction = commanded_direction(wanted, push, gains.rest_width)
-        friction = gains.friction * p.coulomb_friction * direction + p.motor_viscous_friction * now.motor_speed
+        friction = gains.friction * p.coulomb_friction * direction + p.motor_viscous_friction * reading.motor_speed
         known = friction + self._arm.link_torque(wanted)
         torque = p.motor_inertia * p.gear_ratio * wanted.acceleration + push + known + load
-        memory = DisturbanceMemory(load, fast_load, now.motor_speed, known, np.abs(direction) < 1)
-        return as_action(torque, p), memory
+        return torque, DisturbanceMemory(load, fast_load, reading.motor_speed, known, np.abs(direction) < 1)
 
-    def _observe(
-        self, memory: DisturbanceMemory | None, starting: NDArray[np.bool_], now: Reading
-    ) -> tuple[Floats, Floats]:
+    def _observe(self, memory: DisturbanceMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Floats]:
         """The load passed by both filters, up to this sample [N m]; zero at an episode's start."""
         if memory is None:
-            return np.zeros(len(starting)), np.zeros(len(starting))
+            return np.zeros(len(begins)), np.zeros(len(begins))
         accelerating = self.params.motor_inertia * (now.motor_speed - memory.motor_speed) / CONTROL_PERIOD
         latest = now.last_torque - memory.known - accelerating
         stuck = memory.held & (now.motor_speed == 0.0)
         load = np.where(stuck, memory.load, memory.load + self._share * (latest - memory.load))
         fast_load = np.where(stuck, load, memory.fast_load + self._fast_share * (latest - memory.fast_load))
-        return np.where(starting, 0.0, load), np.where(starting, 0.0, fast_load)
+        return np.where(begins, 0.0, load), np.where(begins, 0.0, fast_load)

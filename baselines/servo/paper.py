@@ -15,7 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env import CONTROL_PERIOD, ArmParams, observation
+from baselines.controller import ClassicalController
+from baselines.reading import Flags, Reading
+from beltarm_env import CONTROL_PERIOD, ArmParams
 
 Floats = NDArray[np.float64]
 
@@ -55,20 +57,20 @@ class TorsionSimulation:
         self._plant = params.plant()
 
     def follow(
-        self, memory: PaperMemory | None, begins: NDArray[np.bool_] | None, joint_speed: Floats, joint_angle: Floats
+        self, memory: PaperMemory | None, begins: Flags, joint_speed: Floats, joint_angle: Floats
     ) -> PaperMemory:
         """Bring a memory up to this sample; at an episode's start it begins at rest.
 
         Args:
             memory: What the last call returned; None at the beginning.
-            begins: Which arms begin an episode, shape (n,); None means none.
+            begins: Which arms begin an episode, shape (n,).
             joint_speed: Measured theta_1' [rad/s], shape (n,).
             joint_angle: Measured theta_1 [rad], shape (n,).
         """
         if memory is None:
             return PaperMemory(np.zeros_like(joint_speed), np.zeros_like(joint_speed), joint_speed)
         torsion, rate = self.advance(memory.torsion, memory.torsion_rate, joint_speed - memory.joint_speed, joint_angle)
-        if begins is not None and begins.any():
+        if begins.any():
             torsion, rate = np.where(begins, 0.0, torsion), np.where(begins, 0.0, rate)
         return PaperMemory(torsion, rate, joint_speed)
 
@@ -106,7 +108,7 @@ class PaperMemory:
     joint_speed: Floats  # measured theta_1' of the last sample [rad/s]
 
 
-class PaperController:
+class PaperController(ClassicalController[PaperMemory]):
     """Eq. (11) on encoder observations. `PaperController(gains=PaperGains(torsion_speed=0))` is the rigid ablation.
 
     Args:
@@ -115,33 +117,24 @@ class PaperController:
     """
 
     def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
-        self.params = params or ArmParams()
+        super().__init__(params)
         self.gains = gains or PaperGains()
         self._simulation = TorsionSimulation(self.params)
-        self._scales = observation.scales()
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: PaperMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PaperMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+    def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
         p, gains = self.params, self.gains
-        error, speed_error, speed, angle_ref, speed_ref, acceleration_ref = (
-            observation[:, :6].T.astype(np.float64, order="C") * self._scales[:6, None]
-        )
-        joint_angle = angle_ref - error / p.gear_ratio
-        memory = self._simulation.follow(state, episode_start, speed / p.gear_ratio, joint_angle)
-        u_1 = p.gear_ratio * acceleration_ref + gains.speed * speed_error + gains.angle * error
+        error, speed = reading.angle_error, reading.motor_speed
+        joint_angle = reading.reference_angle - error / p.gear_ratio
+        memory = self._simulation.follow(memory, begins, speed / p.gear_ratio, joint_angle)
+        u_1 = p.gear_ratio * reading.reference_acceleration + gains.speed * reading.speed_error + gains.angle * error
         torque = (
             p.motor_inertia * u_1
             + p.motor_viscous_friction * speed
-            + p.coulomb_friction * np.sign(speed_ref)
+            + p.coulomb_friction * np.sign(reading.reference_speed)
             - gains.torsion_speed * memory.torsion_rate
         )
-        return np.clip(torque / p.torque_limit, -1, 1).astype(np.float32)[:, None], memory
+        return torque, memory
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:

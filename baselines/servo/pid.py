@@ -13,17 +13,18 @@ The PID knows nothing of the belt: `SmoothController` and `ShapingController` pl
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
-from baselines.reading import Reading, as_action, beginning, read
+from baselines.reading import Flags, Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 
 Floats = NDArray[np.float64]
@@ -48,7 +49,7 @@ class PidMemory:
     speed: Floats
 
 
-class PidServo(ABC):
+class PidServo(ClassicalController[PidMemory]):
     """PID along planned ramps; a controller is one that says how to plan.
 
     Args:
@@ -57,42 +58,36 @@ class PidServo(ABC):
         smooth: Whether ramps are smooth rather than linear.
     """
 
-    def __init__(self, gains: PidGains, params: ArmParams, smooth: bool) -> None:
-        self._gains, self.params, self._smooth = gains, params, smooth
-        self._arm = RigidArm(params)
+    def __init__(self, gains: PidGains, params: ArmParams | None, smooth: bool) -> None:
+        super().__init__(params)
+        self._gains, self._smooth = gains, smooth
+        self._arm = RigidArm(self.params)
 
     @abstractmethod
     def plan(self, moves: Floats) -> Ramps:
         """Ramps for moves of shape (n, 4): start, goal [rad], duration, ramp time [s]."""
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: PidMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PidMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        now = read(observation, self.params)
-        integral, ramps = self._recall(state, beginning(state, episode_start, len(observation)), now)
-        wanted = motion_at(ramps, now.move[:, 0], CONTROL_PERIOD * now.step.astype(np.float64), self._smooth)
-        error, speed_error = motor_errors(now, wanted, self.params)
+    def law(self, reading: Reading, begins: Flags, memory: PidMemory | None) -> tuple[Floats, PidMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        integral, ramps = self._recall(memory, begins, reading)
+        time = CONTROL_PERIOD * reading.step.astype(np.float64)
+        wanted = motion_at(ramps, reading.move[:, 0], time, self._smooth)
+        error, speed_error = motor_errors(reading, wanted, self.params)
         torque = self._torque(wanted, error, speed_error, integral)
         winding = (np.abs(torque) > self.params.torque_limit) & (torque * error > 0)
-        memory = PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), *ramps)
-        return as_action(torque, self.params), memory
+        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), *ramps)
 
-    def _recall(self, memory: PidMemory | None, starting: NDArray[np.bool_], now: Reading) -> tuple[Floats, Ramps]:
+    def _recall(self, memory: PidMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Ramps]:
         """The integral and the plan, begun anew where an episode starts."""
         if memory is None:
-            return np.zeros(len(starting)), self.plan(now.move)
+            return np.zeros(len(begins)), self.plan(now.move)
         ramps = Ramps(memory.onset, memory.time, memory.speed)
-        if not starting.any():
+        if not begins.any():
             return memory.integral, ramps
         anew = zip(self.plan(now.move), ramps, strict=True)
         return (
-            np.where(starting, 0.0, memory.integral),
-            Ramps(*(np.where(starting[:, None], fresh, old) for fresh, old in anew)),
+            np.where(begins, 0.0, memory.integral),
+            Ramps(*(np.where(begins[:, None], fresh, old) for fresh, old in anew)),
         )
 
     def _torque(self, wanted: Motion, error: Floats, speed_error: Floats, integral: Floats) -> Floats:

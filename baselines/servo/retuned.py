@@ -26,10 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
-from baselines.reading import as_action, beginning, read
+from baselines.reading import Flags, Reading
 from baselines.servo.paper import PaperMemory, TorsionSimulation
 from beltarm_env import ArmParams
 
@@ -45,7 +46,7 @@ class RetunedGains(FrictionGains):
     speed: float = tunable(20.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
 
 
-class RetunedController:
+class RetunedController(ClassicalController[PaperMemory]):
     """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own.
 
     Args:
@@ -54,27 +55,19 @@ class RetunedController:
     """
 
     def __init__(self, gains: RetunedGains | None = None, params: ArmParams | None = None) -> None:
+        super().__init__(params)
         self.gains = gains or RetunedGains()
-        self.params = params or ArmParams()
         self._arm = RigidArm(self.params)
         self._simulation = TorsionSimulation(self.params)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: PaperMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PaperMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        p, gains = self.params, self.gains
-        now = read(observation, p)
-        begins = beginning(state, episode_start, len(observation))
-        memory = self._simulation.follow(state, begins, now.motor_speed / p.gear_ratio, now.motor_angle / p.gear_ratio)
-        wanted = task_motion(now)
-        error, speed_error = motor_errors(now, wanted, p)
+    def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        p, gains, speed = self.params, self.gains, reading.motor_speed
+        memory = self._simulation.follow(memory, begins, speed / p.gear_ratio, reading.motor_angle / p.gear_ratio)
+        wanted = task_motion(reading)
+        error, speed_error = motor_errors(reading, wanted, p)
         servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
         push = servo - gains.torsion_speed * memory.torsion_rate
         friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
-        torque = self._arm.torque(wanted) + p.motor_viscous_friction * now.motor_speed + friction + push
-        return as_action(torque, p), memory
+        torque = self._arm.torque(wanted) + p.motor_viscous_friction * speed + friction + push
+        return torque, memory

@@ -97,7 +97,7 @@ class ShapingController(PidServo):
             raise TypeError(f"kind={kind!r} takes {GAINS[kind].__name__}, got {type(gains).__name__}")
         self.gains = gains or GAINS[kind]()
         self.kind: Kind = kind
-        super().__init__(self.gains, params or ArmParams(), smooth=False)
+        super().__init__(self.gains, params, smooth=False)
 
     def plan(self, moves: Floats) -> Ramps:
         """As many ramps up as the shaper has impulses, and as many down, for each move of shape (n, 4)."""

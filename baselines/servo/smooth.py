@@ -48,7 +48,7 @@ class SmoothController(PidServo):
 
     def __init__(self, gains: SmoothGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or SmoothGains()
-        super().__init__(self.gains, params or ArmParams(), smooth=True)
+        super().__init__(self.gains, params, smooth=True)
 
     def plan(self, moves: Floats) -> Ramps:
         """One ramp up and one down for each move of shape (n, 4)."""

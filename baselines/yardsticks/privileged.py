@@ -8,21 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.controller import ClassicalController
+from baselines.gains import tuned
 from baselines.models.friction import breakaway_direction
+from baselines.optimal.adaptive import AdaptiveGains
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
 from baselines.optimal.preview import PreviewGains
-from baselines.reading import as_action, beginning, read
-from beltarm_env import ArmParams, observation
+from baselines.reading import Flags, Reading
+from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS, params_table
 
 Floats = NDArray[np.float64]
-
-_TORSION = slice(observation.index("torsion", "full"), observation.index("torsion_speed", "full") + 1)
-_SCALES = observation.scales("full")[_TORSION]
 
 
 @dataclass(frozen=True)
@@ -32,45 +33,54 @@ class PrivilegedMemory:
     plans: Plans
 
 
-class PrivilegedController:
+class PrivilegedController(ClassicalController[PrivilegedMemory]):
     """Preview LQG that knows its arms, on observations with `sensors="full"`.
 
     Args:
-        arms: The true constants, one for each row of the observations.
+        arms: The true constants, one for each row of the observations, with one gear ratio and torque limit.
         gains: Weights of the plan and of the friction compensation.
     """
 
+    sensors = "full"
+
     def __init__(self, arms: Sequence[ArmParams], gains: PreviewGains | None = None) -> None:
+        super().__init__(arms[0])
         self.gains = gains or PreviewGains()
-        self.params = ArmParams()
         self._table = params_table(arms)
         self._friction = self._table[:, FIELDS.index("coulomb_friction")]
         self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: PrivilegedMemory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PrivilegedMemory]:
-        """Torque over its limit, shape (n, 1), for observations of shape (n, 24).
+    def law(self, reading: Reading, begins: Flags, memory: PrivilegedMemory | None) -> tuple[Floats, PrivilegedMemory]:
+        """Torque [N m] of one sample, see `ClassicalController`.
 
         Raises:
-            ValueError: If there are not as many rows as arms, or they lack the torsion.
+            ValueError: If there are not as many rows as arms.
         """
-        if observation.shape != (len(self._table), _TORSION.stop):
-            raise ValueError(
-                f'observations must have shape ({len(self._table)}, {_TORSION.stop}), sensors="full" and one row for '
-                f"each arm, got {observation.shape}"
-            )
-        reading = read(observation, self.params)
-        begins = beginning(state, episode_start, len(observation))
-        plans = replanned(state.plans if state else None, begins, reading.move, self._table, self._weights)
-        torsion = observation[:, _TORSION].astype(np.float64) * _SCALES
-        x = np.column_stack([reading.motor_angle, reading.motor_speed, torsion])
+        if len(begins) != len(self._table):
+            raise ValueError(f"this yardstick knows {len(self._table)} arms, got observations of {len(begins)}")
+        plans = replanned(memory.plans if memory else None, begins, reading.move, self._table, self._weights)
+        assert reading.torsion is not None, "decoded with the torsion, see `sensors`"
+        x = np.column_stack([reading.motor_angle, reading.motor_speed, reading.torsion])
         torque = planned_torque(plans, reading.step, x)
         direction = breakaway_direction(reading.motor_speed, torque, self.gains.friction_speed)
-        return as_action(
-            torque + self.gains.friction_share * self._friction * direction, self.params
-        ), PrivilegedMemory(plans)
+        return torque + self.gains.friction_share * self._friction * direction, PrivilegedMemory(plans)
+
+
+def privileged_controller(
+    arms: Sequence[ArmParams], gains: Literal["default", "adaptive"] = "default"
+) -> PrivilegedController:
+    """The yardstick for given arms.
+
+    Args:
+        arms: The true constants, one for each row of the observations.
+        gains: Weights of plan and friction compensation: "default" are untuned; "adaptive" are the tuned ones of
+            `adaptive`, beside which the yardstick then shows what not knowing the arm costs.
+
+    Raises:
+        ValueError: If the file of gains is damaged or out of date.
+    """
+    if gains == "default":
+        return PrivilegedController(arms)
+    g = tuned("adaptive", AdaptiveGains)
+    shared = ("velocity_weight", "torque_weight", "friction_share", "friction_speed")
+    return PrivilegedController(arms, PreviewGains(**{name: getattr(g, name) for name in shared}))

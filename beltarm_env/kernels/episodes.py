@@ -12,7 +12,7 @@ from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_move, load_plant, load_state, store_plant, store_state
 from beltarm_env.kernels.sense import begin_sensing
-from beltarm_env.physics.kinematics import reference_tip, tip_motion
+from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import integration_substeps
@@ -94,8 +94,4 @@ def tip_errors(blocks: Floats, errors: Floats, profile: int) -> None:
         plant = load_plant(block, j)
         tip = tip_motion(load_state(block, at.STATE, j), plant)
         reference = reference_at(profile, load_move(block, j), block[at.STEP * LANES + j] * CONTROL_PERIOD)
-        x, x_speed = reference_tip(reference.angle, reference.speed, plant)
-        errors[i, 0] = tip.x - x
-        errors[i, 1] = tip.y
-        errors[i, 2] = tip.x_speed - x_speed
-        errors[i, 3] = tip.y_speed
+        errors[i, 0], errors[i, 1], errors[i, 2], errors[i, 3] = tip_error(tip, reference.angle, reference.speed, plant)

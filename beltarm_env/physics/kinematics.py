@@ -12,10 +12,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import sin_cos
+
+Floats = NDArray[np.float64]
 
 
 class TipMotion(NamedTuple):
@@ -50,6 +55,30 @@ def reference_tip(angle: float, speed: float, plant: Plant) -> tuple[float, floa
     """Return the tip of a rigid arm on the x axis, position [m] and speed [m/s], at joint angle and speed."""
     sine, cosine = sin_cos(angle)
     return plant.double_link * cosine + plant.hand, -plant.double_link * sine * speed
+
+
+@inlined
+def tip_error(tip: TipMotion, angle: float, speed: float, plant: Plant) -> TipMotion:
+    """Tip minus reference tip: position [m] and velocity [m/s], for a reference angle and speed (rad, rad/s)."""
+    x, x_speed = reference_tip(angle, speed, plant)
+    return TipMotion(tip.x - x, tip.y, tip.x_speed - x_speed, tip.y_speed)
+
+
+@compiled
+def tip_errors(states: Floats, references: Floats, plant: Plant) -> Floats:
+    """Errors of the tip as `TipMotion` has them, shape (n, 4), for n states of arms that are alike.
+
+    Args:
+        states: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (n, 4).
+        references: Joint angle [rad] and speed [rad/s] of the reference, shape (n, 2).
+        plant: Coefficients of the arm.
+    """
+    errors = np.empty((len(states), 4))
+    for i in range(len(states)):
+        x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
+        error = tip_error(tip_motion(x, plant), references[i, 0], references[i, 1], plant)
+        errors[i, 0], errors[i, 1], errors[i, 2], errors[i, 3] = error
+    return errors
 
 
 WORKSPACE_MARGIN = 0.25

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics.kinematics import TipMotion, reference_tip
+from beltarm_env.physics.kinematics import TipMotion, tip_error
 
 POSITION_SCALE = 0.010  # [m]
 VELOCITY_SCALE = 0.200  # [m/s]
@@ -43,9 +43,9 @@ def step_cost(tip: TipMotion, angle: float, speed: float, action: float, last_ac
         last_action: The same of the step before.
         plant: Coefficients of the arm.
     """
-    x, x_speed = reference_tip(angle, speed, plant)
-    error = math.sqrt((tip.x - x) * (tip.x - x) + tip.y * tip.y)
-    velocity_error = math.sqrt((tip.x_speed - x_speed) * (tip.x_speed - x_speed) + tip.y_speed * tip.y_speed)
+    off = tip_error(tip, angle, speed, plant)
+    error = math.sqrt(off.x * off.x + off.y * off.y)
+    velocity_error = math.sqrt(off.x_speed * off.x_speed + off.y_speed * off.y_speed)
     position = error * (1 / POSITION_SCALE)
     velocity = velocity_error * (1 / VELOCITY_SCALE)
     return StepCost(

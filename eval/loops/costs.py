@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from baselines import CONTROLLERS
 from baselines.yardsticks.oracle import METRICS, read_file
-from baselines.yardsticks.privileged import PrivilegedController
+from baselines.yardsticks.privileged import privileged_controller
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import params_columns, params_table
 from beltarm_env.rollout import Controller, Recording, rollout
@@ -67,7 +67,7 @@ def makers(names: Sequence[str]) -> dict[str, Maker]:
     Raises:
         ValueError: If the file of gains is damaged.
     """
-    return {**{name: _blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: PrivilegedController}
+    return {**{name: _blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: privileged_controller}
 
 
 def _blind(controller: Controller) -> Maker:

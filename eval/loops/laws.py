@@ -20,7 +20,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimation.arm_ekf import Doubt
+from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import RigidArm
@@ -143,11 +143,11 @@ def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
     return _state_feedback(params, k, gain, kalman_gains(params, noise)[k])
 
 
-def identification_gain(params: ArmParams, doubt: Doubt, k: int) -> Floats:
+def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
     """Steady-state gain of the identification's filter for x with the constants held at the nominal, shape (4,)."""
     arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
-    covariance = doubt.torque**2 * np.outer(arm.by_torque, arm.by_torque)
-    covariance += doubt.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
+    covariance = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
+    covariance += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
     covariance[0, 0] += QUANTUM**2 / 120
     measured, rounding = np.array([[1.0, 0, 0, 0]]), np.array([[QUANTUM**2 / 12]])
     _, before, _ = control.dlqe(arm.transition, np.eye(4), measured, covariance, rounding)
@@ -157,9 +157,9 @@ def identification_gain(params: ArmParams, doubt: Doubt, k: int) -> Floats:
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     """The same with the identification held at the nominal constants, and without d."""
     params, g = controller.params, controller.gains
-    doubt = Doubt(torque=g.torque_noise, acceleration=g.acceleration_noise)
+    uncertainty = Uncertainty(torque=g.torque_noise, acceleration=g.acceleration_noise)
     gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
-    return _state_feedback(params, k, gain, identification_gain(params, doubt, k))
+    return _state_feedback(params, k, gain, identification_gain(params, uncertainty, k))
 
 
 @lru_cache(maxsize=8)

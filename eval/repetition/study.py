@@ -11,13 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines import PaperController, tuned_controller
-from baselines.gains import tuned
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.motor_learning import MotorLearningController
-from baselines.optimal.adaptive import AdaptiveGains
-from baselines.optimal.preview import PreviewGains
-from baselines.yardsticks.privileged import PrivilegedController
+from baselines.yardsticks.privileged import privileged_controller
 from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, rollout
@@ -29,7 +26,7 @@ Floats = NDArray[np.float64]
 TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
 LEARNERS: dict[str, Callable[..., Any]] = {
     TORQUE: IterativeController,
-    ARM: partial(IterativeController, learning=None),
+    ARM: partial(IterativeController, learn_torque=False),
     MOTOR: MotorLearningController,
 }
 """By name: makes the controller of one trial from what was learnt before, None at first."""
@@ -96,14 +93,7 @@ def _privileged(arms: int, seed: int, randomization: str) -> Controller:
     """The plan of `adaptive`, with its gains, for arms whose constants and state are known."""
     env = BeltArmVectorEnv(arms, randomization=randomization)  # pyright: ignore[reportArgumentType]
     env.reset(seed=seed)
-    g = tuned("adaptive", AdaptiveGains)
-    gains = PreviewGains(
-        velocity_weight=g.velocity_weight,
-        torque_weight=g.torque_weight,
-        friction_share=g.friction_share,
-        friction_speed=g.friction_speed,
-    )
-    return PrivilegedController(env.params, gains)
+    return privileged_controller(env.params, gains="adaptive")
 
 
 def run_study(arms: int, repetitions: int, seed: int) -> list[RepetitionResult]:

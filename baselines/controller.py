@@ -1,0 +1,53 @@
+"""Adapter of classical controllers: a law in physical units, called with observations as a policy is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, Generic, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.reading import Flags, Floats, Reading, beginning, read
+from beltarm_env import ArmParams
+
+Memory = TypeVar("Memory")
+
+
+class ClassicalController(ABC, Generic[Memory]):
+    """Base of controllers on observations of `sensors`; a subclass writes `law`.
+
+    Args:
+        params: The nominal arm, all that the controller knows of the plant. Its gear ratio and torque limit, which
+            observations and actions are scaled by, must be those of the arms that it drives.
+    """
+
+    sensors: ClassVar[Literal["encoder", "full"]] = "encoder"
+
+    def __init__(self, params: ArmParams | None) -> None:
+        self.params = params or ArmParams()
+
+    @abstractmethod
+    def law(self, reading: Reading, begins: Flags, memory: Memory | None) -> tuple[Floats, Memory]:
+        """Motor torque of one sample, before it is cut at its limit.
+
+        Args:
+            reading: Measurements and reference of n arms.
+            begins: Which arms begin an episode, shape (n,).
+            memory: What the last call returned; None at the beginning, where all arms begin. Never changed.
+
+        Returns:
+            Torque [N m], shape (n,), and the memory for the next call.
+        """
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Memory | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Memory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        reading = read(observation, self.params, self.sensors)
+        torque, memory = self.law(reading, beginning(state, episode_start, len(observation)), state)
+        return np.clip(torque / self.params.torque_limit, -1, 1).astype(np.float32)[:, None], memory

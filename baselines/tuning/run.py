@@ -1,0 +1,115 @@
+"""Run of the tuner: searches of several controllers side by side, and the gains that they find, written to the file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from baselines.gains import read_file, write_entry
+from baselines.registry import TUNABLE
+from baselines.tools.files import require_writable
+from baselines.tools.parallel import BrokenOff, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
+from baselines.tools.progress import progress_rows
+from baselines.tools.provenance import command_line, commit
+from baselines.tuning.search import CHOICE_SEED, SearchProgress, SearchResult, search
+from baselines.tuning.study import begin_anew
+from beltarm_env import __version__
+
+
+def journal_file(folder: Path, name: str) -> Path:
+    """Return the journal of a controller's search."""
+    return folder / f"{name}.journal"
+
+
+def tune(
+    names: Sequence[str],
+    *,
+    budget: int,
+    seed: int,
+    jobs: int,
+    out: Path,
+    journals: Path,
+    resume: bool,
+    console: Console,
+) -> None:
+    """Tune controllers, and write the gains of each as soon as they are found.
+
+    Args:
+        names: Of the controllers, see `TUNABLE`.
+        budget: Simulated steps for each.
+        seed: Of the optimiser.
+        jobs: Searches side by side.
+        out: File of gains.
+        journals: Folder of the journals.
+        resume: Whether to go on with the searches that have a journal.
+        console: Where to show how far they are.
+
+    Raises:
+        ValueError: If a file is bad, or, once the others are through, if searches failed.
+        OSError: If files cannot be written.
+        Interrupted: If a signal asked to stop; the journals are in order.
+    """
+    read_file(out)
+    require_writable(out.parent)
+    require_writable(journals)
+    if not resume:
+        for name in names:
+            begin_anew(journal_file(journals, name))
+    stop, errors = StopRequest(), list[str]()
+    searches = {name: partial(search, TUNABLE[name], budget, seed, journal_file(journals, name)) for name in names}
+    with (
+        stop_on_signals(stop, lambda: console.print("stopping soon; once more to stop at once")),
+        progress_rows(names, budget, console) as rows,
+    ):
+
+        def tell(name: str, state: SearchProgress) -> None:
+            rows.show(name, state.steps, f"{state.trials} trials, best cost {state.best:.1f}")
+
+        outcomes = run_side_by_side(searches, jobs, stop=stop, tell=tell)
+        with closing(outcomes):
+            for name, found in outcomes:
+                if isinstance(found, SearchResult):
+                    write_entry(name, TUNABLE[name].gains(**found.gains), _provenance(budget, seed, found), out)
+                    rows.show(name, budget, _summary(found))
+                elif not isinstance(found.error, Interrupted):
+                    errors.append(f"{name}: {_explained(found)}")
+    if errors:
+        raise ValueError("\n".join(errors))
+    if stop.made:
+        raise Interrupted
+    console.print(f"written to {out}: {', '.join(names)}")
+
+
+def _explained(failure: Failure) -> str:
+    """Message of a failed search, with a remedy if its process died."""
+    return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
+
+
+def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object]:
+    """Provenance of gains."""
+    return {
+        "command": command_line(),
+        "seed": seed,
+        "budget": budget,
+        "steps": found.steps,
+        "trials": found.trials,
+        "pruned": found.pruned,
+        "failed": found.failed,
+        "cost": round(found.cost, 2),
+        "cost_untuned": round(found.cost_untuned, 2),
+        "measured_on": f"{found.arms} arms of the training ranges, seeds from {CHOICE_SEED}",
+        "date": datetime.now(UTC).date().isoformat(),
+        "version": __version__,
+        "commit": commit(),
+        "seconds": round(found.seconds, 1),
+    }
+
+
+def _summary(found: SearchResult) -> str:
+    """One-line summary of a search."""
+    return f"{found.trials} trials, cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {found.seconds:.0f} s"
