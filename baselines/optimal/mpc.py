@@ -9,7 +9,7 @@ with the estimated speed, or, of a motor at rest, the sign of u: the way it is t
 estimated by `baselines.estimation.observer`, a Kalman filter that knows that the motor sticks.
 
 Everything is known ahead but the arm: as the state x, so the parameters are believed to be nominal. With the true
-parameters the same controller costs about a third, see `baselines/yardsticks/oracle.py` for what is the least.
+parameters the same controller costs about a third, see `baselines/oracle.py` for what is the least.
 """
 
 from __future__ import annotations
