@@ -19,7 +19,7 @@ FILE = Path(__file__).with_name("gains.json")
 
 
 def tunable(default: float, low: float, high: float, log: bool = False) -> Any:
-    """A field of `Gains`: its value before tuning, its range, and whether to search it on a logarithmic scale.
+    """Field of `Gains` with its value before tuning, its range, and whether it is searched on a logarithmic scale.
 
     Raises:
         ValueError: If the value is outside its range, or the range has no logarithm.
@@ -61,7 +61,7 @@ class Tunable(NamedTuple):
 
 
 def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
-    """The tuned gains of the controller `name`, or those of `kind` if it has not been tuned.
+    """Tuned gains of the controller `name`, or those of `kind` if it has not been tuned.
 
     Raises:
         ValueError: If the file holds gains that `kind` does not have, or no number within its range.
@@ -83,7 +83,7 @@ def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
 
 
 def read_file(path: Path = FILE) -> dict[str, Any]:
-    """Everything in a file of gains: by controller, its `gains` and their `provenance`.
+    """Contents of a file of gains: by controller, its `gains` and their `provenance`.
 
     Raises:
         ValueError: If the file is damaged.
@@ -103,7 +103,7 @@ def read_file(path: Path = FILE) -> dict[str, Any]:
 
 
 def write_entry(name: str, gains: Gains, provenance: dict[str, Any], path: Path = FILE) -> None:
-    """Put the gains of one controller into a file of gains; what it holds of others stays.
+    """Write the gains of one controller to a file of gains and keep those of the others.
 
     The file is replaced as a whole, so that an interruption leaves either the old one or the new one.
 

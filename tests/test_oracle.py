@@ -11,7 +11,8 @@ from commands import mistake
 
 from baselines import PaperController
 from baselines.optimal.mpc import MpcController
-from baselines.yardsticks.oracle import FILE, METRICS, Scenario, main, read_file, replay
+from baselines.oracle import main
+from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.models import LUMPED
@@ -60,7 +61,7 @@ def test_no_controller_costs_less(stored):
 
 def test_stored_file_is_small():
     assert FILE.stat().st_size < 200_000
-    assert "baselines/yardsticks/oracle.py" in json.loads(FILE.read_text())["command"]
+    assert "baselines/oracle.py" in json.loads(FILE.read_text())["command"]
 
 
 def test_traced_equations_are_the_compiled_ones():
@@ -99,16 +100,14 @@ def test_an_arm_without_friction_is_refused():
 
 def test_missing_casadi_is_one_line():
     start = "import runpy, sys; sys.modules['casadi'] = None; "
-    start += f"runpy.run_path({str(ROOT / 'baselines/yardsticks/oracle.py')!r}, run_name='__main__')"
+    start += f"runpy.run_path({str(ROOT / 'baselines/oracle.py')!r}, run_name='__main__')"
     command = [sys.executable, "-c", start]
     result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 2
-    assert (
-        result.stderr == "baselines/yardsticks/oracle.py: casadi is not installed; run `pip install -e '.[oracle]'`\n"
-    )
+    assert result.stderr == "baselines/oracle.py: casadi is not installed; run `pip install -e '.[oracle]'`\n"
 
 
 def test_unknown_scenario_is_one_line(tmp_path: Path):
     pytest.importorskip("casadi")
     line = mistake(main, ("--scenario", "test:3"), tmp_path)
-    assert line == "baselines/yardsticks/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'"
+    assert line == "baselines/oracle.py: --scenario must be nominal:SEED or train:SEED, got 'test:3'"

@@ -1,12 +1,12 @@
-"""What a residual agent is told besides the environment's observation.
+"""Observation of a residual agent: that of the environment, the base's torque, and a belief about the arm.
 
-An encoder hides payload, stiffness and friction, and, while the motor sticks, the ringing too. A network of a few
-thousand weights does not find them in a history of counts, so it is told what an extended Kalman filter makes of that
-history (`baselines.estimation.identification`): the state of the arm, what the tip's errors are if that is so, and how
-far the arm's constants are from the nominal ones. The filter knows nothing but the observation, as the agent does.
+An encoder does not show payload, stiffness and friction, nor, while the motor sticks, the vibration. A network of a few
+thousand weights does not infer them from a history of counts, so it gets the estimates of an extended Kalman filter
+(`baselines.estimation.identification`): the state of the arm, the tip's errors in that state, and the arm's constants
+relative to the nominal ones. The filter sees the observation and nothing else, as the agent does.
 
-Errors are scaled to order 1 at the precision wanted, not at the size of what the base leaves: what is 0.01 of the unit
-of a network's input is learned late or never.
+Errors are scaled to order 1 at the precision wanted, not at the size that the base leaves: an input of order 0.01 is
+learned late or never.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ ENTRIES: dict[Knowledge, tuple[Entry, ...]] = {
     "belief": (_BASE_TORQUE, *_STATE, *_TIP, *_CONSTANTS, *_DOUBTS),
     "none": (_BASE_TORQUE,),
 }
-"""What is appended to the observation, in order; scaled and bounded as the observation's own entries."""
+"""Entries appended to the observation, in order; scaled and bounded as the observation's own."""
 KNOWLEDGE: tuple[Knowledge, ...] = ("belief", "none")
 
 
 def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = "belief") -> spaces.Box:
-    """What a residual agent observes."""
+    """Observation space of a residual agent."""
     told = [entry.bound / entry.scale for entry in ENTRIES[knowledge]]
     bounds = np.concatenate([layout.bounds(sensors), told]).astype(np.float32)
     return spaces.Box(-bounds, bounds, dtype=np.float32)
@@ -72,8 +72,8 @@ class InformedMemory:
 
     base: Any  # the base controller's own
     action: Singles  # of the base, shape (n, 1)
-    reading: Reading | None  # the observation decoded, and
-    belief: Belief | None  # what is believed of the arm; None without knowledge
+    reading: Reading | None  # the decoded observation; None without knowledge
+    belief: Belief | None  # about the arms; None without knowledge
 
 
 class InformedBase:
@@ -84,7 +84,7 @@ class InformedBase:
         knowledge: "belief" for the identified arm, "none" for the base's torque alone.
 
     Attributes:
-        params: The arm that base and identification are made for, see `Controller`; None if they take any.
+        params: Arm that base and identification are made for, see `Controller`; None if they take any.
     """
 
     def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:

@@ -46,7 +46,7 @@ _ROWS = np.array([FIELDS.index(name) for name in IDENTIFIED])
 _LIMIT = FIELDS.index("torque_limit")
 _LOWEST = np.array([-0.5, -0.4, -0.3, -0.6, -0.6, -0.4])
 _HIGHEST = np.array([1.4, 0.4, 0.3, 0.6, 0.6, 0.4])
-"""Bounds of the logarithms: any arm that the benchmark has, and none that the simulation could not integrate."""
+"""Bounds of the logarithms: they hold all arms of the benchmark, and only arms that can be integrated."""
 _LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])  # of x: keeps an estimate that has diverged finite
 _STEPS = np.array([1e-2, 1e-1, 1e-4, 1e-2, *[1e-2] * len(IDENTIFIED)])  # of the filter state, for the Jacobian
 _SIZE = len(_STEPS)

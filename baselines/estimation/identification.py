@@ -82,7 +82,7 @@ class Belief:
 
 
 class IdentifyingController(ABC, Generic[Memory]):
-    """A controller that identifies its arms: what it believes of them can be read from its memory."""
+    """A controller whose memory holds a belief about its arms."""
 
     @abstractmethod
     def belief(self, memory: Memory) -> Belief:
@@ -155,7 +155,7 @@ class ArmIdentifier:
         """Bring the belief up to this sample.
 
         Args:
-            belief: From the last sample; None at the beginning.
+            belief: That of the last sample; None at the beginning.
             reading: Measurements, and the torque held since the last sample.
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
         """

@@ -1,21 +1,21 @@
-"""State of the arm from encoder and commanded torque: a Kalman filter that knows that the motor sticks.
+"""State of the arm from encoder and commanded torque: a Kalman filter that models stiction.
 
 The prediction is the nominal arm itself, Coulomb friction included, one control period on:
 
     x^- = f(x, tau_m + d)
 
-with a torque d at the motor that stands for whatever friction and inertia differ by; it changes slowly. The correction
-weighs how far the encoder is from the prediction,
+with a slowly changing disturbance torque d at the motor, for friction and inertia that differ from the nominal. The
+correction is the error of the predicted encoder angle, weighted,
 
     [x; d] = [x^-; d] + L(theta_1) (theta_a - x^-_1)
 
 with the steady-state gain L of the linear arm (python-control's `dlqe`), tabulated over the joint angle. The encoder's
-rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise are a torque at the motor, a torsional
+rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the motor, a torsional
 acceleration (stiffness and inertia that differ) and the random walk of d.
 
-While the motor sticks, it tells nothing of the torsion: then only the angle is corrected, and torsion and its rate
-follow the model alone. If the encoder moves by more than two counts all the same, the filter takes it to slide.
-See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
+While the motor sticks, the encoder carries no information about the torsion: then only the angle is corrected, and
+torsion and its rate follow the model alone. If the encoder moves by more than two counts, the filter takes the motor to
+slide. See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ QUANTUM = 2 * np.pi / ENCODER_COUNTS
 """One count of the encoder [rad]."""
 _SLIDES = 2 * QUANTUM  # an innovation that a motor at rest cannot cause
 _AT_REST = 0.2  # correction of the angle of a motor at rest, per sample
-_LARGEST_TORQUE = 0.05  # of d [N m]; more than any friction differs by
-_LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])  # of the state: keeps an estimate that has lost its arm finite
+_LARGEST_TORQUE = 0.05  # of d [N m]; beyond any friction's error
+_LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])  # of the state: keeps an estimate that has diverged finite
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations of what the model does not know."""
+    """Standard deviations of the process noise."""
 
     torque: float = 3e-3  # at the motor, white [N m]
     acceleration: float = 5.0  # torsional, white [rad/s^2]
@@ -54,7 +54,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the filter believes of n arms."""
+    """Estimated states of n arms."""
 
     state: Floats  # x = [theta_a, omega_a, theta_s, omega_s], shape (n, 4)
     disturbance: Floats  # d [N m], shape (n,)
@@ -84,7 +84,7 @@ def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
 
 
 class StickSlipObserver:
-    """The filter for arms with nominal parameters `params`."""
+    """Kalman filter for arms with nominal parameters `params`."""
 
     def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
         self.params = params
@@ -94,7 +94,7 @@ class StickSlipObserver:
         """Bring the estimate up to this sample.
 
         Args:
-            estimate: What the last call returned; None at the beginning.
+            estimate: That of the last sample; None at the beginning.
             reading: Measurements, and the torque held since the last sample.
             begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
         """

@@ -44,11 +44,11 @@ _YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below whi
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """How the torque is learnt; chosen on arms with seeds 5 000 000 to 5 000 015, as the gains were."""
+    """Settings of the torque's learning; chosen on arms with seeds 5 000 000 to 5 000 015, as the gains were."""
 
     effort: float = 1.0  # R [1/(N m)^2]
     softness: float = 0.01  # errors below this share of their scale in the cost weigh no more
-    change_softness: float = 0.05  # the same for the torque's change over its limit
+    change_softness: float = 0.05  # torque changes below this share of the limit weigh no more
 
     def __post_init__(self) -> None:
         """Refuse what leaves the problem without a unique solution.
@@ -62,10 +62,10 @@ class Learning:
 
 
 class IterativeController(AdaptiveController):
-    """The controller of one trial.
+    """Controller of one trial.
 
     Args:
-        lesson: What was learnt before; None in the first trial.
+        lesson: Result of the trials before; None in the first one.
         gains: Of the plan and of the identification; those of `adaptive` if not given.
         params: The nominal arm.
         learning: How the torque is learnt.
@@ -107,7 +107,7 @@ class IterativeController(AdaptiveController):
         return self.lesson.recalled(new, begins & self.lesson.knows(reading))
 
     def learned(self, notes: Notes) -> Lesson:
-        """What a trial of this controller has taught, with what was known before.
+        """Lesson after a trial of this controller, with what was known before.
 
         Arms that did not finish the trial keep what they knew.
 
@@ -135,7 +135,7 @@ class IterativeController(AdaptiveController):
         return Lesson(moves, np.zeros((len(moves), len(prior))), np.repeat(prior[None], len(moves), axis=0), None)
 
     def _states(self, lesson: Lesson, readings: list[Reading]) -> Floats:
-        """The trial's states by the filter that knows the lesson from the first sample on, shape (n, T, 4)."""
+        """States of the trial, shape (n, T, 4), estimated anew with the constants of the lesson."""
         everyone = np.ones(len(lesson.moves), np.bool_)
         belief = lesson.recalled(self._identifier.update(None, readings[0], everyone), everyone)
         states = [belief.state]
@@ -145,7 +145,7 @@ class IterativeController(AdaptiveController):
         return np.stack(states, axis=1)
 
     def _law(self, table: Floats, states: Floats, torques: Floats, moves: Floats) -> Law:
-        """The next trial's law, by constants (n, 12), states (n, T, 4) and torques (n, T) of the last one."""
+        """Law of the next trial, from constants (n, 12), states (n, T, 4) and torques (n, T) of the last one."""
         before = np.column_stack([np.zeros(len(torques)), torques[:, :-1]])
         path = np.concatenate([states, before[:, :, None]], axis=2)
         law = Law(torques.copy(), np.empty(path.shape), path, np.empty(torques.shape, np.bool_))

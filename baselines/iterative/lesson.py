@@ -1,4 +1,4 @@
-"""What an iterative controller has learnt about n arms, and the notes of a trial that it learns from."""
+"""Lesson of an iterative controller about n arms, and the record of a trial that it is learnt from."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Law(NamedTuple):
 
 @dataclass(frozen=True)
 class Lesson:
-    """What trials have taught about n arms, each with its move."""
+    """Constants and torques learnt for n arms, each with its move."""
 
     moves: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
     logs: Floats  # ln of the identified constants over their nominal values, shape (n, 6)
@@ -35,11 +35,11 @@ class Lesson:
     law: Law | None  # None: only the arm was learnt
 
     def recalled(self, belief: Belief, which: NDArray[np.bool_]) -> Belief:
-        """The belief, with the constants of some arms as learnt; shape of `which`: (n,)."""
+        """Belief with the learnt constants of some arms; `which` has shape (n,)."""
         return belief.with_constants(which, self.logs, self.covariance)
 
     def torque(self, planned: Floats, belief: Belief, reading: Reading) -> Floats:
-        """Torque [N m], shape (n,): that of the law where it holds, or else the one planned."""
+        """Torque [N m], shape (n,): that of the law where it holds, the planned one elsewhere."""
         if self.law is None:
             return planned
         arms, k = np.arange(len(planned)), np.minimum(reading.step, EPISODE_STEPS - 1)
@@ -50,7 +50,7 @@ class Lesson:
         return np.where(self.law.holds[arms, k] & self.knows(reading), torque, planned)
 
     def kept(self, which: NDArray[np.bool_], new: Lesson) -> Lesson:
-        """The new lesson, of the same arms and moves, but with this one for some arms; shape of `which`: (n,)."""
+        """A new lesson about these arms, in which some arms keep what this one has; `which` has shape (n,)."""
         law = new.law
         if law:
             idle = law._replace(holds=np.zeros_like(law.holds))
@@ -59,7 +59,7 @@ class Lesson:
         return Lesson(new.moves, logs, covariance, law)
 
     def knows(self, reading: Reading) -> NDArray[np.bool_]:
-        """Which arms are at their lesson's move, shape (n,)."""
+        """Whether each arm makes the move of its lesson, shape (n,)."""
         return (reading.move == self.moves).all(axis=1)
 
 
@@ -68,7 +68,7 @@ def _chosen(which: NDArray[np.bool_], of_these: NDArray[Any], of_others: NDArray
 
 
 class Notes:
-    """A controller that takes down what it sees and does, for one trial; `Controller` in all else."""
+    """Wrapper of a controller that records its observations and actions during one trial."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
@@ -82,14 +82,14 @@ class Notes:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """As the controller's own."""
+        """Call the controller and record."""
         action, state = self.controller.predict(observation, state, episode_start, deterministic)
         self._observations.append(observation.copy())
         self._actions.append(action.copy())
         return action, state
 
     def readings(self, params: ArmParams) -> list[Reading]:
-        """What was seen, sample by sample, by arms that are nominally `params`.
+        """Recorded observations, decoded, sample by sample.
 
         Raises:
             ValueError: If it is not one whole trial.
@@ -101,6 +101,6 @@ class Notes:
         return [read(observation, params) for observation in self._observations]
 
     def torques(self, params: ArmParams) -> Floats:
-        """What was done [N m], shape (n, T)."""
+        """Recorded torques [N m], shape (n, T)."""
         actions = np.stack([action[:, 0] for action in self._actions], axis=1)
         return np.clip(actions.astype(np.float64), -1, 1) * params.torque_limit

@@ -38,13 +38,13 @@ _SMOOTHNESS = 1000.0  # r [1/(N m)^2]: the filter against learning the encoder's
 
 @dataclass(frozen=True)
 class FeedForward:
-    """What was learnt of n arms, each with its move."""
+    """Feed-forward learnt for n arms, each with its move."""
 
     moves: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
     torque: Floats  # f_j [N m], shape (n, T)
 
     def at(self, reading: Reading) -> Floats:
-        """Of this sample [N m], shape (n,); none for an arm at another move.
+        """Torque of this sample [N m], shape (n,); zero for an arm at another move.
 
         Raises:
             ValueError: If there are not as many arms.
@@ -59,10 +59,10 @@ class FeedForward:
 
 
 class MotorLearningController(ClassicalController[PaperMemory]):
-    """The controller of one trial.
+    """Controller of one trial.
 
     Args:
-        lesson: What was learnt before; None in the first trial, which is the paper's controller's.
+        lesson: Result of the trials before; None in the first one, which is the paper's controller's.
         params: The nominal arm.
     """
 
@@ -81,7 +81,7 @@ class MotorLearningController(ClassicalController[PaperMemory]):
         return torque + self.lesson.at(reading) if self.lesson else torque, memory
 
     def learned(self, notes: Notes) -> FeedForward:
-        """What a trial of this controller has taught, on top of what was known.
+        """Feed-forward after a trial of this controller, added to what was known.
 
         Raises:
             ValueError: If the notes are not of one whole trial.
@@ -99,7 +99,7 @@ class MotorLearningController(ClassicalController[PaperMemory]):
         return FeedForward(moves, torque)
 
     def _change(self, angle: Floats, speed: Floats, reference: Floats, torque: Floats) -> Floats:
-        """Change v for one arm, by its errors [rad, rad/s], reference [rad] and feed-forward so far, all (T,)."""
+        """Change v for one arm, from its errors [rad, rad/s], reference [rad] and feed-forward so far, all (T,)."""
         p, gains = self.params, self._paper.gains
         arms = LinearArms(*(part[0] for part in linear_arm(p)))
         by_torque = at_angle(arms.by_torque, reference)
@@ -117,7 +117,7 @@ class MotorLearningController(ClassicalController[PaperMemory]):
 
 
 def _followed(trial: Trial, change: Floats, gain: Floats) -> Floats:
-    """The changes of the torque [N m], shape (T,), along the motion that they are computed for."""
+    """Changes of the torque [N m], shape (T,), by simulating the linear trial under its law."""
     z, changes = np.zeros(5), np.empty_like(change)
     for k in range(len(change)):
         changes[k] = z[4] = change[k] - gain[k] @ z

@@ -1,4 +1,4 @@
-"""Norm-optimal iterative learning: how to change the torques of one trial so that the next comes nearer to the task.
+"""Norm-optimal iterative learning: changes of the torque that bring the next trial nearer to the task.
 
 About the motion x_k of a trial under torques tau_k the arm is linear,
 
@@ -13,7 +13,7 @@ with D_k = tau_k - tau_(k-1), over all v at once: the lifted least squares of a 
 backwards over z_k = [dx_k; v[k-1]] (`baselines.optimal.riccati`), the input being v[k] - v[k-1], as feed-forward and
 feedback v[k] = c[k] - K[k] z_k.
 
-A benchmark that charges norms |e|, not squares, is met by weights made anew for every trial, W = 1 / (2 |e|) with the
+A benchmark that charges norms |e|, not squares, is met by weights computed for every trial, W = 1 / (2 |e|) with the
 errors of the trial before (iteratively reweighted least squares): the sum then has the norms' slope at that trial.
 
 Sources: N. Amann, D. H. Owens, E. Rogers: Iterative learning control using optimal feedback and feedforward actions,
@@ -43,7 +43,7 @@ _COPIES = 2 * len(_MOVES) + 1
 
 
 class Trial(NamedTuple):
-    """The linear problem about one trial of T samples; row k is of sample k, errors are of the state after it."""
+    """Linear problem about one trial of T samples; row k is of sample k, errors are of the state after it."""
 
     transition: Floats  # A, shape (T, 4, 4)
     by_torque: Floats  # b, shape (T, 4)
@@ -52,7 +52,7 @@ class Trial(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """What the next trial weighs against what."""
+    """Weights of the next trial's cost."""
 
     errors: Floats  # diagonals of W, shape (T, 4)
     smoothness: Floats  # r [1/(N m)^2], shape (T,)
@@ -61,7 +61,7 @@ class Weights(NamedTuple):
 
 @compiled
 def optimal_change(trial: Trial, weights: Weights, torque_change: Floats) -> tuple[Floats, Floats]:
-    """Solve the problem above.
+    """Minimise the cost of the next trial.
 
     Args:
         trial: Of one arm.
@@ -89,7 +89,7 @@ def optimal_change(trial: Trial, weights: Weights, torque_change: Floats) -> tup
 
 @inlined
 def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None:
-    """Add what errors and change of the torque cost after sample k."""
+    """Add the cost of errors and torque change after sample k."""
     for error in range(4):
         for i in range(4):
             weighted = weights.errors[k, error] * trial.of_state[k, error, i]
@@ -109,14 +109,14 @@ def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floa
 
 
 class Linearisation:
-    """Linear problems about trials of arms that are nominally `params`."""
+    """Linearisation of trials of arms that are nominally `params`."""
 
     def __init__(self, params: ArmParams, steps: int) -> None:
         self._simulation = ArmSimulation(params, _COPIES * steps)
         self._steps = steps
 
     def about(self, states: Floats, torques: Floats, task: Floats, row: Floats) -> Trial:
-        """The problem about the motion of one arm.
+        """Linear problem about the motion of one arm.
 
         Args:
             states: x before each sample, shape (T, 4).

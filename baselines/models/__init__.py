@@ -1,1 +1,1 @@
-"""What controllers know of their arm: rigid and linear models, vibration modes, planned motions, friction."""
+"""Models of the arm for control: rigid and linear models, vibration modes, planned motions, friction."""

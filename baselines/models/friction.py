@@ -1,4 +1,4 @@
-"""Compensation of Coulomb friction: which way it is to be overcome.
+"""Compensation of Coulomb friction: the direction in which the motor is to slide.
 
 While the motor turns, friction tau_f is tau_c against the motion. Where the motor rests, there is no motion to go by.
 Two laws say which way it is to break away:

@@ -1,4 +1,4 @@
-"""The linear model of the arm from one sample to the next, tabulated over the joint angle."""
+"""Linear model of the arm from one sample to the next, tabulated over the joint angle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from beltarm_env.physics.linear import sample_models
 Floats = NDArray[np.float64]
 
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
-"""Joint angles of the tables [rad], every two degrees; beyond its ends a table goes on as it ends."""
+"""Joint angles of the tables [rad], every two degrees; outside, tables are constant."""
 
 
 class LinearArms(NamedTuple):
@@ -30,12 +30,12 @@ class LinearArms(NamedTuple):
 
 
 def linear_arms(table: Floats) -> LinearArms:
-    """Models of n arms without Coulomb friction; columns of `table` as `ArmParams`, shape (n, 12)."""
+    """Linear models of n arms; columns of `table` as `ArmParams`, shape (n, 12)."""
     return LinearArms(*sample_models(table, ANGLES, CONTROL_PERIOD))
 
 
 def linear_arm(params: ArmParams) -> LinearArms:
-    """The model of one arm: n = 1."""
+    """Linear model of one arm: n = 1."""
     return linear_arms(params_table([params]))
 
 

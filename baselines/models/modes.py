@@ -1,4 +1,4 @@
-"""The belt's mode behind a motor that is held by its servo, and how it depends on the angle of the arm.
+"""Vibration mode of the belt behind a motor held by its servo, as a function of the joint angle.
 
 A servo much faster than the mode makes the joint angle theta_1 an input of (5b). Linear about an angle,
 
@@ -22,14 +22,14 @@ Floats = NDArray[np.float64]
 
 
 class Mode(NamedTuple):
-    """Vibration of n arms; arrays of shape (n,)."""
+    """Vibration modes of n arms; arrays of shape (n,)."""
 
     period: Floats  # of the damped vibration [s]
     decay: Floats  # of the amplitude over half a period: exp(-pi zeta / sqrt(1 - zeta^2))
 
 
 def held_mode(params: ArmParams, angle: Floats) -> Mode:
-    """The mode with the motor held at joint angles [rad] of shape (n,)."""
+    """Mode with the motor held at joint angles [rad] of shape (n,)."""
     m2 = RigidArm(params).link_inertia(angle)
     plant = params.plant()
     zeta = 0.5 * plant.damping / np.sqrt(plant.stiffness * m2)

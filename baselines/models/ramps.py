@@ -1,7 +1,7 @@
 """Motions of the joint whose speed is a sum of ramps: references other than the task's own.
 
 A ramp gains `speed` between `onset` and `onset + time`, linearly or as 3u^2 - 2u^3, and keeps it. The task's trapezoid
-is one ramp up and one down; an S-curve is the same with smooth ramps, and a shaped move has several of each.
+is one ramp up and one down, an S-curve has smooth ramps, and a shaped move several up and several down.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class Ramps(NamedTuple):
 
 
 def motion_at(ramps: Ramps, start: Floats, time: Floats, smooth: bool = False) -> Motion:
-    """Where arms that set out from `start` [rad] at rest are at `time` [s], both of shape (n,).
+    """Motion at `time` [s] of arms at rest at `start` [rad] before their ramps, both of shape (n,).
 
-    Accelerations that jump take the value that holds from this instant on.
+    Where the acceleration jumps, it is the one after the jump.
     """
     u = (time[:, None] - ramps.onset) / ramps.time
     c = np.minimum(np.maximum(u, 0.0), 1.0)
@@ -44,7 +44,7 @@ def motion_at(ramps: Ramps, start: Floats, time: Floats, smooth: bool = False) -
 
 
 def _total(columns: Floats) -> Floats:
-    """Sum over the ramps, in the same order however many arms there are."""
+    """Sum over the ramps, in an order that does not depend on the number of arms."""
     total = columns[:, 0]
     for k in range(1, columns.shape[1]):
         total = total + columns[:, k]

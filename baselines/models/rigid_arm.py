@@ -1,4 +1,4 @@
-"""Inverse dynamics of the arm with a rigid belt, and a motor's errors against a motion of the joint.
+"""Inverse dynamics of the arm with a rigid belt, and errors of the motor from a motion of the joint.
 
 With a rigid belt (phi = theta_1 = theta_a / G), (5a) and the completed (5b) add up to one equation at the motor shaft:
 
@@ -31,12 +31,12 @@ class Motion(NamedTuple):
 
 
 def task_motion(now: Reading) -> Motion:
-    """The task's reference at this sample."""
+    """Reference of the task at this sample."""
     return Motion(now.reference_angle, now.reference_speed, now.reference_acceleration)
 
 
 def motor_errors(now: Reading, wanted: Motion, params: ArmParams) -> tuple[Floats, Floats]:
-    """How far the motor's angle [rad] and speed [rad/s] are behind those of a motion of the joint."""
+    """Errors of the motor's angle [rad] and speed [rad/s]: those of a motion of the joint minus the measured ones."""
     gear = params.gear_ratio
     return gear * wanted.angle - now.motor_angle, gear * wanted.speed - now.motor_speed
 

@@ -50,7 +50,7 @@ class Problem(NamedTuple):
 
 @inlined
 def empty_problem(steps: int) -> Problem:
-    """Room for one problem."""
+    """Unset problem over a number of steps."""
     return Problem(
         np.empty((steps, SIZE, SIZE)),
         np.empty((steps, SIZE)),
@@ -68,7 +68,7 @@ def empty_problem(steps: int) -> Problem:
 
 @inlined
 def _choose(p: Problem, k: int) -> None:
-    """The law for v at step k, from the cost's slope in it."""
+    """Choose the law for v at step k: the optimum, or the limit at which u is fixed."""
     if p.fixed[k] == 0:
         p.constant[k] = free_input(SIZE, p.slope[k], p.gain[k])
     else:
@@ -79,7 +79,7 @@ def _choose(p: Problem, k: int) -> None:
 
 @compiled
 def _backward(p: Problem, change_weight: float) -> None:
-    """The laws for v at all steps."""
+    """Compute the laws for v at all steps."""
     to_go, by_input = no_cost(SIZE), np.empty(SIZE)
     for i in range(SIZE):
         for j in range(SIZE):
@@ -97,7 +97,7 @@ def _backward(p: Problem, change_weight: float) -> None:
 
 @inlined
 def _wanted(p: Problem, k: int, u: float, slope: float) -> int:
-    """At which limit u_k should be fixed, given the cost's slope in v."""
+    """Limit at which to fix u_k, -1 or +1, or 0 for none, given the cost's slope in v."""
     if p.fixed[k] == 0:
         return 1 if u > p.high[k] else (-1 if u < p.low[k] else 0)
     return int(p.fixed[k]) if p.fixed[k] * slope <= 0.0 else 0
@@ -105,7 +105,7 @@ def _wanted(p: Problem, k: int, u: float, slope: float) -> int:
 
 @compiled
 def _forward(p: Problem, first: Floats, u: Floats) -> int:
-    """Follow the laws from z = first; write u, update which are fixed, and return how many of these changed."""
+    """Simulate the laws from z = first: write u, update which are fixed, and return the number of changes."""
     changed = 0
     z, after = first.copy(), np.empty(SIZE)
     for k in range(len(u)):
@@ -128,7 +128,7 @@ def _forward(p: Problem, first: Floats, u: Floats) -> int:
 
 @compiled
 def minimise(p: Problem, change_weight: float, first: Floats, u: Floats) -> int:
-    """Write the u that minimise the cost from z = `first`, and return how many rounds it took."""
+    """Write the inputs u that minimise the cost from z = `first`, and return the number of rounds."""
     for k in range(len(u)):
         p.fixed[k] = 0
     for rounds in range(1, MOST_ROUNDS + 1):

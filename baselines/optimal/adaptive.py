@@ -1,17 +1,16 @@
-"""Adaptive preview LQG: the arm is identified while it moves, and the plan made anew for the arm believed in.
+"""Adaptive preview LQG: the arm is identified while it moves, and the move replanned for the identified arm.
 
     tau_m = tau_ff[k] - K[k] (x - x_ref[k]) + tau_c dir
 
-as `baselines.optimal.preview`, but state, tau_c, and the arm that feed-forward and gains are computed for, come from
-the identification of `baselines.estimation.identification`, which also finds out how late and how coarse the encoder
-is. The plan of the rest of the move is computed again every 30 ms for arms whose constants have changed by more than 2
-% since (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995). At an episode's start the arm is
-nominal: nothing is carried over from one to the next.
+as in `baselines.optimal.preview`, with state, tau_c and the arm's constants from `baselines.estimation.identification`,
+which also finds the encoder's delay and resolution. Every 30 ms the rest of the move is replanned for arms whose
+estimated constants have changed by more than 2 % (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control,
+1995). At an episode's start the arm is nominal: nothing is carried over from one episode to the next.
 
-Where that plan asks for more than four times the torque limit, an optimal plan for a hundred times dearer torque takes
-over: a feedback that is cut that much is another one than was planned, and beyond the halving that every LQ regulator
-bears it may pump the ringing instead of damping it, for good (after G. F. Wredenhagen, P. R. Belanger: Piecewise-linear
-LQ control for systems with input constraints, Automatica 30, 1994). It is made when it is needed, for few arms need it.
+Where that plan demands more than four times the torque limit, an optimal plan with a hundredfold weight of the torque
+takes over: saturation lowers the loop's gain, and beyond the halving that every LQ regulator tolerates the feedback may
+excite the vibration instead of damping it (after G. F. Wredenhagen, P. R. Belanger: Piecewise-linear LQ control for
+systems with input constraints, Automatica 30, 1994). It is computed on demand, for few arms need it.
 """
 
 from __future__ import annotations
@@ -66,14 +65,14 @@ class AdaptiveGains(Gains):
 
 @dataclass(frozen=True)
 class PlanCache:
-    """Plans of n arms, and the constants that they were made for."""
+    """Plans of n arms, with the estimated constants that they were computed for."""
 
     plans: Plans
-    logs: Floats  # as believed then, shape (n, 6); NaN where there is no plan
+    logs: Floats  # `Belief.logs` at the time, shape (n, 6); NaN where there is no plan
 
     @classmethod
     def empty(cls, belief: Belief) -> PlanCache:
-        """No plan for any arm."""
+        """Cache without any plan."""
         return cls([np.empty(0)] * len(belief.logs), np.full_like(belief.logs, np.nan))
 
     def is_stale(self, belief: Belief, reading: Reading) -> Flags:
@@ -88,7 +87,7 @@ class PlanCache:
     def replan(
         self, which: Flags, reading: Reading, belief: Belief, identifier: ArmIdentifier, weights: Weights
     ) -> PlanCache:
-        """Cache with new plans for some arms, made for their constants as believed."""
+        """Cache with new plans for some arms, for their estimated constants."""
         if not which.any():
             return self
         plans = replanned(self.plans, which, reading.move, identifier.table(belief), weights)
@@ -97,7 +96,7 @@ class PlanCache:
 
 @dataclass(frozen=True)
 class AdaptiveMemory:
-    """Belief about n arms, and the plans made for them."""
+    """Belief about n arms, and their plans."""
 
     belief: Belief
     bold: PlanCache
@@ -120,7 +119,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         self._identifier = ArmIdentifier(self.params, self.gains.uncertainty())
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
-        """The belief that the memory holds."""
+        """Belief at the sample that the memory belongs to."""
         return memory.belief
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
@@ -145,7 +144,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
 
 
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:
-    """The identification as this controller was tuned, for others to use.
+    """Identification with the tuned gains of this controller.
 
     Args:
         params: The nominal arm.

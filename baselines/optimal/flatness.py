@@ -1,4 +1,4 @@
-"""Flatness of the arm: a smoothed move of the link, and the state and torque of motor and belt that belong to it.
+"""Flatness of the arm: a smoothed move of the link, and the state and torque of motor and belt that follow from it.
 
 Without Coulomb friction the arm is differentially flat [1], and the link's angle phi is its flat output: with T the
 belt's torque of (5b),
@@ -46,7 +46,7 @@ _SHORTEST_LAG = 1e-12  # [s]  instead of none
 
 
 class Corners(NamedTuple):
-    """Spread jumps of the acceleration that make up the motions of n arms, which set out at rest."""
+    """Smoothed trapezoids of n arms: four jumps of the acceleration, each spread over a time."""
 
     start: Floats  # phi at the start [rad], shape (n,)
     onset: Floats  # of a spread [s] from the move's start, shape (n, 4)
@@ -55,7 +55,7 @@ class Corners(NamedTuple):
 
 
 class FlatMotion(NamedTuple):
-    """What the arm does where the link moves as planned; n arms at one instant each."""
+    """State and torque along a smoothed move; n arms at one instant each."""
 
     link: Floats  # phi and its first four derivatives [rad/s^k], shape (n, 5)
     state: Floats  # x = [theta_a, omega_a, theta_s, omega_s], shape (n, 4)
@@ -144,7 +144,7 @@ def _flat_motions(
 
 
 def flat_motion(corners: Corners, time: Floats, params: ArmParams) -> FlatMotion:
-    """Motions, states and torques at times [s] from the moves' starts, shape (n,); phi'''' is right-continuous."""
+    """Motion, state and torque at times [s] since the moves' starts, shape (n,); phi'''' is right-continuous."""
     count = len(time)
     motion = FlatMotion(np.empty((count, 5)), np.empty((count, 4)), np.empty(count))
     _flat_motions(*corners, np.ascontiguousarray(time, np.float64), params_table([params])[0], *motion)

@@ -1,4 +1,4 @@
-"""The optimal control problem of the predictive controller: the move ahead, seen from where the arm is.
+"""Optimal control problem of the predictive controller: the next 0.3 s of the move, from the estimated state.
 
 Deviations from the reference. With r = [G phi_ref, G phi_ref', 0, 0] the state's deviation e = x - r obeys, over m
 samples of constant net torque u (motor torque less Coulomb friction),
@@ -43,7 +43,7 @@ STEPS = np.repeat([1, 2, 4, 8], [8, 6, 6, 20])
 
 
 class Horizon(NamedTuple):
-    """Everything about the problem that depends neither on the arm's state nor on the move."""
+    """Constants of the problem: what depends neither on the arm's state nor on the move."""
 
     plant: Plant
     lengths: NDArray[np.int64]  # of the steps, in samples    (N,)
@@ -58,7 +58,7 @@ class Horizon(NamedTuple):
 def horizon(
     params: ArmParams, velocity_weight: float, change_weight: float, lengths: NDArray[np.int64] = STEPS
 ) -> Horizon:
-    """Tables of the problem for an arm."""
+    """Tabulate the problem for an arm."""
     plant, weights = params.plant(), error_weights(velocity_weight)
     arm = LinearArms(*(part[0] for part in linear_arm(params)))
     single = np.zeros((len(ANGLES), SIZE + 1, SIZE + 1))  # over one sample, of z and an acceleration, both held
@@ -86,14 +86,14 @@ def horizon(
 
 @inlined
 def _turning(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
-    """M2 [kg m^2] and M2' phi'^2 / 2 [N m]."""
+    """Inertia M2 [kg m^2] and the torque M2' phi'^2 / 2 [N m]."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return plant.inertia + plant.inertia_swing * sine * sine, plant.inertia_swing * sine * cosine * speed * speed
 
 
 @compiled
 def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Reference, end: Reference) -> None:
-    """Dynamics and weight of step k, between two references."""
+    """Set dynamics and weight of step k, between two references."""
     row, weight = place(middle.angle)
     table, accelerated = ahead.transition[ahead.which[k]], ahead.by_acceleration[ahead.which[k]]
     gear = ahead.plant.gear
@@ -117,7 +117,7 @@ def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Refe
 
 @compiled
 def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
-    """The final weight, and the torsion and torque about which it is: those of a steady motion like the reference."""
+    """Set the final weight, and the torsion and torque about which it is: those of a steady motion at the reference."""
     row, weight = place(end.angle)
     for i in range(SIZE):
         for j in range(SIZE):
@@ -133,7 +133,7 @@ def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
 
 @compiled
 def _set_up(p: Problem, ahead: Horizon, move: MoveShape, time: float, friction: float) -> None:
-    """Fill in the problem of an arm."""
+    """Set up the problem of an arm."""
     start = reference_at(TRAPEZOID, move, time)
     for k in range(len(ahead.lengths)):
         duration = ahead.lengths[k] * CONTROL_PERIOD

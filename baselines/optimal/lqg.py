@@ -4,7 +4,7 @@
 
 State and torque of the smoothed move come from the flat output, see `baselines.optimal.flatness`; the torque is the one
 in the middle of the sample over which it is held. Estimates x and d are those of `baselines.estimation.observer`, a
-Kalman filter on the encoder that knows that the motor sticks. The gain is the steady-state optimum (python-control's
+Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (python-control's
 `dlqr`) of the linear arm at each of 46 joint angles, interpolated at the angle of the reference. It minimises
 
     sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
@@ -110,7 +110,7 @@ class LqgController(ClassicalController[LqgMemory]):
         return torque - estimate.disturbance + friction, LqgMemory(corners, estimate)
 
     def _resmoothed(self, corners: Corners | None, begins: NDArray[np.bool_], moves: Floats) -> Corners:
-        """The smoothed moves, with those of arms that begin an episode made anew."""
+        """Smoothed moves, with new ones for arms that begin an episode."""
         if corners is not None and not begins.any():
             return corners
         new = smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)

@@ -6,10 +6,10 @@ what is ahead of the move. The motor torque adds what the plan leaves out, Coulo
     tau_m = u + kappa tau_c sign(omega_a) - d
 
 with the estimated speed, or, of a motor at rest, the sign of u: the way it is to break away. State and bias are
-estimated by `baselines.estimation.observer`, a Kalman filter that knows that the motor sticks.
+estimated by `baselines.estimation.observer`, a Kalman filter that models stiction.
 
-Everything is known ahead but the arm: as the state x, so the parameters are believed to be nominal. With the true
-parameters the same controller costs about a third, see `baselines/yardsticks/oracle.py` for what is the least.
+The move is known ahead, the arm is not: its parameters are taken to be nominal. With the true ones this controller
+costs about a third; for the least cost see `baselines/oracle.py`.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ class MpcGains(Gains):
 
 @dataclass(frozen=True)
 class MpcMemory:
-    """What the controller remembers from sample to sample."""
+    """Estimate and last net torque of n arms."""
 
     estimate: Estimate
     net_torque: Floats  # u of the last sample [N m], shape (n,)
 
 
 class MpcController(ClassicalController[MpcMemory]):
-    """The law above, on encoder observations.
+    """Model predictive control on encoder observations.
 
     Args:
         gains: Weights and noise.

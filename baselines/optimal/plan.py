@@ -33,9 +33,9 @@ Triple = tuple[float, float, float]
 
 
 class Weights(NamedTuple):
-    """What the plan weighs against what."""
+    """Weights of the plan's cost, relative to the tip's position error."""
 
-    velocity: float = 0.3  # w_v, of the tip's velocity error against its position error
+    velocity: float = 0.3  # w_v, of the tip's velocity error
     torque: float = 1.0  # rho [1/(N m)^2]
 
 
@@ -109,12 +109,12 @@ def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
 
 Plans = list[Floats]
 """Plans of n arms, each of shape (1200, 9), a row a sample: reference, gain, torque. A list, so that a new plan for
-some arms leaves those of the others where they are; never changed in place, since a memory that was returned must stay
-what it was."""
+some arms leaves those of the others where they are; never changed in place, since a memory that was returned stays
+valid."""
 
 
 def replanned(plans: Plans | None, which: NDArray[np.bool_], moves: Floats, table: Floats, weights: Weights) -> Plans:
-    """The plans with those of some arms made anew; `table` has a row for every arm, or one for all."""
+    """Plans with new ones for some arms; `table` has a row for every arm, or one for all."""
     if plans is not None and not which.any():
         return plans
     new = plan_moves(moves[which], table[which] if len(table) > 1 else table, weights)

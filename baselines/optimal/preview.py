@@ -1,12 +1,12 @@
-"""Preview LQG: an optimal plan for the move, and a Kalman filter that knows that the motor sticks.
+"""Preview LQG: an optimal plan for the move, and a Kalman filter that models stiction.
 
     tau_m = tau_ff[k] - K[k] (x - x_ref[k]) - d + tau_c dir                 plan and gains: `baselines.optimal.plan`
 
 with the estimates x and d of `baselines.estimation.observer`. Friction is compensated where the motor moves, and where
 it rests in the direction in which the plan wants it to move: dir = sign(omega_a) above a small speed, and the sign of
-the torque asked for below. Everything the controller knows of the arm is nominal. Separation of estimation and control
-holds for the linear arm only; friction and parameters that differ break it, which is why the noise of the filter and
-the weight of the torque are tuned.
+the torque demanded below. All parameters are nominal. Separation of estimation and control holds for the linear arm
+only; friction and parameters that differ break it, which is why the noise of the filter and the weight of the torque
+are tuned.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class CostToGo(NamedTuple):
 
 @inlined
 def no_cost(size: int) -> CostToGo:
-    """A cost of zero."""
+    """Cost-to-go of zero."""
     return CostToGo(np.zeros((size, size)), np.zeros(size), np.empty((size, size)), np.empty(size), np.empty(size))
 
 

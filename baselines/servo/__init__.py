@@ -1,1 +1,1 @@
-"""Servo controllers: the paper's, the same retuned, PID along shaped or smooth motions, disturbance observer."""
+"""Servo controllers: the paper's, its retuned form, PID along shaped or smooth motions, disturbance observer."""

@@ -58,7 +58,7 @@ class DisturbanceGains(FrictionGains):
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceMemory:
-    """What the controller remembers from sample to sample; arrays of shape (n,)."""
+    """Memory from sample to sample; arrays of shape (n,)."""
 
     load: Floats  # d: tau_d passed by g [N m]
     fast_load: Floats  # tau_d passed by g_r [N m]
@@ -99,7 +99,7 @@ class DisturbanceController(ClassicalController[DisturbanceMemory]):
         return torque, DisturbanceMemory(load, fast_load, reading.motor_speed, known, np.abs(direction) < 1)
 
     def _observe(self, memory: DisturbanceMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Floats]:
-        """The load passed by both filters, up to this sample [N m]; zero at an episode's start."""
+        """Load estimates of both filters at this sample [N m]; zero at an episode's start."""
         if memory is None:
             return np.zeros(len(begins)), np.zeros(len(begins))
         accelerating = self.params.motor_inertia * (now.motor_speed - memory.motor_speed) / CONTROL_PERIOD

@@ -59,10 +59,10 @@ class TorsionSimulation:
     def follow(
         self, memory: PaperMemory | None, begins: Flags, joint_speed: Floats, joint_angle: Floats
     ) -> PaperMemory:
-        """Bring a memory up to this sample; at an episode's start it begins at rest.
+        """Advance torsion and rate to this sample; at an episode's start both are zero.
 
         Args:
-            memory: What the last call returned; None at the beginning.
+            memory: From the last sample; None at the beginning.
             begins: Which arms begin an episode, shape (n,).
             joint_speed: Measured theta_1' [rad/s], shape (n,).
             joint_angle: Measured theta_1 [rad], shape (n,).
@@ -101,7 +101,7 @@ class TorsionSimulation:
 
 @dataclass(frozen=True, slots=True)
 class PaperMemory:
-    """What the controller remembers from sample to sample; arrays of shape (n,)."""
+    """Memory from sample to sample; arrays of shape (n,)."""
 
     torsion: Floats  # simulated theta_s [rad]
     torsion_rate: Floats  # simulated theta_s' [rad/s]
@@ -138,5 +138,5 @@ class PaperController(ClassicalController[PaperMemory]):
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:
-    """The paper's controller without vibration feedback, K_4 = 0: computed torque and PD for a rigid arm."""
+    """Controller of the paper without vibration feedback, K_4 = 0: computed torque and PD for a rigid arm."""
     return PaperController(params, PaperGains(torsion_speed=0.0))

@@ -1,4 +1,4 @@
-"""A motor servo along a motion planned at the move's start: computed torque, friction compensation and PID.
+"""Motor servo along a motion planned at the move's start: computed torque, friction compensation and PID.
 
     tau_m = M(theta_r) theta_r'' G + 1/2 M2' theta_r'^2 / G + V_a1 G theta_r' + tau_f + push
     push = M(theta_r) (K_p (e + K_i integral of e dt) + K_v e'),    e = G theta_r - theta_a
@@ -8,7 +8,7 @@ with the planned joint angle theta_r [rad], the inertia M = M_a1 + M2 / G^2 at t
 derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it further
 (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID knows nothing of the belt: `SmoothController` and `ShapingController` plan motions that do not make it ring.
+The PID ignores the belt: `SmoothController` and `ShapingController` plan motions that do not excite it.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ class PidGains(FrictionGains):
 
 @dataclass(frozen=True, slots=True)
 class PidMemory:
-    """What the controller remembers from sample to sample: integral of the error and the plan."""
+    """Memory from sample to sample: integral of the error, and the planned ramps."""
 
     integral: Floats  # of the motor's angle error [rad s], shape (n,)
-    onset: Floats  # of the k ramps that the plan consists of, see `Ramps`; shape (n, k)
-    time: Floats
-    speed: Floats
+    onset: Floats  # of the k planned ramps, see `Ramps`; shape (n, k)
+    time: Floats  # of the ramps
+    speed: Floats  # of the ramps
 
 
 class PidServo(ClassicalController[PidMemory]):
-    """PID along planned ramps; a controller is one that says how to plan.
+    """PID along planned ramps; a subclass writes `plan`.
 
     Args:
         gains: Of the servo.
@@ -78,7 +78,7 @@ class PidServo(ClassicalController[PidMemory]):
         return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), *ramps)
 
     def _recall(self, memory: PidMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Ramps]:
-        """The integral and the plan, begun anew where an episode starts."""
+        """Integral and plan at this sample: zero and a new one where an episode begins."""
         if memory is None:
             return np.zeros(len(begins)), self.plan(now.move)
         ramps = Ramps(memory.onset, memory.time, memory.speed)

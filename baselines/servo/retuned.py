@@ -1,4 +1,4 @@
-"""The paper's controller with what its text leaves open settled, and its gains tuned.
+"""The paper's controller with the inertia of the links, a friction law at rest, and tuned gains.
 
 The structure is that of (11): computed torque, PD and torsional-velocity feedback,
 

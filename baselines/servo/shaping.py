@@ -60,7 +60,7 @@ class ExtraInsensitiveGains(ShapingGains):
 
 
 GAINS: dict[Kind, type[ShapingGains]] = {"zv": ShapingGains, "zvd": ShapingGains, "ei": ExtraInsensitiveGains}
-"""The kinds of shapers, and what gains they take."""
+"""Gains of each kind of shaper, by name."""
 
 
 def shaper(kind: Kind, mode: Mode, vibration: float = 0.0) -> tuple[Floats, Floats]:
@@ -68,7 +68,7 @@ def shaper(kind: Kind, mode: Mode, vibration: float = 0.0) -> tuple[Floats, Floa
 
     Args:
         kind: "zv", "zvd" or "ei".
-        mode: What not to excite.
+        mode: Modes not to excite.
         vibration: V, for "ei" alone.
     """
     shares = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0), "ei": (1 + vibration, 2 * (1 - vibration), 1 + vibration)}
@@ -100,7 +100,7 @@ class ShapingController(PidServo):
         super().__init__(self.gains, params, smooth=False)
 
     def plan(self, moves: Floats) -> Ramps:
-        """As many ramps up as the shaper has impulses, and as many down, for each move of shape (n, 4)."""
+        """Ramps for moves of shape (n, 4): one up and one down for each impulse of the shaper."""
         start, goal, duration, ramp = moves.T
         up, up_delays, up_time, up_centre = self._shaped(start, ramp)
         down, down_delays, down_time, down_centre = self._shaped(goal, ramp)
@@ -114,7 +114,7 @@ class ShapingController(PidServo):
         )
 
     def _shaped(self, angle: Floats, ramp: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Weights and delays of a ramp's impulses, its time before shaping and the centre of all, from its onset."""
+        """Weights and delays of a ramp's impulses, its time before shaping, and its centre after, from its onset."""
         mode = held_mode(self.params, angle)
         vibration = self.gains.vibration if isinstance(self.gains, ExtraInsensitiveGains) else 0.0
         weights, delays = shaper(self.kind, Mode(mode.period / self.gains.frequency, mode.decay), vibration)

@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SmoothGains(PidGains):
-    """Gains of the servo, and how smooth the profile is."""
+    """Gains of the servo, and the smoothness of the profile."""
 
     ramp: float = tunable(1.43, 0.1, 5.0)  # [periods of the mode]  least time of a ramp
 
@@ -51,7 +51,7 @@ class SmoothController(PidServo):
         super().__init__(self.gains, params, smooth=True)
 
     def plan(self, moves: Floats) -> Ramps:
-        """One ramp up and one down for each move of shape (n, 4)."""
+        """Ramps for moves of shape (n, 4): one up and one down."""
         start, goal, duration, ramp = moves.T
         up = np.maximum(ramp, self.gains.ramp * held_mode(self.params, start).period)
         down = np.maximum(ramp, self.gains.ramp * held_mode(self.params, goal).period)

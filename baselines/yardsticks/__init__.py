@@ -1,1 +1,1 @@
-"""Yardsticks that know what no controller does; never ranked."""
+"""Yardsticks with privileged information; never ranked."""

@@ -1,4 +1,4 @@
-"""The torques that an all-knowing planner would choose: the environment's episode cost, minimised over the true arm.
+"""Clairvoyant optimum: the torques that minimise the environment's episode cost for the true arm.
 
 With x_k the state of eq. (6c) at sample k and tau_k the torque held after it, the planner solves
 
@@ -61,7 +61,7 @@ _IPOPT = {
 
 
 class Optimum(NamedTuple):
-    """What the planner found."""
+    """Solution of the planner."""
 
     torque: Floats  # [N m], shape (steps,)
     modes: NDArray[np.int8]  # friction mode of each sample: -1, 0, +1
@@ -70,11 +70,11 @@ class Optimum(NamedTuple):
 
 
 def plain(function: Any, known: dict[Any, Any] | None = None) -> Any:
-    """The Python function behind a compiled one and behind all that it calls, which also takes symbols.
+    """Python function behind a compiled one, and behind all that it calls, which can be traced with symbols.
 
     Args:
         function: A compiled function, or one of the package's modules.
-        known: Those that have been met already.
+        known: Functions traced already.
     """
     known = {} if known is None else known
     if function not in known:
@@ -93,7 +93,7 @@ def plain(function: Any, known: dict[Any, Any] | None = None) -> Any:
 
 
 class _Program:
-    """The nonlinear program of one arm and move; `exact` or smooth friction.
+    """Nonlinear program of one arm and move; `exact` or smooth friction.
 
     Unknowns are the states x_1 ... x_N (in `_UNITS`), the actions tau / limit, and the slacks above their changes.
     """
@@ -168,7 +168,7 @@ def _state(scaled: Any) -> ArmState:
 
 
 def _step(plant: Plant, exact: bool) -> Any:
-    """What the state after a sample differs by from where the sample leads, in `_UNITS`."""
+    """Defect of a sample: the state after it minus the one that the integration leads to, in `_UNITS`."""
     x, y, action, mode, width = (casadi.SX.sym("symbol", rows) for rows in (4, 4, 1, 1, 1))
     torque = action * plant.torque_limit
     sliding, direction = plant, mode
@@ -184,7 +184,7 @@ def _step(plant: Plant, exact: bool) -> Any:
 
 
 def _tip_cost(plant: Plant) -> Any:
-    """The position and velocity terms of the cost, with smooth norms."""
+    """Position and velocity terms of the cost, with smooth norms."""
     x, wanted, width = (casadi.SX.sym("symbol", rows) for rows in (4, 2, 1))
     tip = plain(tip_motion)(_state(x), plant)
 
@@ -204,7 +204,7 @@ def _drive(plant: Plant) -> Any:
 
 
 def optimum(params: ArmParams, move: MoveShape, steps: int = EPISODE_STEPS) -> Optimum:
-    """The torques that carry this arm over this move at the least cost, over the first `steps` samples.
+    """Torques of least cost for this arm and move, over the first `steps` samples.
 
     Raises:
         ValueError: If the arm has no Coulomb friction, which the modes are about.

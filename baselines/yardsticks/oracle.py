@@ -1,50 +1,35 @@
-"""How low can the cost get? `python baselines/yardsticks/oracle.py` plans with the true arm and stores the torques.
+"""Scenarios of the clairvoyant optimum: planned with the true arm, replayed in the environment, stored.
 
-The clairvoyant optimum (`baselines/yardsticks/clairvoyant.py`) knows the arm, its state and the move, which no
-controller does. What a controller costs beyond it is the most that better control, estimation or learning could gain,
-as far as an optimiser can tell that finds local minima. What is reported is never the optimiser's own figure, but the
-cost of its torques replayed in the environment, as float32 actions like anybody's.
+The clairvoyant optimum (`baselines.yardsticks.clairvoyant`) knows the arm, its state and the move, which no controller
+does. The difference to a controller's cost is the most that better control, estimation or learning could gain, as far
+as an optimiser can tell that finds local minima. The cost that is stored is never the optimiser's own figure, but that
+of its torques replayed in the environment, as float32 actions like those of any controller.
 
-`oracle.json` holds, for each scenario, arm, move, metrics, and the actions themselves.
+`oracle.json` holds arm, move, metrics and actions of each scenario; `baselines/oracle.py` writes it.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-import sys
 import time
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.reading import read
-from baselines.tools.files import require_writable, write_text
-from baselines.tools.provenance import command_line
-from beltarm_env import EPISODE_STEPS, ArmParams, __version__
+from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
 
 FILE = Path(__file__).parent.with_name("oracle.json")
 METRICS = ("cost", "tip_rms_mm", "residual_pp_mm", "saturated_share")
-_RANDOMIZATION: dict[str, Literal["off", "train"]] = {"nominal": "off", "train": "train"}
-
-
-@dataclass(frozen=True)
-class Config:
-    """Plan with the true arm, replay in the environment, store."""
-
-    scenario: tuple[str, ...] = tuple(f"{kind}:{5_000_000 + k}" for kind in _RANDOMIZATION for k in range(5))
-    """Scenarios as KIND:SEED; KIND is nominal or train (arms from the training ranges)."""
-    out: Path = FILE
-    """File to write."""
+RANDOMIZATION: dict[str, Literal["off", "train"]] = {"nominal": "off", "train": "train"}
+"""How the environment draws the arm of a scenario, by its kind."""
 
 
 @dataclass(frozen=True)
@@ -64,15 +49,15 @@ class Scenario:
             ValueError: If it is not of that form.
         """
         kind, _, seed = text.partition(":")
-        if kind not in _RANDOMIZATION or not seed.isdecimal():
+        if kind not in RANDOMIZATION or not seed.isdecimal():
             raise ValueError(f"--scenario must be nominal:SEED or train:SEED, got {text!r}")
         idle = Replay(np.zeros((1, EPISODE_STEPS), np.float32))
-        run = rollout(idle, 1, seed=int(seed), randomization=_RANDOMIZATION[kind])
+        run = rollout(idle, 1, seed=int(seed), randomization=RANDOMIZATION[kind])
         return cls(kind, int(seed), ArmParams.from_row(run.params[0]), MoveShape(*map(float, run.moves[0])))
 
 
 class Replay:
-    """Actions of shape (n, T), played one after the other."""
+    """Controller that plays recorded actions of shape (n, T), whatever it observes."""
 
     def __init__(self, actions: NDArray[np.float32]) -> None:
         self._actions = actions
@@ -84,20 +69,20 @@ class Replay:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], None]:
-        """The actions whose time has come; see `Controller`."""
+        """Actions of the current step; see `Controller`."""
         step = read(observation, ArmParams()).step
         return self._actions[np.arange(len(step)), step, None], None
 
 
 def replay(scenarios: list[Scenario], actions: NDArray[np.float32]) -> Recording:
-    """Actions of shape (n, T), each in its scenario, in the environment."""
+    """Run actions of shape (n, T) in the environment, each row in its scenario."""
     params = {name: [getattr(s.params, name) for s in scenarios] for name in FIELDS}
     move = {name: [getattr(s.move, name) for s in scenarios] for name in MoveShape._fields}
     return rollout(Replay(actions), len(scenarios), seed=0, options={"params": params, "move": move})
 
 
 def read_file(path: Path = FILE) -> tuple[dict[str, Any], list[Scenario], NDArray[np.float32]]:
-    """What is stored: everything as written, and from it the scenarios and their actions of shape (n, T).
+    """Contents of a file: everything as written, and from it the scenarios and their actions of shape (n, T).
 
     Raises:
         ValueError: If the file is damaged.
@@ -133,48 +118,3 @@ def solve(scenario: Scenario) -> dict[str, Any]:
         "move": scenario.move._asdict(),
         "actions": base64.b64encode(actions.tobytes()).decode(),
     }
-
-
-def run(config: Config) -> None:
-    """Solve all scenarios, print what came out and write the file.
-
-    Raises:
-        ValueError: If a scenario is not allowed.
-        OSError: If the file cannot be written.
-    """
-    scenarios = [Scenario.parse(text) for text in config.scenario]
-    require_writable(config.out.parent)
-    rows = []
-    for scenario in scenarios:
-        rows.append(row := solve(scenario))
-        print(
-            f"{row['kind']}:{row['seed']}  cost {row['cost']:.1f}  tip RMS {row['tip_rms_mm']:.2f} mm  residual p-p "
-            f"{row['residual_pp_mm']:.2f} mm  optimiser {row['optimiser_cost']:.1f}  {row['seconds']:.0f} s"
-            + ("" if row["converged"] else "  (not converged)"),
-            flush=True,
-        )
-    versions = {"beltarm_env": __version__, "casadi": version("casadi"), "numpy": np.__version__}
-    stored = {"command": command_line(), "versions": versions, "scenarios": rows}
-    write_text(config.out, json.dumps(stored, indent=1) + "\n")
-
-
-def main() -> None:
-    """Command line."""
-    try:
-        import casadi  # noqa: F401
-        import tyro
-    except ModuleNotFoundError as error:
-        print(
-            f"baselines/yardsticks/oracle.py: {error.name} is not installed; run `pip install -e '.[oracle]'`",
-            file=sys.stderr,
-        )
-        sys.exit(2)
-    try:
-        run(tyro.cli(Config, description=__doc__))
-    except (OSError, ValueError) as error:
-        print(f"baselines/yardsticks/oracle.py: {error}", file=sys.stderr)
-        sys.exit(2)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Privileged preview LQG: true constants and true state. A yardstick; never ranked among the controllers.
+"""Privileged preview LQG: a yardstick with true constants and true state, never ranked among the controllers.
 
 The law of `baselines.optimal.preview` without an observer: the plan is that of the true arm, and its state is read from
 the environment's full observation (motor angle and speed by the encoder, torsion exactly).
@@ -69,7 +69,7 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
 def privileged_controller(
     arms: Sequence[ArmParams], gains: Literal["default", "adaptive"] = "default"
 ) -> PrivilegedController:
-    """The yardstick for given arms.
+    """Yardstick for given arms.
 
     Args:
         arms: The true constants, one for each row of the observations.

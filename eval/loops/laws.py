@@ -1,4 +1,4 @@
-"""The linear law of every classical controller, for an arm at rest at an angle.
+"""Linear law of every classical controller, for an arm at rest at an angle.
 
 A law is written as the controller runs it, from one sample to the next, for deviations from the rest:
 
@@ -43,7 +43,7 @@ Step = Callable[[float, float, float, Floats], tuple[float, Floats]]
 
 
 class Law(NamedTuple):
-    """A linear law: how many numbers it remembers, and what it does at a sample."""
+    """A linear law: the size of its memory, and its step from sample to sample."""
 
     size: int
     step: Step  # angle [rad], speed [rad/s], last torque [N m], memory (size,) -> torque [N m], memory
@@ -81,7 +81,7 @@ def paper_law(controller: PaperController, k: int) -> Law:
 
 
 def retuned_law(controller: RetunedController, k: int) -> Law:
-    """The same with the inertia of the links."""
+    """Torsion feedback with the inertia of the links."""
     inertia = float(RigidArm(controller.params).inertia(ANGLES[k]))
     return torsion_feedback(controller.params, ANGLES[k], inertia, controller.gains)
 
@@ -155,7 +155,7 @@ def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> 
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
-    """The same with the identification held at the nominal constants, and without d."""
+    """State feedback of the plan on the identification's filter, held at the nominal constants."""
     params, g = controller.params, controller.gains
     uncertainty = Uncertainty(torque=g.torque_noise, acceleration=g.acceleration_noise)
     gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
@@ -205,11 +205,11 @@ LAWS: dict[type, Callable[[Any, int], Law]] = {
     MpcController: mpc_law,
     AdaptiveController: adaptive_law,
 }
-"""By the type of controller, its law at `ANGLES[k]`."""
+"""Makers of the law at `ANGLES[k]`, by the type of controller."""
 
 
 def law_of(controller: Any, k: int) -> Law:
-    """The law of a controller at rest at `ANGLES[k]`.
+    """Law of a controller at rest at `ANGLES[k]`.
 
     Raises:
         ValueError: If there is none for its type.
