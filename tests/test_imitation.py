@@ -24,7 +24,6 @@ from agents.learners.teaching import Advised, ask, practise
 from agents.policy.bundle import load_controller
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.monitor import News, TrainingMonitor
-from agents.runs.settings import MAX_SEED, SEED_SPACING, first_arm_seed
 from agents.runs.training import train
 from baselines import CONTROLLERS
 from baselines.iterative.controller import IterativeController
@@ -32,6 +31,7 @@ from baselines.iterative.lesson import Lesson, Notes
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
 from eval.learning.curves import find_curves
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -234,7 +234,7 @@ def test_every_round_has_arms_of_its_own(whole: Path):
     assert SEEDS == [0, 0, 4, 4], "one repetition and one trial of the student, of four arms"
 
 
-@given(st.integers(0, MAX_SEED), st.integers(1, 50), st.integers(1, SEED_SPACING))
+@given(st.integers(0, MAX_TRAINING_SEED), st.integers(1, 50), st.integers(1, SEED_SPACING))
 def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int, arms: int):
     config = StudentConfig(seed=seed, rounds=rounds, arms=arms)
     if rounds * arms > SEED_SPACING:
@@ -244,7 +244,7 @@ def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int
             config.check()
     else:
         config.check()
-        assert first_arm_seed(seed) + rounds * arms <= first_arm_seed(seed + 1)
+        assert training_arms(seed).first + rounds * arms <= training_arms(seed + 1).first
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {

@@ -1,8 +1,12 @@
 """Seeds: nobody draws another's arms."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, RANGES, SEED_SPACING, TRAINING, training_arms
+
+ROOT = Path(__file__).parent.parent
 
 
 def test_ranges_are_disjoint():
@@ -15,3 +19,16 @@ def test_training_seeds_share_no_arm_and_fill_their_range():
     first, last = training_arms(0), training_arms(MAX_TRAINING_SEED)
     assert first.first == TRAINING.first and last.first + last.size == TRAINING.first + TRAINING.size
     assert training_arms(1).first == first.first + first.size == SEED_SPACING
+
+
+def test_no_other_module_has_a_range_of_its_own():
+    """A seed of seven digits stands in one module; others name it. Numbers of samples and steps are no seeds."""
+    found = []
+    for package in ("beltarm_env", "baselines", "agents", "train", "eval"):
+        for path in (ROOT / package).rglob("*.py"):
+            for line in path.read_text(encoding="utf-8").splitlines():
+                if path.name != "seeds.py" and re.search(r"\b[4-9]_?\d{3}_?\d{3}\b", line):
+                    found += (
+                        [] if re.search(r"\b(samples|total_steps): int\b", line) else [f"{path.name}: {line.strip()}"]
+                    )
+    assert found == []

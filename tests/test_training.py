@@ -21,8 +21,6 @@ import numpy as np
 import pytest
 import torch
 import tyro
-from hypothesis import given
-from hypothesis import strategies as st
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 import agents.residual.bases
@@ -37,10 +35,11 @@ from agents.residual.env import ResidualVecEnv
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_task, runs_of
 from agents.runs.monitor import News, TrainingMonitor
-from agents.runs.settings import MAX_SEED, SEED_SPACING, RunConfig, first_arm_seed
+from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = tuple(name for name in ALGORITHMS if name != "student")  # which has tests of its own
@@ -446,22 +445,15 @@ def test_an_error_that_is_no_divergence_is_not_said_to_be_one(
 # Seeds
 
 
-@given(st.lists(st.integers(0, MAX_SEED), min_size=2, max_size=2, unique=True))
-def test_training_seeds_share_no_arm_and_stay_below_the_others(seeds: list[int]):
-    first, second = sorted(map(first_arm_seed, seeds))
-    assert first + SEED_SPACING <= second
-    assert second + SEED_SPACING <= 4_000_000
-
-
 def test_arms_are_seeded_as_documented(tmp_path: Path):
     config = tiny("ppo", tmp_path, seed=2, total_steps=64)
     monitor = run(config)
     env = make_env(config)
-    env.seed(2 * SEED_SPACING)
+    env.seed(training_arms(2).first)
     env.reset()
-    assert env.env._generators[3].bit_generator.seed_seq.entropy == 2 * SEED_SPACING + 3  # pyright: ignore
+    assert env.env._generators[3].bit_generator.seed_seq.entropy == training_arms(2).first + 3  # pyright: ignore
     assert isinstance(monitor.learner, ModelLearner)
-    assert monitor.learner.env.env._generators[3].bit_generator.seed_seq.entropy == 2 * SEED_SPACING + 3  # pyright: ignore
+    assert monitor.learner.env.env._generators[3].bit_generator.seed_seq.entropy == training_arms(2).first + 3  # pyright: ignore
 
 
 # Several seeds side by side
@@ -532,8 +524,8 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no device": ({"device": "gpu"}, "--device must be cpu, cuda or cuda:NUMBER, got 'gpu'"),
     "another device": ({"device": "meta"}, "--device must be cpu, cuda or cuda:NUMBER, got 'meta'"),
     "too many arms": ({"arms": 5000}, "--arms must be at most 4096, got 5000"),
-    "seed too large": ({"seed": MAX_SEED + 1}, f"--seed must lie within 0 and {MAX_SEED}"),
-    "seeds too large": ({"seed": MAX_SEED, "seeds": 2}, f"--seed must lie within 0 and {MAX_SEED}"),
+    "seed too large": ({"seed": MAX_TRAINING_SEED + 1}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
+    "seeds too large": ({"seed": MAX_TRAINING_SEED, "seeds": 2}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
     "learning rate": ({"learning_rate": float("nan")}, "--learning-rate must be finite and above 0, got nan"),
     "gamma": ({"gamma": 1.5}, "--gamma must be at most 1, got 1.5"),
     "layers": ({"hidden": (0,)}, "hidden layers must have a whole width from 1"),

@@ -16,8 +16,9 @@ from agents.policy.actor import Actor, actor_of
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualVecEnv
 from agents.runs.monitor import TrainingMonitor
-from agents.runs.settings import RunConfig, first_arm_seed
+from agents.runs.settings import RunConfig
 from beltarm_env import BeltArmVectorEnv
+from beltarm_env.task.seeds import training_arms
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class ModelLearner:
         self.config = config
         self.env = make_env(config)
         self.model = make_model(config, self.env)
-        self.env.seed(first_arm_seed(config.seed))
+        self.env.seed(training_arms(config.seed).first)
 
     @property
     def steps(self) -> int:

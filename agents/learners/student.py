@@ -56,9 +56,10 @@ from agents.policy.actor import Actor
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.monitor import TrainingMonitor
-from agents.runs.settings import SEED_SPACING, RunConfig, first_arm_seed
+from agents.runs.settings import RunConfig
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -159,7 +160,7 @@ class Student:
 
     def _learn_round(self, monitor: TrainingMonitor) -> None:
         config, pause = self.config, _Pause(monitor)
-        seed = first_arm_seed(config.seed) + self.rounds * config.arms
+        seed = training_arms(config.seed).first + self.rounds * config.arms
 
         def trial(controller: Controller) -> Recording:
             paused = _Paused(controller, pause)

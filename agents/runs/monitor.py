@@ -18,9 +18,8 @@ from agents.runs.checkpoint import RunFolder
 from agents.runs.settings import RunConfig
 from baselines.tools.parallel import Channel, Interrupted
 from beltarm_env.rollout import Controller, rollout
+from beltarm_env.task.seeds import VALIDATION
 
-VALIDATION_SEED = 7_000_000
-"""Seed of the arms on which checkpoints are compared: training seeds lie below, the comparison's seeds above."""
 SCORES = ("cost", "tip_rms_mm", "residual_pp_mm")
 _WORDS = ("cost", "tip", "ringing")
 _NEWS_EVERY = 0.5  # [s]
@@ -28,7 +27,7 @@ _NEWS_EVERY = 0.5  # [s]
 
 def validate(controller: Controller, arms: int, sensors: Any = "encoder") -> dict[str, float]:
     """Compute mean scores over arms drawn from the training ranges with the validation seed."""
-    metrics = rollout(controller, arms, seed=VALIDATION_SEED, randomization="train", sensors=sensors).metrics()
+    metrics = rollout(controller, arms, seed=VALIDATION.first, randomization="train", sensors=sensors).metrics()
     return {name: float(np.mean(metrics[name])) for name in SCORES}
 
 

@@ -1,9 +1,4 @@
-"""Options of all training scripts, and the seeds of training arms.
-
-**Seeds.** Arm i of training seed s is seeded with `SEED_SPACING` s + i: no two training seeds share an arm, and all lie
-below 4 000 000. Above are those of the cross-check (4), the tuner (5), the paper's reproduction (6), validation
-(7 000 000 on) and the comparison (8 000 000 on).
-"""
+"""Options of all training scripts; `beltarm_env.task.seeds` says which arms a training seed draws."""
 
 from __future__ import annotations
 
@@ -18,10 +13,8 @@ from agents.policy.bundle import LAYOUT, BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
+from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
 
-SEED_SPACING = 4096
-"""Seeds between the first arms of two training seeds: the maximum number of arms of a run."""
-MAX_SEED = 4_000_000 // SEED_SPACING - 1
 MAY_CHANGE = (
     *("out", "seeds", "jobs", "threads", "device", "resume", "overwrite"),
     *("total_steps", "validation_every", "rounds"),
@@ -95,8 +88,10 @@ class RunConfig:
         """
         self.at_least(1, "arms", "validation_arms", "threads", "seeds", "jobs")
         self.positive("learning_rate")
-        if not 0 <= self.seed <= self.seed + self.seeds - 1 <= MAX_SEED:
-            raise ValueError(f"--seed must lie within 0 and {MAX_SEED}, with --seeds more too, got {self.seed}")
+        if not 0 <= self.seed <= self.seed + self.seeds - 1 <= MAX_TRAINING_SEED:
+            raise ValueError(
+                f"--seed must lie within 0 and {MAX_TRAINING_SEED}, with --seeds more too, got {self.seed}"
+            )
         if self.arms > SEED_SPACING:
             raise ValueError(f"--arms must be at most {SEED_SPACING}, got {self.arms}")
         if self.resume and self.overwrite:
@@ -143,11 +138,6 @@ class RunConfig:
             "layout": LAYOUT,
             "entries": self.spec().entries(),
         }
-
-
-def first_arm_seed(seed: int) -> int:
-    """Seed of the first training arm."""
-    return SEED_SPACING * seed
 
 
 def _check_device(name: str) -> None:

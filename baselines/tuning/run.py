@@ -16,9 +16,10 @@ from baselines.tools.files import require_writable
 from baselines.tools.parallel import BrokenOff, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
-from baselines.tuning.search import CHOICE_SEED, SearchProgress, SearchResult, search
+from baselines.tuning.search import SearchProgress, SearchResult, search
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
+from beltarm_env.task.seeds import GAIN_CHOICE
 
 
 def journal_file(folder: Path, name: str) -> Path:
@@ -102,7 +103,7 @@ def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object
         "failed": found.failed,
         "cost": round(found.cost, 2),
         "cost_untuned": round(found.cost_untuned, 2),
-        "measured_on": f"{found.arms} arms of the training ranges, seeds from {CHOICE_SEED}",
+        "measured_on": f"{found.arms} arms of the training ranges, seeds from {GAIN_CHOICE.first}",
         "date": datetime.now(UTC).date().isoformat(),
         "version": __version__,
         "commit": commit(),

@@ -41,11 +41,8 @@ from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
-SEARCH_SEED = 5_000_000
-"""Arm i of the search is seeded with this + i: tuning has the seeds up to 5 999 999 to itself."""
-CHOICE_SEED = 5_500_000
-"""Arm i of the choice is seeded with this + i."""
 RUNGS = (32, 64, 128)
 """Arms that a trial has run on when it is compared with the best; after the last it is complete."""
 MARGIN = 1.0
@@ -185,7 +182,7 @@ class _Search:
             if self.steps + (arms - len(costs)) * EPISODE_STEPS > limit:
                 break
             try:
-                batch = self._costs(trial.params, SEARCH_SEED + len(costs), arms - len(costs))
+                batch = self._costs(trial.params, GAIN_SEARCH.first + len(costs), arms - len(costs))
                 costs = np.concatenate([costs, batch])
                 value = estimate(costs, best)
             except _FailureError as failure:
@@ -221,7 +218,7 @@ class _Search:
     def _mean_cost(self, params: dict[str, float], arms: int) -> float:
         """Mean cost on the arms of the choice."""
         try:
-            return float(self._costs(params, CHOICE_SEED, arms).mean())
+            return float(self._costs(params, GAIN_CHOICE.first, arms).mean())
         except _FailureError:
             return WORST
 

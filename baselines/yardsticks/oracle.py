@@ -14,6 +14,7 @@ import base64
 import json
 import time
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.reading import read
-from beltarm_env import EPISODE_STEPS, ArmParams
+from baselines.tools.files import require_writable, write_text
+from baselines.tools.provenance import command_line
+from beltarm_env import EPISODE_STEPS, ArmParams, __version__
 from beltarm_env.arm import FIELDS
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
@@ -118,3 +121,24 @@ def solve(scenario: Scenario) -> dict[str, Any]:
         "move": scenario.move._asdict(),
         "actions": base64.b64encode(actions.tobytes()).decode(),
     }
+
+
+def write_file(scenarios: list[Scenario], path: Path) -> None:
+    """Solve the scenarios, print what comes out, and write the file.
+
+    Raises:
+        OSError: If the file cannot be written; found out before anything is solved.
+    """
+    require_writable(path.parent)
+    rows = []
+    for scenario in scenarios:
+        rows.append(row := solve(scenario))
+        print(
+            f"{row['kind']}:{row['seed']}  cost {row['cost']:.1f}  tip RMS {row['tip_rms_mm']:.2f} mm  residual p-p "
+            f"{row['residual_pp_mm']:.2f} mm  optimiser {row['optimiser_cost']:.1f}  {row['seconds']:.0f} s"
+            + ("" if row["converged"] else "  (not converged)"),
+            flush=True,
+        )
+    versions = {"beltarm_env": __version__, "casadi": version("casadi"), "numpy": np.__version__}
+    stored = {"command": command_line(), "versions": versions, "scenarios": rows}
+    write_text(path, json.dumps(stored, indent=1) + "\n")

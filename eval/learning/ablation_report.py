@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
-from eval.learning.ablation_runs import SEED, described
+from beltarm_env.task.seeds import ABLATIONS
+from eval.learning.ablation_runs import described
 from eval.learning.curves import BEST_CLASSICAL
 from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, Variant
 from eval.style.axes import mark_one_two_five
@@ -93,7 +94,7 @@ def as_json(study: AblationStudy) -> str:
             "commit": commit(),
             "version": __version__,
             "steps": study.steps,
-            "scored_on": {"arms": study.arms, "first_seed": SEED, "randomization": "train"},
+            "scored_on": {"arms": study.arms, "first_seed": ABLATIONS.first, "randomization": "train"},
         },
         "references": study.references,
         "variants": [{**described(result.variant), "runs": result.runs} for result in study.results],
@@ -110,10 +111,10 @@ def markdown(study: AblationStudy, seconds: float) -> str:
         f"agent steps, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning rate falling to zero "
         "over them. (With the hold the discount changes, so that it reaches as far ahead in seconds; small residuals "
         f"are tried on another base.) Scores are those of the *last* policy on {study.arms} arms of the training "
-        f"ranges with seeds from {SEED}, which nothing else uses. Of several seeds the mean, with the lowest and the "
-        "highest; differences within that range show nothing. *left* is the share of arms that left the workspace, "
-        "which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs default* is the "
-        "ratio of mean costs. *Minutes* are the wall-clock of one run.",
+        f"ranges with seeds from {ABLATIONS.first}, which nothing else uses. Of several seeds the mean, with the "
+        "lowest and the highest; differences within that range show nothing. *left* is the share of arms that left the "
+        "workspace, which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs "
+        "default* is the ratio of mean costs. *Minutes* are the wall-clock of one run.",
         "What it means is in [../learning.md](../learning.md). The common part of the commands is "
         f"`{_common(study)}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
         "![curves](curves.png)",

@@ -23,15 +23,10 @@ from agents.runs.training import train
 from baselines.tools.files import write_text
 from baselines.tools.parallel import Channel
 from beltarm_env.rollout import Controller, rollout
+from beltarm_env.task.seeds import ABLATIONS
 from eval.learning.curves import find_curves
 from eval.learning.variants import Variant
 
-SEED = 4_300_000
-"""Seed of the first of the arms that score the variants; arm i has this + i.
-
-They are drawn from the training ranges, above all training seeds, and are used for nothing else: neither a run's
-validation (from 7 000 000) nor the comparison (from 8 000 000) chooses an option here.
-"""
 _VALIDATIONS = 10  # per run
 _QUICK = ("--arms", "16", "--rollout-steps", "8", "--batch-size", "128", "--validation-arms", "4")
 
@@ -129,8 +124,8 @@ class AblationRun:
 
 
 def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
-    """Score a controller: means and medians over the arms of `SEED`, and the share that left the workspace (%)."""
-    run = rollout(controller, arms, seed=SEED, randomization="train", sensors=sensors)
+    """Score a controller: means and medians over the arms of `ABLATIONS`, and the share that left the workspace (%)."""
+    run = rollout(controller, arms, seed=ABLATIONS.first, randomization="train", sensors=sensors)
     metrics = run.metrics()
     found = {f"{name}_mean": float(np.mean(metrics[name])) for name in SCORES}
     found |= {f"{name}_median": float(np.median(metrics[name])) for name in SCORES}

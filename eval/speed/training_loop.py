@@ -24,7 +24,7 @@ from agents.learners.ppo import PpoConfig, make_model
 from agents.learners.reinforcement import make_env
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualEnv
-from agents.runs.settings import first_arm_seed
+from beltarm_env.task.seeds import training_arms
 from eval.speed.stepping import Row, best_times
 
 ARMS, INFORMED, ADAPTER = "arms", "base controller and identification", "rest of the environment's step"
@@ -79,7 +79,7 @@ class Stopwatch:
 def watched(config: PpoConfig) -> tuple[PPO, Stopwatch]:
     """Make the model of a run, and the stopwatch that times it."""
     env = make_env(config)
-    env.seed(first_arm_seed(config.seed))
+    env.seed(training_arms(config.seed).first)
     model, watch = make_model(config, env), Stopwatch()
     watch.watch(env.env, "step", ARMS)
     for method in ("advance", "ended", "seen"):
@@ -110,7 +110,7 @@ def shares(config: PpoConfig, iterations: int) -> dict[str, float]:
 def iteration_on_batch(config: PpoConfig) -> Callable[[], object]:
     """One iteration of PPO, rollout and update, on the batch of arms."""
     env = make_env(config)
-    env.seed(first_arm_seed(config.seed))
+    env.seed(training_arms(config.seed).first)
     return _iteration(make_model(config, env), config)
 
 
@@ -123,7 +123,7 @@ def iteration_on_single_arms(config: PpoConfig) -> Callable[[], object]:
         return ResidualEnv(arm, make_base(config.base), config.residual)
 
     env = DummyVecEnv([make] * count)
-    env.seed(first_arm_seed(config.seed))
+    env.seed(training_arms(config.seed).first)
     longer = replace(config, rollout_steps=config.arms * config.rollout_steps // count)
     return _iteration(PPO("MlpPolicy", env, **longer.arguments()), config)
 
