@@ -18,7 +18,7 @@ class Variant:
 
 
 QUESTIONS = {
-    "told": "What must the agent be told of the arm?",
+    "told": "What must the agent know of the arm?",
     "base": "Which controller should it correct?",
     "hold": "How long should a residual be held?",
     "discount": "How far should it look ahead?",
