@@ -120,7 +120,7 @@ class _Dispatcher(threading.Thread):
         _block_signals()
         try:
             with parallel_config(backend=BACKEND, inner_max_num_threads=self._threads):
-                parallel = Parallel(n_jobs=self._jobs, batch_size=1)  # pyright: ignore[reportArgumentType]
+                parallel = Parallel(n_jobs=self._jobs, batch_size=1, pre_dispatch="all")  # pyright: ignore[reportArgumentType]
                 parallel(delayed(call)() for call in self._calls)
         except BrokenProcessPool:
             pass  # the pool begins again what has no outcome
