@@ -8,16 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
 from beltarm_env.task.seeds import ABLATIONS
@@ -26,6 +21,7 @@ from eval.learning.curves import BEST_CLASSICAL
 from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, Variant
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import COLOURS
+from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
@@ -179,8 +175,7 @@ def draw(study: AblationStudy, path: Path) -> None:
     _scale(panels, study)
     figure.supxlabel("agent steps (millions)", fontsize=10)
     figure.supylabel("mean episode cost, validation arms", fontsize=10)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantResult]) -> None:

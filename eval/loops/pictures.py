@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
-import numpy as np
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from baselines.models.linear import ANGLES
-from baselines.tools.files import write_atomically
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.models import Scan
 from eval.loops.study import LoopStudy
 from eval.style.colours import BLUE, VERMILION
+from eval.style.figures import save_figures
 
 _DEGREES = np.degrees(ANGLES)
 _MOST_DB, _MOST_DELAY = 45.0, 200.0
@@ -37,18 +32,12 @@ _LEAST = {"gain_up": 6.0, "phase": 30.0, "delay": 1.0, "modulus": 0.5}
 
 def save_pictures(study: LoopStudy, folder: Path) -> list[Path]:
     """Draw all pictures into `folder`."""
-    figures: dict[str, Callable[[], Figure]] = {
+    figures = {
         "margins.png": lambda: _margins(study.scans),
         "poles.png": lambda: _poles(study.scans),
         "breaks.png": lambda: _breaks(study),
     }
-    paths = []
-    for name, draw in figures.items():
-        path, figure = folder / name, draw()
-        write_atomically(path, lambda temporary, figure=figure: figure.savefig(temporary, dpi=110))
-        plt.close(figure)
-        paths.append(path)
-    return paths
+    return save_figures(figures, folder, dpi=110)
 
 
 def _values(scan: Scan, name: str) -> np.ndarray:

@@ -6,23 +6,19 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, heading
 from eval.comparison.estimates import interquartile_mean, paired
 from eval.repetition.study import ARM, KINDS, MOTOR, TORQUE, RepetitionResult
 from eval.style.colours import BLUE, ORANGE, VERMILION
+from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
@@ -145,8 +141,7 @@ def save_picture(results: list[RepetitionResult], path: Path) -> None:
     grid[0, 0].set_ylabel("cost of an episode (% of that arm's first)")
     grid[1, 0].set_ylabel("cost of an episode")
     figure.suptitle("Interquartile means over arms; bands: the middle half of the arms", fontsize=10)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _costs(results: list[RepetitionResult], kind: str, name: str) -> Floats:

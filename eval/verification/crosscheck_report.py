@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 
-from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env.mujoco.model import mujoco
 from eval.style.colours import COLOURS
+from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
 from eval.verification.crosscheck import MUJOCOS_OWN, REGIMES, EngineDistance
 
@@ -87,5 +83,4 @@ def save_picture(results: list[EngineDistance], path: Path) -> None:
     axes[0].set_ylabel("largest distance of the tips (mm)")
     axes[0].text(1.05, 0.13, "0.1 mm", color="0.4", fontsize=8)
     figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=110))
-    plt.close(figure)
+    save_figure(figure, path, dpi=110)

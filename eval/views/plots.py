@@ -6,22 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
-from numpy.typing import NDArray
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
 from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
 from eval.comparison.results import Comparison, MethodOutcome, best_classical
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import BLUE, COLOURS, GREEN, ORANGE
+from eval.style.figures import save_figures
 from eval.views.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"
@@ -37,20 +33,13 @@ def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: st
     """Draw all pictures into `folder`, each with the SHA-256 of the results.json that it belongs to."""
     shown = dict.fromkeys(name for methods in traces.values() for name in methods)
     colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
-    figures = {}
-    if traces:
-        figures["tip_error.png"] = _time_plot(traces, colours, _tip_error, "tip error (mm)")
-        figures["residual.png"] = _residual_plot(traces, colours)
-        figures["torque.png"] = _time_plot(traces, colours, _torque, "motor torque (N m)")
-    figures["intervals.png"] = _intervals(comparison)
-    paths = []
-    for name, figure in figures.items():
-        path = folder / name
-        options = {"dpi": 120, "metadata": {RESULTS_KEY: results}}
-        write_atomically(path, lambda temporary, figure=figure, options=options: figure.savefig(temporary, **options))
-        plt.close(figure)
-        paths.append(path)
-    return paths
+    figures: dict[str, Callable[[], Figure]] = {
+        "tip_error.png": lambda: _time_plot(traces, colours, _tip_error, "tip error (mm)"),
+        "residual.png": lambda: _residual_plot(traces, colours),
+        "torque.png": lambda: _time_plot(traces, colours, _torque, "motor torque (N m)"),
+    }
+    figures = (figures if traces else {}) | {"intervals.png": lambda: _intervals(comparison)}
+    return save_figures(figures, folder, metadata={RESULTS_KEY: results})
 
 
 def _tip_error(recording: Recording) -> NDArray[np.float64]:
