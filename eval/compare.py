@@ -23,7 +23,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import require_within, run_command
 from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
@@ -68,10 +68,10 @@ class Config:
         Raises:
             ValueError: If one is out of range.
         """
-        if self.episodes is not None and not 4 <= self.episodes <= EPISODES:
-            raise ValueError(f"--episodes must lie within 4 and {EPISODES}, got {self.episodes}")
-        if self.jobs is not None and not 1 <= self.jobs <= 256:
-            raise ValueError(f"--jobs must lie within 1 and 256, got {self.jobs}")
+        if self.episodes is not None:
+            require_within("--episodes", self.episodes, 4, EPISODES)
+        if self.jobs is not None:
+            require_within("--jobs", self.jobs, 1, 256)
 
     @property
     def scenarios(self) -> int:
@@ -104,14 +104,17 @@ def run(config: Config, console: Console) -> Comparison:
     return publish(comparison, splits, config.out, console, maps=config.maps)
 
 
+def report(config: Config) -> None:
+    """Run everything; failures are named, and exit with 1."""
+    failures = run(config, Console()).failures
+    for failure in failures:
+        print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
+    sys.exit(1 if failures else 0)
+
+
 def main() -> None:
     """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/compare.py"):
-        failures = run(config, Console()).failures
-        for failure in failures:
-            print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
-        sys.exit(1 if failures else 0)
+    run_command(__file__, Config, report, __doc__)
 
 
 if __name__ == "__main__":

@@ -292,7 +292,10 @@ def test_report_of_a_run(tmp_path: Path):
     for split in ("nominal", "randomized"):
         assert costs[split, "iterative", 1] == costs[split, "arm alone", 1] == costs[split, "adaptive", None]
         assert costs[split, "motor", 1] == costs[split, "paper", None]
-    assert "the cost falls from" in (tmp_path / "out/summary.md").read_text()
+    page = (tmp_path / "out/summary.md").read_text()
+    for split in ("nominal", "randomized"):
+        assert f"\n| {split} | first of `iterative` | " in page
+        assert f"\n| {split} | `privileged` | " in page
 
 
 @pytest.mark.parametrize(

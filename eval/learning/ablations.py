@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.residual.bases import make_base
+from baselines.tools.command import require_known, require_within
 from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side
 from eval.learning.ablation_report import AblationStudy, VariantResult
 from eval.learning.ablation_runs import AblationRun, score
@@ -48,8 +48,7 @@ class AblationConfig:
             ValueError: Naming the option, its value and the bound.
         """
         for name, most in {"steps": 10**9, "seeds": 100, "jobs": 256, "arms": 10_000}.items():
-            if not 1 <= getattr(self, name) <= most:
-                raise ValueError(f"--{name} must lie within 1 and {most}, got {getattr(self, name)}")
+            require_within(f"--{name}", getattr(self, name), 1, most)
         self.chosen()
 
     def chosen(self) -> list[Variant]:
@@ -59,11 +58,7 @@ class AblationConfig:
             ValueError: If there is no such factor or variant.
         """
         known = [*QUESTIONS, *(variant.name for variant in VARIANTS)]
-        for name in self.only:
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
-                raise ValueError(f"nothing to vary is called {name!r}; {hint}")
+        require_known(self.only, known, "nothing to vary is called {}")
         wanted = {DEFAULT.name, *self.only} if self.only else set(known)
         return [variant for variant in VARIANTS if variant.name in wanted or variant.factor in wanted]
 
