@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -27,20 +28,17 @@ except ModuleNotFoundError as error:
 def report(config: AblationConfig) -> None:
     """Train and score, and write what comes out."""
     began, stop = time.perf_counter(), StopRequest()
+    tell = partial(print, file=sys.stderr, flush=True)
     config.check()
     require_writable(config.out)
     require_writable(config.runs)
-    with stop_on_signals(stop, lambda: _tell("stopping after these updates; once more to stop at once")):
-        found = study(config, _tell, stop)
+    with stop_on_signals(stop, lambda: tell("stopping after these updates; once more to stop at once")):
+        found = study(config, tell, stop)
     data, page = as_json(found), markdown(found, time.perf_counter() - began)  # before a file of the commit changes
     draw(found, config.out / "curves.png")
     write_text(config.out / "ablations.json", data)
     write_text(config.out / "ablations.md", page)
     print(f"written to {config.out}: ablations.md, ablations.json, curves.png")
-
-
-def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def main() -> None:

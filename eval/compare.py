@@ -27,7 +27,6 @@ from baselines.tools.command import require_within, run_command
 from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
-from eval.comparison.results import Comparison
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.splits import EPISODES, QUICK_EPISODES, load
 from eval.views.publish import publish
@@ -79,8 +78,9 @@ class Config:
         return self.episodes or (QUICK_EPISODES if self.quick else EPISODES)
 
 
-def run(config: Config, console: Console) -> Comparison:
-    """Run all methods on all splits and write everything."""
+def run(config: Config) -> None:
+    """Run all methods on all splits and write everything; failures are named, and exit with 1."""
+    console = Console()
     config.check()
     torch.set_num_threads(1)  # the networks are too small for more
     methods = choose_methods(config.methods, config.policy, config.add, config.out)
@@ -101,12 +101,7 @@ def run(config: Config, console: Console) -> Comparison:
             fresh=config.fresh,
             done=lambda done, total: progress.update(task, completed=done, total=total),
         )
-    return publish(comparison, splits, config.out, console, maps=config.maps)
-
-
-def report(config: Config) -> None:
-    """Run everything; failures are named, and exit with 1."""
-    failures = run(config, Console()).failures
+    failures = publish(comparison, splits, config.out, console, maps=config.maps).failures
     for failure in failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
     sys.exit(1 if failures else 0)
@@ -114,7 +109,7 @@ def report(config: Config) -> None:
 
 def main() -> None:
     """Command line."""
-    run_command(__file__, Config, report, __doc__)
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

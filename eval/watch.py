@@ -16,7 +16,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import torch
 import tyro
-from gymnasium.error import DependencyNotInstalled
 from rich.console import Console
 
 from baselines.tools.command import require_within, run_command
@@ -61,8 +60,9 @@ class Config:
             raise ValueError(f"at most {side_by_side.AT_MOST} arms fit side by side, got {count}")
 
 
-def watch(config: Config, console: Console) -> None:
+def watch(config: Config) -> None:
     """Run the arms, then show or write what they did."""
+    console = Console()
     config.check()
     torch.set_num_threads(1)
     splits = load()
@@ -82,17 +82,9 @@ def watch(config: Config, console: Console) -> None:
         console.print(f"written to {config.out}")
 
 
-def report(config: Config) -> None:
-    """Watch, with a line that names what is not installed."""
-    try:
-        watch(config, Console())
-    except DependencyNotInstalled as error:
-        raise ValueError(str(error)) from None
-
-
 def main() -> None:
     """Command line."""
-    run_command(__file__, Config, report, __doc__)
+    run_command(__file__, Config, watch, __doc__)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
+from gymnasium.error import DependencyNotInstalled
+
 Config = TypeVar("Config")
 
 
@@ -45,7 +47,7 @@ def one_line_errors(script: str) -> Iterator[None]:
         yield
     except BrokenPipeError:  # the reader of the output has seen enough
         sys.exit(0)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, DependencyNotInstalled) as error:
         for line in str(error).splitlines():
             print(f"{script}: {line}", file=sys.stderr)
         sys.exit(2)

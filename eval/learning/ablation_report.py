@@ -18,7 +18,7 @@ from beltarm_env import __version__
 from beltarm_env.task.seeds import ABLATIONS
 from eval.learning.ablation_runs import described
 from eval.learning.curves import BEST_CLASSICAL
-from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, Variant
+from eval.learning.variants import DEFAULT, FACTORS, Variant
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import COLOURS
 from eval.style.figures import save_figure
@@ -74,12 +74,12 @@ class AblationStudy:
     def factors(self) -> dict[str, list[VariantResult]]:
         """Results by factor; the default is the first of each."""
         default, *others = self.results
-        grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in QUESTIONS}
+        grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in FACTORS}
         return {factor: [default, *group] for factor, group in grouped.items() if group}
 
 
 def _label(result: VariantResult, factor: str) -> str:
-    return f"{DEFAULTS[factor]} (default)" if result.variant == DEFAULT else result.variant.label
+    return f"{FACTORS[factor].default} (default)" if result.variant == DEFAULT else result.variant.label
 
 
 def as_json(study: AblationStudy) -> str:
@@ -119,7 +119,7 @@ def markdown(study: AblationStudy, seconds: float) -> str:
         "that does not learn.",
     ]
     for factor, results in study.factors().items():
-        parts += [f"## {QUESTIONS[factor]}", _table(study, factor, results)]
+        parts += [f"## {FACTORS[factor].question}", _table(study, factor, results)]
     parts += ["## On the same arms, without learning", _references(study)]
     took = sum(result.minutes * len(result.runs) for result in study.results)
     parts += [f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s; the runs took {took:.0f} min."]
@@ -194,7 +194,7 @@ def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantR
         middle = np.exp(np.mean([np.log(curve[:shortest, 2]) for curve in curves], axis=0))
         name = _label(result, factor) if factor else result.variant.label
         axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=name)
-    axis.set_title(QUESTIONS.get(factor, ""), fontsize=9, loc="left")
+    axis.set_title(FACTORS[factor].question if factor else "", fontsize=9, loc="left")
     axis.legend(fontsize=7, loc="upper right", framealpha=0.9, borderpad=0.3, handlelength=1.2)
     axis.grid(alpha=0.3, which="both")
     axis.tick_params(labelsize=8)

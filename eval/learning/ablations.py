@@ -15,7 +15,7 @@ from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest,
 from eval.learning.ablation_report import AblationStudy, VariantResult
 from eval.learning.ablation_runs import AblationRun, score
 from eval.learning.curves import BEST_CLASSICAL, classical_cost
-from eval.learning.variants import DEFAULT, QUESTIONS, VARIANTS, Variant
+from eval.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
 
 _QUICK_STEPS = 128
 
@@ -57,7 +57,7 @@ class AblationConfig:
         Raises:
             ValueError: If there is no such factor or variant.
         """
-        known = [*QUESTIONS, *(variant.name for variant in VARIANTS)]
+        known = [*FACTORS, *(variant.name for variant in VARIANTS)]
         require_known(self.only, known, "nothing to vary is called {}")
         wanted = {DEFAULT.name, *self.only} if self.only else set(known)
         return [variant for variant in VARIANTS if variant.name in wanted or variant.factor in wanted]
