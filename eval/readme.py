@@ -6,7 +6,6 @@ and where the summary or a picture beside that file was not written with it.
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from baselines.tools.command import run_command
 from baselines.tools.files import write_text
+from eval.comparison.schema import read_results
 from eval.views.readme import block, of_other_results, updated
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +33,7 @@ class Config:
 def run(config: Config) -> None:
     """Write the numbers, or check them."""
     readme = README.read_text(encoding="utf-8")
-    fresh = updated(readme, block(json.loads(RESULTS.read_text(encoding="utf-8"))))
+    fresh = updated(readme, block(read_results(RESULTS)))
     if not config.check:
         write_text(README, fresh)
         return

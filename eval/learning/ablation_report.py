@@ -101,6 +101,7 @@ def as_json(study: AblationStudy) -> str:
 def markdown(study: AblationStudy, seconds: float) -> str:
     """Content of `ablations.md`."""
     seeds = len(study.results[0].runs)
+    common = study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
     parts = [
         "# What makes learning work: ablations",
         f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: {study.steps:,} "
@@ -112,7 +113,7 @@ def markdown(study: AblationStudy, seconds: float) -> str:
         "workspace, which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs "
         "default* is the ratio of mean costs. *Minutes* are the wall-clock of one run.",
         "What it means is in [../learning.md](../learning.md). The common part of the commands is "
-        f"`{_common(study)}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
+        f"`{common}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
         "![curves](curves.png)",
         f"Cost on validation arms while learning: every run a thin line, a variant's geometric mean a thick one. "
         f"Dashed: the default's base, `{study.results[0].base}`; dotted: `{BEST_CLASSICAL}`, the best controller "
@@ -124,11 +125,6 @@ def markdown(study: AblationStudy, seconds: float) -> str:
     took = sum(result.minutes * len(result.runs) for result in study.results)
     parts += [f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s; the runs took {took:.0f} min."]
     return "\n\n".join(parts) + "\n"
-
-
-def _common(study: AblationStudy) -> str:
-    """Command of the default run, without its seed."""
-    return study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
 
 
 def _table(study: AblationStudy, factor: str, results: list[VariantResult]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 from agents.residual.bases import make_base
 from baselines.tools.command import require_known, require_within
-from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side
+from baselines.tools.parallel import Failure, Interrupted, StopRequest, run_side_by_side
 from eval.learning.ablation_report import AblationStudy, VariantResult
 from eval.learning.ablation_runs import AblationRun, score
 from eval.learning.curves import BEST_CLASSICAL, classical_cost
@@ -89,10 +89,10 @@ def run_all(
         KeyboardInterrupt: If asked to stop; what was begun is saved.
     """
     stop, plan = stop or StopRequest(), config.planned()
-    found = {str(run.folder): run.finished(config.arms) for run in plan}
+    found: dict[str, Any] = {str(run.folder): run.finished(config.arms) for run in plan}
     left = {str(run.folder): run for run in plan if found[str(run.folder)] is None}
     report(f"{len(plan)} run{'s' if len(plan) > 1 else ''}, {len(plan) - len(left)} finished before")
-    tasks = {name: partial(_finish, run, config.arms) for name, run in left.items()}
+    tasks = {name: partial(run.finish, config.arms) for name, run in left.items()}
     failures: list[str] = []
     with closing(run_side_by_side(tasks, config.jobs, stop=stop)) as outcomes:
         for name, done in outcomes:
@@ -106,16 +106,10 @@ def run_all(
         raise ValueError("; ".join(failures))
     if stop.made:
         raise KeyboardInterrupt("interrupted; what was begun is saved, the same command goes on")
-    runs = {run: found[str(run.folder)] for run in plan}
-    return [VariantResult(variant, _of(variant, runs)) for variant in config.chosen()]
-
-
-def _finish(run: AblationRun, arms: int, channel: Channel) -> dict[str, Any]:
-    return run.finish(arms, channel)
-
-
-def _of(variant: Variant, found: dict[AblationRun, dict[str, Any] | None]) -> list[dict[str, Any]]:
-    return [done for run, done in found.items() if run.variant == variant and done is not None]
+    return [
+        VariantResult(variant, [found[str(run.folder)] for run in plan if run.variant == variant])
+        for variant in config.chosen()
+    ]
 
 
 def study(config: AblationConfig, report: Callable[[str], object], stop: StopRequest | None = None) -> AblationStudy:

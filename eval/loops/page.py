@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from beltarm_env.metrics import METRICS, heading
+from beltarm_env.metrics import heading
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.estimates import Estimate, estimate
+from eval.comparison.estimates import estimate
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.gains import gains_table
 from eval.loops.study import LoopStudy, at_angle, worst
 from eval.style.markdown_table import markdown_table
+from eval.style.metrics import cell
 from eval.style.text import number, poles_text
 
 _SHOWN = (0, 45, 90)
@@ -62,10 +63,6 @@ def _label(name: str) -> str:
     return f"*{name}* (not ranked)" if name == PRIVILEGED else name
 
 
-def _interval(value: Estimate, digits: int) -> str:
-    return f"{value.iqm:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
-
-
 def costs_table(study: LoopStudy) -> str:
     """Metrics on nominal and randomized arms."""
     titles = [
@@ -75,7 +72,7 @@ def costs_table(study: LoopStudy) -> str:
     rows = []
     for name, costs in study.costs.items():
         cells = [
-            _interval(estimate(found[metric][None]), METRICS[metric].digits)
+            cell(metric, estimate(found[metric][None]))
             for found in (costs.nominal, costs.randomized)
             for metric in _SHOWN_METRICS
         ]

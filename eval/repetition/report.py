@@ -33,10 +33,6 @@ _COLUMNS = {
 """Title and decimals of each metric."""
 
 
-def _of(results: list[RepetitionResult], kind: str, name: str) -> RepetitionResult:
-    return next(result for result in results if (result.kind, result.name) == (kind, name))
-
-
 def differences_table(results: list[RepetitionResult]) -> str:
     """Cost of the last repetition minus others on the same arms, and the share of arms on which it is lower."""
     rows = []
@@ -134,7 +130,8 @@ def save_picture(results: list[RepetitionResult], path: Path) -> None:
 
 
 def _costs(results: list[RepetitionResult], kind: str, name: str) -> Floats:
-    return np.array([run["cost"] for run in _of(results, kind, name).repetitions])
+    (found,) = (result for result in results if (result.kind, result.name) == (kind, name))
+    return np.array([run["cost"] for run in found.repetitions])
 
 
 def _draw(axes: Axes, results: list[RepetitionResult], kind: str, names: tuple[str, ...], unit: Floats) -> list[_Label]:

@@ -97,10 +97,10 @@ def _signal(
     stop = scene.move.duration
     axis.axvspan(0, stop, color=_PHASE_SHADE, zorder=0)
     if reference is not None:
-        axis.plot(shown.time, getattr(shown, reference), color="0.35", lw=1.2, ls="--", label="reference")
+        axis.plot(shown.time, shown.signal(reference), color="0.35", lw=1.2, ls="--", label="reference")
     else:
         axis.axhline(0, color="0.35", lw=1.2, ls="--")
-    axis.plot(shown.time, getattr(shown, name), color=colour, lw=1.4, label=label)
+    axis.plot(shown.time, shown.signal(name), color=colour, lw=1.4, label=label)
     axis.set_xlim(0, shown.time[-1])
     axis.grid(alpha=0.3)
 
@@ -158,14 +158,10 @@ def _ramp_sweep(axis: Axes, study: PaperStudy) -> None:
     axis.text(period, 0.97, " one period", transform=axis.get_xaxis_transform(), color="0.35", fontsize=9, va="top")
     axis.set(xlabel="ramp time of the trapezoid (s)", ylabel="ringing after the stop (m/s²)")
     axis.set_ylim(bottom=0)
-    axis.set_title(_title(study), fontsize=11)
+    start, goal = study.move[:2]
+    axis.set_title(f"{degrees(start)} to {degrees(goal)} in {study.move.duration:g} s", fontsize=11)
     axis.grid(alpha=0.3)
     _legend_below(axis)
-
-
-def _title(study: PaperStudy) -> str:
-    start, goal = study.move[:2]
-    return f"{degrees(start)} to {degrees(goal)} in {study.move.duration:g} s"
 
 
 def _distribution(axis: Axes, study: PaperStudy) -> None:
