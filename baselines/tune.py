@@ -20,7 +20,7 @@ from rich.console import Console
 
 from baselines import TUNABLE
 from baselines.gains import FILE
-from baselines.tools.command import require_known, run_command
+from baselines.tools.command import require_bounds, require_known, run_command
 from baselines.tools.parallel import Interrupted
 from baselines.tuning.run import journal_file, tune
 from baselines.tuning.search import split_budget
@@ -54,9 +54,7 @@ class Config:
             ValueError: If an option is out of range, a name unknown, or there is nothing to do.
         """
         split_budget(self.budget)
-        for option in ("jobs", "seed"):
-            if getattr(self, option) < (least := {"jobs": 1, "seed": 0}[option]):
-                raise ValueError(f"--{option} must be at least {least}, got {getattr(self, option)}")
+        require_bounds(self, jobs=(1, None), seed=(0, None))
         if self.all == bool(self.names):
             raise ValueError(f"name controllers to tune or give --all, not both; there are {', '.join(TUNABLE)}")
         require_known(self.names, TUNABLE, "no controller {} to tune")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import require_known, require_within, run_command, stop_without
+from baselines.tools.command import require_bounds, require_known, run_command, stop_without
 
 try:
     import tyro
@@ -62,10 +62,9 @@ class Config:
         Raises:
             ValueError: If one is out of range, naming it.
         """
+        require_bounds(self, arms=(4, 10_000), batch=(1, LOOPS.size))
         arms = (8 if self.quick else 100) if self.arms is None else self.arms
         batch = (64 if self.quick else 1024) if self.batch is None else self.batch
-        require_within("--arms", arms, 4, 10_000)
-        require_within("--batch", batch, 1, LOOPS.size)
         return arms, batch
 
 

@@ -23,7 +23,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from baselines.tools.command import require_within, run_command
+from baselines.tools.command import require_bounds, run_command
 from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
@@ -61,17 +61,6 @@ class Config:
     jobs: int | None = None
     """Number of processes; by default one per core."""
 
-    def check(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            ValueError: If one is out of range.
-        """
-        if self.episodes is not None:
-            require_within("--episodes", self.episodes, 4, EPISODES)
-        if self.jobs is not None:
-            require_within("--jobs", self.jobs, 1, 256)
-
     @property
     def scenarios(self) -> int:
         """Scenarios per split."""
@@ -81,7 +70,7 @@ class Config:
 def run(config: Config) -> None:
     """Run all methods on all splits and write everything; failures are named, and exit with 1."""
     console = Console()
-    config.check()
+    require_bounds(config, episodes=(4, EPISODES), jobs=(1, 256))
     torch.set_num_threads(1)  # the networks are too small for more
     methods = choose_methods(config.methods, config.policy, config.add, config.out)
     for method in methods:

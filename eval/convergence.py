@@ -12,7 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import require_within, run_command, stop_without
+from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
     from rich.console import Console
@@ -31,18 +31,10 @@ class Config:
     samples: int = EPISODE_STEPS
     """Length of the motion in control periods, 1 to 1200."""
 
-    def check(self) -> None:
-        """Check the length.
-
-        Raises:
-            ValueError: If it is out of range.
-        """
-        require_within("--samples", self.samples, 1, EPISODE_STEPS)
-
 
 def run(config: Config) -> None:
     """Measure and print."""
-    config.check()
+    require_bounds(config, samples=(1, EPISODE_STEPS))
     Console().print(table([measure_convergence(m, r, config.samples) for m in MODELS for r in REGIMES]))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import require_within, run_command, stop_without
+from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
     from baselines.tools.files import require_writable, write_text
@@ -36,21 +36,11 @@ class Config:
     seed: int = CROSSCHECK.first
     """Of the first arm; arm i has seed + i."""
 
-    def check(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            ValueError: If one is out of range.
-        """
-        require_within("--arms", self.arms, 1, CROSSCHECK.size)
-        if self.seed < 0:
-            raise ValueError(f"--seed must not be negative, got {self.seed}")
-
 
 def report(config: Config) -> None:
     """Compare the engines and write what comes out."""
     began = time.perf_counter()
-    config.check()
+    require_bounds(config, arms=(1, CROSSCHECK.size), seed=(0, None))
     require_writable(config.out)
     results = crosscheck(config.arms, config.seed)
     save_picture(results, config.out / "distance.png")

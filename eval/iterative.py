@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import require_within, run_command, stop_without
+from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
     from baselines.tools.files import require_writable, write_text
@@ -39,22 +39,11 @@ class Config:
     seed: int = REPETITION.first
     """Of the first arm and its move; arm i has seed + i."""
 
-    def check(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            ValueError: If one is out of range.
-        """
-        require_within("--arms", self.arms, 4, REPETITION.size)
-        require_within("--repetitions", self.repetitions, 2, 100)
-        if self.seed < 0:
-            raise ValueError(f"--seed must not be negative, got {self.seed}")
-
 
 def report(config: Config) -> None:
     """Repeat the moves and write what comes out."""
     began = time.perf_counter()
-    config.check()
+    require_bounds(config, arms=(4, REPETITION.size), repetitions=(2, 100), seed=(0, None))
     require_writable(config.out)
     results = run_study(config.arms, config.repetitions, config.seed)
     save_picture(results, config.out / "cost.png")

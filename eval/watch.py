@@ -18,7 +18,7 @@ import torch
 import tyro
 from rich.console import Console
 
-from baselines.tools.command import require_within, run_command
+from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import require_writable
 from eval.comparison.methods import chosen, methods_side_by_side
 from eval.comparison.splits import EPISODES, load
@@ -50,7 +50,7 @@ class Config:
         Raises:
             ValueError: If one is not allowed.
         """
-        require_within("--scenario", self.scenario, 0, EPISODES - 1)
+        require_bounds(self, scenario=(0, EPISODES - 1))
         if not 0.01 <= self.speed <= 10:
             raise ValueError(f"--speed must lie within 0.01 and 10, got {self.speed:g}")
         if self.out is not None:

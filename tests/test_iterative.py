@@ -303,7 +303,7 @@ def test_report_of_a_run(tmp_path: Path):
     [
         (("--arms", "3"), "--arms must lie within 4 and 1000, got 3"),
         (("--repetitions", "1"), "--repetitions must lie within 2 and 100, got 1"),
-        (("--seed", "-1"), "--seed must not be negative, got -1"),
+        (("--seed", "-1"), "--seed must be at least 0, got -1"),
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
     ],
 )

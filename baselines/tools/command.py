@@ -56,14 +56,21 @@ def one_line_errors(script: str) -> Iterator[None]:
         sys.exit(130)
 
 
-def require_within(option: str, value: float, low: float, high: float) -> None:
-    """Check the value of an option.
+def require_bounds(options: object, **bounds: tuple[int, int | None]) -> None:
+    """Check numbers among the options of a command; those that are None are not given.
+
+    Args:
+        options: The options.
+        **bounds: By option the least and the largest value that is allowed, None for none.
 
     Raises:
-        ValueError: If it lies outside `low` to `high`.
+        ValueError: If one is out of range, naming it.
     """
-    if not low <= value <= high:
-        raise ValueError(f"{option} must lie within {low:d} and {high:d}, got {value}")
+    for name, (least, largest) in bounds.items():
+        value = getattr(options, name)
+        if value is not None and not (least <= value and (largest is None or value <= largest)):
+            allowed = f"be at least {least}" if largest is None else f"lie within {least} and {largest}"
+            raise ValueError(f"--{name} must {allowed}, got {value}")
 
 
 def require_known(names: Collection[str], known: Collection[str], complaint: str) -> None:

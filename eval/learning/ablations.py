@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.residual.bases import make_base
-from baselines.tools.command import require_known, require_within
+from baselines.tools.command import require_bounds, require_known
 from baselines.tools.parallel import Failure, Interrupted, StopRequest, run_side_by_side
 from eval.learning.ablation_report import AblationStudy, VariantResult
 from eval.learning.ablation_runs import AblationRun, score
@@ -47,8 +47,7 @@ class AblationConfig:
         Raises:
             ValueError: Naming the option, its value and the bound.
         """
-        for name, most in {"steps": 10**9, "seeds": 100, "jobs": 256, "arms": 10_000}.items():
-            require_within(f"--{name}", getattr(self, name), 1, most)
+        require_bounds(self, steps=(1, 10**9), seeds=(1, 100), jobs=(1, 256), arms=(1, 10_000))
         self.chosen()
 
     def chosen(self) -> list[Variant]:
