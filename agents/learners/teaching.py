@@ -40,7 +40,7 @@ def practise(trial: Trial, repetitions: int) -> tuple[Lesson, Recording]:
 
 
 def ask(trial: Trial, student: ResidualController, lesson: Lesson) -> tuple[Pairs, Recording]:
-    """Run a student on the moves of a lesson, and label every state by the teacher's torque.
+    """Run a student on the moves of a lesson, and label every state with the teacher's torque.
 
     Returns:
         The pairs, of arms that have not left their workspace, and the student's trial.

@@ -40,7 +40,7 @@ class ActorShape:
     lstm: int = 0  # width of an LSTM before the first layer, 0 for none
 
     def __post_init__(self) -> None:
-        """Check the sizes, before memory is taken for them."""
+        """Check the sizes before memory is allocated."""
         if len(self.hidden) > MAX_LAYERS:
             raise ValueError(f"an actor has at most {MAX_LAYERS} hidden layers, got {len(self.hidden)}")
         for name, least, widths in (("hidden layers", 1, self.hidden), ("the LSTM", 0, (self.lstm,))):
@@ -52,7 +52,7 @@ class ActorShape:
 
 
 class Actor(nn.Module):
-    """A network from what a residual agent observes to its residual, called as Stable-Baselines3 calls a policy."""
+    """Network from a residual agent's observation to its residual; `predict` is that of a Stable-Baselines3 policy."""
 
     def __init__(self, shape: ActorShape) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ class Actor(nn.Module):
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, NDArray[np.float32] | None]:
-        """Residuals of shape (n, 1), and the LSTM's hidden and cell state, shape (n, 2, width); None without one.
+        """Return residuals, shape (n, 1), and the LSTM's hidden and cell state, shape (n, 2, width), None without one.
 
         Raises:
             ValueError: If the observations are not of shape (n, inputs).
@@ -97,7 +97,7 @@ class Actor(nn.Module):
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:
-    """The actor of a Stable-Baselines3 policy, with a copy of its weights.
+    """Extract the actor of a Stable-Baselines3 policy, with a copy of its weights.
 
     Raises:
         ValueError: If the policy does not have the layers that the shape describes.

@@ -46,12 +46,12 @@ ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": Fals
 
 
 class BundleError(ValueError):
-    """A policy bundle that is missing, damaged, or not one of this project's."""
+    """Error about a policy bundle that is missing, damaged or of another format."""
 
 
 @dataclass(frozen=True, slots=True)
 class BundleSpec:
-    """What a policy is, besides its weights."""
+    """Description of a policy: all that its bundle holds besides weights."""
 
     algorithm: str  # see `ALGORITHMS`
     base: str  # name of the base controller, see `agents.residual.bases.BASES`
@@ -77,7 +77,7 @@ class BundleSpec:
 
 
 def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
-    """Write a bundle, replacing one that is there.
+    """Write a bundle; one at the same place is replaced.
 
     Returns:
         Its content hash.
@@ -115,7 +115,7 @@ def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
 
 
 def annotate(folder: Path, **provenance: Any) -> None:
-    """Add to the provenance of a bundle, once more is known of the run that it came from.
+    """Add entries to a bundle's provenance.
 
     Raises:
         BundleError: If there is no sound bundle.
@@ -137,7 +137,7 @@ def _content_hash(content: dict[str, Any]) -> str:
 
 
 def read_spec(folder: Path) -> tuple[BundleSpec, dict[str, Any]]:
-    """What a bundle says it is, and its whole manifest, without loading weights.
+    """Read the description in a bundle, and its whole manifest, without loading weights.
 
     Raises:
         BundleError: If it is missing, damaged, foreign, or made for other gains than the checkout's.
@@ -158,7 +158,7 @@ def read_spec(folder: Path) -> tuple[BundleSpec, dict[str, Any]]:
 
 
 def _read_manifest(manifest: Path) -> dict[str, Any]:
-    """The content of a manifest that is whole and in this release's format."""
+    """Read and check a manifest: complete, and in this release's format."""
     try:
         content = json.loads(_read(manifest).decode("utf-8"))
     except FileNotFoundError:
@@ -176,7 +176,7 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 
 
 def _spec_of(content: dict[str, Any]) -> BundleSpec:
-    """The spec in a manifest's content; errors of any kind if it has none that this release knows."""
+    """Read the description in a manifest's content; raises errors of any kind if this release cannot."""
     spec = BundleSpec(
         algorithm=content["algorithm"],
         base=content["base"],

@@ -8,7 +8,7 @@ _ROWS = 12
 
 
 def card(content: dict[str, Any]) -> str:
-    """Markdown of a bundle's manifest: what the policy is, how it was trained, what it reached."""
+    """Format a bundle's manifest as Markdown: description, training and scores of the policy."""
     provenance = content["provenance"]
     residual = content["residual"]
     network = " × ".join(str(width) for width in content["hidden"]) or "linear"
@@ -32,7 +32,7 @@ def card(content: dict[str, Any]) -> str:
 
 
 def _scores(provenance: dict[str, Any]) -> list[str]:
-    """What was reached on the validation arms, beside what the base reaches there."""
+    """Format the scores on the validation arms, beside those of the base."""
     reached = provenance.get("reached", {})
     scores, base = reached.get("validation", {}), provenance.get("validation_of_base", {})
     if not scores:
@@ -42,7 +42,7 @@ def _scores(provenance: dict[str, Any]) -> list[str]:
 
 
 def _curve(provenance: dict[str, Any]) -> list[str]:
-    """The learning curve, at a dozen of its points."""
+    """Format a dozen points of the learning curve."""
     points = provenance.get("curve", [])
     if not points:
         return []

@@ -20,7 +20,7 @@ from beltarm_env.rollout import Controller
 
 
 class NoController:
-    """No torque at all: what an agent that learns from scratch starts from."""
+    """Controller whose torque is zero: base of an agent that learns from scratch."""
 
     def predict(
         self,
@@ -38,7 +38,7 @@ BASES: dict[str, Callable[[], Any]] = {**CONTROLLERS, "none": NoController}
 
 
 def make_base(name: str) -> Controller:
-    """The base controller called `name`.
+    """Make the base controller called `name`.
 
     Raises:
         ValueError: If there is none, naming the nearest one.
@@ -51,7 +51,7 @@ def make_base(name: str) -> Controller:
 
 
 def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]]:
-    """Gains of the base and, if the agent is told a belief, doubts of the identification: what a residual relies on.
+    """Gains that a residual relies on: the base's and, if the agent observes a belief, the identification's.
 
     Raises:
         ValueError: If there is no such base, or the file of gains is damaged.
@@ -62,12 +62,12 @@ def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]
 
 
 def settings_hash(settings: dict[str, dict[str, float]]) -> str:
-    """SHA-256 of settings, whatever their order."""
+    """Compute the SHA-256 of settings, independent of their order."""
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
 def changed_settings(before: dict[str, dict[str, float]], now: dict[str, dict[str, float]]) -> str:
-    """Names and values of the settings that are not as they were."""
+    """List settings that have changed, with both values."""
     changes = []
     for kind in now:
         old, new = before.get(kind, {}), now[kind]

@@ -23,7 +23,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class ResidualSettings:
-    """How a residual acts.
+    """Settings of a residual: its limit and how long it is held.
 
     Raises:
         ValueError: If a value is out of range.
@@ -46,12 +46,12 @@ class ResidualSettings:
 
 
 def combine(base_action: Singles, residual: Singles, limit: float) -> Singles:
-    """The action applied; a zero residual gives the base's, bit for bit."""
+    """Add a residual to the base's action and clip; a zero residual gives the base's, bit for bit."""
     return (base_action + np.float32(limit) * residual).clip(-1, 1)
 
 
 def checked_residual(residual: object, count: int) -> Singles:
-    """Residuals of shape (count, 1).
+    """Check residuals, and return them in shape (count, 1).
 
     Raises:
         ValueError: If they have another shape or are not finite numbers.
@@ -65,12 +65,12 @@ def checked_residual(residual: object, count: int) -> Singles:
 
 
 class Policy(Protocol):
-    """The part of a Stable-Baselines3 policy that is used here."""
+    """Protocol of a policy: the part of Stable-Baselines3's that is used here."""
 
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
-        """Residuals of shape (n, 1) for what a residual agent observes, a row each."""
+        """Return residuals of shape (n, 1) for observations of a residual agent, one per row."""
         ...
 
 
@@ -119,7 +119,7 @@ class ResidualController:
 
 
 def _remembered(before: Any, following: Any, due: Flags) -> Any:
-    """A policy's memory, row by row: what it has become where the policy was due, what it was elsewhere."""
+    """Merge a policy's memory by rows: the new one where the policy decided, the old one elsewhere."""
     if not isinstance(before, np.ndarray):
         return following
     return np.where(due.reshape(-1, *[1] * (before.ndim - 1)), following, before)

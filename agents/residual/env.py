@@ -131,16 +131,16 @@ class ResidualVecEnv(VecEnv):
         return observation, start
 
     def snapshot(self) -> dict[str, Any]:
-        """Arms, moves, random generators, sensors' history and the base's memory: all that a step depends on."""
+        """State that determines the next step: arms, moves, random generators, sensor histories, the base's memory."""
         return {"arms": self.env, "memory": self._memory}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on from a snapshot of a batch with the same settings, whose arms then belong to this one."""
+        """Restore a snapshot of a batch with the same settings; takes over its arms, which are not copied."""
         self.env, self._memory = snapshot["arms"], snapshot["memory"]
         self._reset_seeds()
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Refused unless empty: arms and moves are drawn at random here."""
+        """Refuse options: arms and moves are drawn at random here."""
         if options:
             raise NotImplementedError(f"ResidualVecEnv draws its episodes at random; options {options!r} are not used")
 
@@ -182,7 +182,7 @@ class ResidualVecEnv(VecEnv):
         truncated: NDArray[np.bool_],
         info: dict[str, Any],
     ) -> None:
-        """Info of the arms that ended: what they last observed, and what the episode came to."""
+        """Info of the arms whose episode ended: last observation and episode summary."""
         arms = np.flatnonzero(ended)
         totals = info["final_info"]["total_cost"]
         for arm in arms:
@@ -197,24 +197,24 @@ class ResidualVecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, once per arm asked for."""
+        """Return an attribute of the batch, once per arm asked for."""
         value = getattr(self.env if hasattr(self.env, attr_name) else self, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: the arms of a batch share their settings."""
+        """Refuse: the arms of a batch share their settings."""
         raise NotImplementedError(f"the arms of a batch share their settings; cannot set {attr_name!r} for some")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refused: the arms of a batch are not environments of their own."""
+        """Refuse: the arms of a batch are not environments of their own."""
         raise NotImplementedError(f"the arms of a batch are not environments of their own; cannot call {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
-        """No arm is wrapped in anything."""
+        """Return False for every arm asked for: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Frames of all arms."""
+        """Draw all arms."""
         return list(self.env.render() or ())
 
 

@@ -68,7 +68,7 @@ def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = 
 
 @dataclass(frozen=True, slots=True)
 class InformedMemory:
-    """Memory of an `InformedBase`, brought up to one sample."""
+    """Memory of an `InformedBase`, up to date with one sample."""
 
     base: Any  # the base controller's own
     action: Singles  # of the base, shape (n, 1)
@@ -77,7 +77,7 @@ class InformedMemory:
 
 
 class InformedBase:
-    """A base controller, and the belief about the arm that the agent observes beside it.
+    """Base controller with the identification whose belief the agent observes.
 
     Args:
         base: The base controller. One that identifies its arm shares its belief.
@@ -139,7 +139,7 @@ class InformedBase:
         return np.concatenate([observation, scaled.astype(np.float32)], axis=1)
 
     def _believed(self, belief: Belief, reading: Reading) -> Floats:
-        """Estimated state, errors of the tip, constants and their standard deviations."""
+        """Entries of the belief: estimated state, tip errors, constants and their standard deviations."""
         doubted = [4 + IDENTIFIED.index(name) for name in _DOUBTED]
         doubts = np.sqrt(np.maximum(belief.variance[:, doubted], 0.0))
         reference = np.stack([reading.reference_angle, reading.reference_speed], axis=1)

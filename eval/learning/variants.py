@@ -26,7 +26,7 @@ class Variant:
 
 
 FACTORS = {
-    "told": Factor("What must the agent be told of the arm?", "belief of the filter"),
+    "told": Factor("What must the agent know of the arm?", "belief of the filter"),
     "base": Factor("Which controller should it correct?", "paper"),
     "hold": Factor("How long should a residual be held?", "6 ms"),
     "discount": Factor("How far should it look ahead?", "0.988: 0.5 s"),
