@@ -11,7 +11,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import run_command
 from baselines.yardsticks.oracle import FILE, RANDOMIZATION, Scenario, write_file
 from beltarm_env.task.seeds import GAIN_SEARCH
 
@@ -26,17 +26,19 @@ class Config:
     """File to write."""
 
 
+def plan(config: Config) -> None:
+    """Plan every scenario and write the file."""
+    write_file([Scenario.parse(text) for text in config.scenario], config.out)
+
+
 def main() -> None:
     """Command line."""
     try:
         import casadi  # noqa: F401
-        import tyro
     except ModuleNotFoundError as error:
         print(f"baselines/oracle.py: {error.name} is not installed; run `pip install -e '.[oracle]'`", file=sys.stderr)
         sys.exit(2)
-    with one_line_errors("baselines/oracle.py"):
-        config = tyro.cli(Config, description=__doc__)
-        write_file([Scenario.parse(text) for text in config.scenario], config.out)
+    run_command(__file__, Config, plan, __doc__)
 
 
 if __name__ == "__main__":

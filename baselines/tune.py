@@ -8,7 +8,6 @@ tuned ones: otherwise budgets would add up.
 
 from __future__ import annotations
 
-import difflib
 import shlex
 import sys
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from rich.console import Console
 
 from baselines import TUNABLE
 from baselines.gains import FILE
+from baselines.tools.command import require_bounds, require_known, run_command
 from baselines.tools.parallel import Interrupted
 from baselines.tuning.run import journal_file, tune
 from baselines.tuning.search import split_budget
@@ -54,25 +54,18 @@ class Config:
             ValueError: If an option is out of range, a name unknown, or there is nothing to do.
         """
         split_budget(self.budget)
-        for option in ("jobs", "seed"):
-            if getattr(self, option) < (least := {"jobs": 1, "seed": 0}[option]):
-                raise ValueError(f"--{option} must be at least {least}, got {getattr(self, option)}")
+        require_bounds(self, jobs=(1, None), seed=(0, None))
         if self.all == bool(self.names):
             raise ValueError(f"name controllers to tune or give --all, not both; there are {', '.join(TUNABLE)}")
-        for name in self.names:
-            if name not in TUNABLE:
-                near = difflib.get_close_matches(name, TUNABLE, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(TUNABLE)}"
-                raise ValueError(f"no controller {name!r} to tune; {hint}")
+        require_known(self.names, TUNABLE, "no controller {} to tune")
         names = list(dict.fromkeys(self.names)) or list(TUNABLE)
         if self.resume and not any(journal_file(self.journals, name).exists() for name in names):
             raise ValueError(f"nothing to resume in {self.journals}: run once without --resume")
         return names
 
 
-def main() -> None:
-    """Run the command."""
-    config = tyro.cli(Config, description=__doc__)
+def run(config: Config) -> None:
+    """Tune; an interruption says how to go on."""
     try:
         tune(
             config.chosen(),
@@ -89,10 +82,11 @@ def main() -> None:
         command = shlex.join(["python", "baselines/tune.py", *arguments, "--resume"])
         print(f"interrupted; trials are kept in {config.journals}; to go on:\n  {command}")
         sys.exit(130)
-    except (OSError, ValueError) as error:
-        for line in str(error).splitlines():
-            print(f"baselines/tune.py: {line}", file=sys.stderr)
-        sys.exit(2)
+
+
+def main() -> None:
+    """Command line."""
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors, stop_without
+from baselines.tools.command import run_command, stop_without
 
 try:
-    import tyro
-
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.parallel import StopRequest, stop_on_signals
     from eval.learning.ablation_report import as_json, draw, markdown
@@ -26,25 +25,25 @@ except ModuleNotFoundError as error:
     stop_without("eval/ablations.py", error)
 
 
+def report(config: AblationConfig) -> None:
+    """Train and score, and write what comes out."""
+    began, stop = time.perf_counter(), StopRequest()
+    tell = partial(print, file=sys.stderr, flush=True)
+    config.check()
+    require_writable(config.out)
+    require_writable(config.runs)
+    with stop_on_signals(stop, lambda: tell("stopping after these updates; once more to stop at once")):
+        found = study(config, tell, stop)
+    data, page = as_json(found), markdown(found, time.perf_counter() - began)  # before a file of the commit changes
+    draw(found, config.out / "curves.png")
+    write_text(config.out / "ablations.json", data)
+    write_text(config.out / "ablations.md", page)
+    print(f"written to {config.out}: ablations.md, ablations.json, curves.png")
+
+
 def main() -> None:
-    """Run the command."""
-    began = time.perf_counter()
-    config, stop = tyro.cli(AblationConfig, description=__doc__), StopRequest()
-    with one_line_errors("eval/ablations.py"):
-        config.check()
-        require_writable(config.out)
-        require_writable(config.runs)
-        with stop_on_signals(stop, lambda: _tell("stopping after these updates; once more to stop at once")):
-            found = study(config, _tell, stop)
-        data, page = as_json(found), markdown(found, time.perf_counter() - began)  # before a file of the commit changes
-        draw(found, config.out / "curves.png")
-        write_text(config.out / "ablations.json", data)
-        write_text(config.out / "ablations.md", page)
-        print(f"written to {config.out}: ablations.md, ablations.json, curves.png")
-
-
-def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    """Command line."""
+    run_command(__file__, AblationConfig, report, __doc__)
 
 
 if __name__ == "__main__":

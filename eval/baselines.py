@@ -6,7 +6,6 @@ constant changed; gap to the clairvoyant optimum) and its pictures.
 
 from __future__ import annotations
 
-import difflib
 import platform
 import sys
 import time
@@ -15,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors, stop_without
+from baselines.tools.command import require_bounds, require_known, run_command, stop_without
 
 try:
     import tyro
@@ -25,13 +24,11 @@ try:
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
     from beltarm_env.task.seeds import LOOPS
-    from eval.loops.page import margins_table, markdown, stability_line
+    from eval.loops.page import margins_table, markdown
     from eval.loops.pictures import save_pictures
     from eval.loops.study import run_study
 except ModuleNotFoundError as error:
     stop_without("eval/baselines.py", error)
-
-MOST_ARMS = 10_000
 
 
 @dataclass(frozen=True)
@@ -55,11 +52,7 @@ class Config:
         Raises:
             ValueError: If there is no such controller, naming it.
         """
-        for name in self.names:
-            if name not in CONTROLLERS:
-                near = difflib.get_close_matches(name, CONTROLLERS, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(CONTROLLERS)}"
-                raise ValueError(f"no controller {name!r} to show; {hint}")
+        require_known(self.names, CONTROLLERS, "no controller {} to show")
         return list(dict.fromkeys(self.names)) or list(CONTROLLERS)
 
     @property
@@ -69,12 +62,9 @@ class Config:
         Raises:
             ValueError: If one is out of range, naming it.
         """
+        require_bounds(self, arms=(4, 10_000), batch=(1, LOOPS.size))
         arms = (8 if self.quick else 100) if self.arms is None else self.arms
         batch = (64 if self.quick else 1024) if self.batch is None else self.batch
-        if not 4 <= arms <= MOST_ARMS:
-            raise ValueError(f"--arms must lie within 4 and {MOST_ARMS}, got {arms}")
-        if not 1 <= batch <= LOOPS.size:
-            raise ValueError(f"--batch must lie within 1 and {LOOPS.size}, got {batch}")
         return arms, batch
 
 
@@ -95,14 +85,13 @@ def report(config: Config) -> None:
         f"{platform.machine()}, {time.perf_counter() - began:.0f} s."
     )
     write_text(config.out / "summary.md", markdown(study, pictures, origin))
-    print(stability_line(study), margins_table(study), sep="\n\n")
+    print(margins_table(study))
     print(f"written to {config.out}: summary.md, {len(pictures)} pictures", flush=True)
 
 
 def main() -> None:
     """Command line."""
-    with one_line_errors("eval/baselines.py"):
-        report(tyro.cli(Config, description=__doc__))
+    run_command(__file__, Config, report, __doc__)
 
 
 if __name__ == "__main__":

@@ -13,10 +13,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from baselines.tools.command import run_command
 from eval.speed.accuracy import accuracy_row
 from eval.speed.start_up import start_up_rows
 from eval.speed.stepping import batch_rows, single_row
@@ -39,9 +39,8 @@ class Config:
     """Also measure what PPO spends its time on, and its speed beside PPO on single arms; takes a minute."""
 
 
-def main() -> None:
-    """Command line."""
-    config = tyro.cli(Config, description=__doc__)
+def run(config: Config) -> None:
+    """Measure and print."""
     console = Console()
     rows = batch_rows(config.arms, config.steps, config.repetitions)
     rows += [single_row(config.steps, config.repetitions), accuracy_row(), *start_up_rows(config.repetitions)]
@@ -55,6 +54,11 @@ def main() -> None:
     for row in rows:
         table.add_row(*row)
     console.print(table)
+
+
+def main() -> None:
+    """Command line."""
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
 
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import run_command
 from eval.comparison import custom
 from eval.comparison.protocol import findings
 
@@ -27,16 +27,19 @@ class Config:
     """package.module:Class or path/to/file.py:Class."""
 
 
+def run(config: Config) -> None:
+    """Check and print what is found."""
+    custom.make(config.controller)
+    failed = 0
+    for finding in findings(custom.factory(config.controller)):
+        print(f"{'ok    ' if finding.passed else 'FAILED'}  {finding.check}: {finding.detail}")
+        failed += not finding.passed
+    sys.exit(1 if failed else 0)
+
+
 def main() -> None:
     """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/check_controller.py"):
-        custom.make(config.controller)
-        failed = 0
-        for finding in findings(custom.factory(config.controller)):
-            print(f"{'ok    ' if finding.passed else 'FAILED'}  {finding.check}: {finding.detail}")
-            failed += not finding.passed
-        sys.exit(1 if failed else 0)
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,10 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import require_bounds, run_command
 from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
-from eval.comparison.results import Comparison
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.splits import EPISODES, QUICK_EPISODES, load
 from eval.views.publish import publish
@@ -62,26 +61,16 @@ class Config:
     jobs: int | None = None
     """Number of processes; by default one per core."""
 
-    def check(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            ValueError: If one is out of range.
-        """
-        if self.episodes is not None and not 4 <= self.episodes <= EPISODES:
-            raise ValueError(f"--episodes must lie within 4 and {EPISODES}, got {self.episodes}")
-        if self.jobs is not None and not 1 <= self.jobs <= 256:
-            raise ValueError(f"--jobs must lie within 1 and 256, got {self.jobs}")
-
     @property
     def scenarios(self) -> int:
         """Scenarios per split."""
         return self.episodes or (QUICK_EPISODES if self.quick else EPISODES)
 
 
-def run(config: Config, console: Console) -> Comparison:
-    """Run all methods on all splits and write everything."""
-    config.check()
+def run(config: Config) -> None:
+    """Run all methods on all splits and write everything; failures are named, and exit with 1."""
+    console = Console()
+    require_bounds(config, episodes=(4, EPISODES), jobs=(1, 256))
     torch.set_num_threads(1)  # the networks are too small for more
     methods = choose_methods(config.methods, config.policy, config.add, config.out)
     for method in methods:
@@ -101,17 +90,15 @@ def run(config: Config, console: Console) -> Comparison:
             fresh=config.fresh,
             done=lambda done, total: progress.update(task, completed=done, total=total),
         )
-    return publish(comparison, splits, config.out, console, maps=config.maps)
+    failures = publish(comparison, splits, config.out, console, maps=config.maps).failures
+    for failure in failures:
+        print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
+    sys.exit(1 if failures else 0)
 
 
 def main() -> None:
     """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/compare.py"):
-        failures = run(config, Console()).failures
-        for failure in failures:
-            print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
-        sys.exit(1 if failures else 0)
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

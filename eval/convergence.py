@@ -12,10 +12,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors, stop_without
+from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
-    import tyro
     from rich.console import Console
 
     from beltarm_env import EPISODE_STEPS
@@ -32,22 +31,16 @@ class Config:
     samples: int = EPISODE_STEPS
     """Length of the motion in control periods, 1 to 1200."""
 
-    def check(self) -> None:
-        """Check the length.
 
-        Raises:
-            ValueError: If it is out of range.
-        """
-        if not 1 <= self.samples <= EPISODE_STEPS:
-            raise ValueError(f"--samples must lie within 1 and {EPISODE_STEPS}, got {self.samples}")
+def run(config: Config) -> None:
+    """Measure and print."""
+    require_bounds(config, samples=(1, EPISODE_STEPS))
+    Console().print(table([measure_convergence(m, r, config.samples) for m in MODELS for r in REGIMES]))
 
 
 def main() -> None:
     """Command line."""
-    with one_line_errors("eval/convergence.py"):
-        config = tyro.cli(Config, description=__doc__)
-        config.check()
-        Console().print(table([measure_convergence(m, r, config.samples) for m in MODELS for r in REGIMES]))
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

@@ -14,11 +14,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors, stop_without
+from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
-    import tyro
-
     from baselines.tools.files import require_writable, write_text
     from beltarm_env.task.seeds import CROSSCHECK
     from eval.verification.crosscheck import crosscheck
@@ -38,30 +36,22 @@ class Config:
     seed: int = CROSSCHECK.first
     """Of the first arm; arm i has seed + i."""
 
-    def check(self) -> None:
-        """Check the numbers.
 
-        Raises:
-            ValueError: If one is out of range.
-        """
-        if not 1 <= self.arms <= CROSSCHECK.size:
-            raise ValueError(f"--arms must lie within 1 and {CROSSCHECK.size}, got {self.arms}")
-        if self.seed < 0:
-            raise ValueError(f"--seed must not be negative, got {self.seed}")
+def report(config: Config) -> None:
+    """Compare the engines and write what comes out."""
+    began = time.perf_counter()
+    require_bounds(config, arms=(1, CROSSCHECK.size), seed=(0, None))
+    require_writable(config.out)
+    results = crosscheck(config.arms, config.seed)
+    save_picture(results, config.out / "distance.png")
+    text = markdown(results, config.arms, config.seed, time.perf_counter() - began)
+    write_text(config.out / "summary.md", text)
+    print(text)
 
 
 def main() -> None:
     """Command line."""
-    began = time.perf_counter()
-    with one_line_errors("eval/crosscheck.py"):
-        config = tyro.cli(Config, description=__doc__)
-        config.check()
-        require_writable(config.out)
-        results = crosscheck(config.arms, config.seed)
-        save_picture(results, config.out / "distance.png")
-        text = markdown(results, config.arms, config.seed, time.perf_counter() - began)
-        write_text(config.out / "summary.md", text)
-        print(text)
+    run_command(__file__, Config, report, __doc__)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
 
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import run_command
 from baselines.tools.files import require_writable
 from eval.comparison.methods import POLICIES
 from eval.learning.curves import classical_cost, draw, find_curves
@@ -33,17 +33,20 @@ class Config:
     """Folder for curves.png."""
 
 
+def run(config: Config) -> None:
+    """Find the curves and draw them."""
+    require_writable(config.out)
+    curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
+    numbers = {curve.arms for curve in curves}
+    if len(numbers) > 1:
+        raise ValueError(f"the runs were validated on {sorted(numbers)} arms, not all on as many: draw them apart")
+    draw(curves, classical_cost(numbers.pop()), config.out / "curves.png")
+    print(f"{len(curves)} runs; written to {config.out / 'curves.png'}")
+
+
 def main() -> None:
-    """Run the command."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/curves.py"):
-        require_writable(config.out)
-        curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
-        numbers = {curve.arms for curve in curves}
-        if len(numbers) > 1:
-            raise ValueError(f"the runs were validated on {sorted(numbers)} arms, not all on as many: draw them apart")
-        draw(curves, classical_cost(numbers.pop()), config.out / "curves.png")
-        print(f"{len(curves)} runs; written to {config.out / 'curves.png'}")
+    """Command line."""
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

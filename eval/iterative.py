@@ -15,15 +15,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors, stop_without
+from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
-    import tyro
-
     from baselines.tools.files import require_writable, write_text
     from beltarm_env.task.seeds import REPETITION
-    from eval.repetition.report import as_json, markdown, save_picture, verdict
-    from eval.repetition.study import KINDS, run_study
+    from eval.repetition.report import as_json, differences_table, markdown, save_picture
+    from eval.repetition.study import run_study
 except ModuleNotFoundError as error:
     stop_without("eval/iterative.py", error)
 
@@ -41,34 +39,23 @@ class Config:
     seed: int = REPETITION.first
     """Of the first arm and its move; arm i has seed + i."""
 
-    def check(self) -> None:
-        """Check the numbers.
 
-        Raises:
-            ValueError: If one is out of range.
-        """
-        if not 4 <= self.arms <= REPETITION.size:
-            raise ValueError(f"--arms must lie within 4 and {REPETITION.size}, got {self.arms}")
-        if not 2 <= self.repetitions <= 100:
-            raise ValueError(f"--repetitions must lie within 2 and 100, got {self.repetitions}")
-        if self.seed < 0:
-            raise ValueError(f"--seed must not be negative, got {self.seed}")
+def report(config: Config) -> None:
+    """Repeat the moves and write what comes out."""
+    began = time.perf_counter()
+    require_bounds(config, arms=(4, REPETITION.size), repetitions=(2, 100), seed=(0, None))
+    require_writable(config.out)
+    results = run_study(config.arms, config.repetitions, config.seed)
+    save_picture(results, config.out / "cost.png")
+    write_text(config.out / "results.json", as_json(results, config.seed))
+    write_text(config.out / "summary.md", markdown(results, config.seed, time.perf_counter() - began))
+    print(differences_table(results))
+    print(f"written to {config.out}: summary.md, results.json, cost.png")
 
 
 def main() -> None:
     """Command line."""
-    began = time.perf_counter()
-    with one_line_errors("eval/iterative.py"):
-        config = tyro.cli(Config, description=__doc__)
-        config.check()
-        require_writable(config.out)
-        results = run_study(config.arms, config.repetitions, config.seed)
-        save_picture(results, config.out / "cost.png")
-        write_text(config.out / "results.json", as_json(results, config.seed))
-        write_text(config.out / "summary.md", markdown(results, config.seed, time.perf_counter() - began))
-        for kind in KINDS:
-            print(f"{kind}: {verdict(results, kind)}")
-        print(f"written to {config.out}: summary.md, results.json, cost.png")
+    run_command(__file__, Config, report, __doc__)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from baselines.tools.command import one_line_errors, stop_without
+from baselines.tools.command import run_command, stop_without
 
 try:
-    import tyro
-
     from baselines.tools.files import require_writable, write_text
     from beltarm_env.task.reference import MoveShape
     from eval.reproduction.assumptions import USUAL_MOVE
@@ -98,8 +96,7 @@ def report(config: Config) -> None:
 
 def main() -> None:
     """Command line."""
-    with one_line_errors("eval/paper.py"):
-        report(tyro.cli(Config, description=__doc__))
+    run_command(__file__, Config, report, __doc__)
 
 
 if __name__ == "__main__":

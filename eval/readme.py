@@ -6,17 +6,15 @@ and where the summary or a picture beside that file was not written with it.
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import tyro
-
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import run_command
 from baselines.tools.files import write_text
+from eval.comparison.schema import read_results
 from eval.views.readme import block, of_other_results, updated
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -32,21 +30,24 @@ class Config:
     """Change nothing; exit with 1 if README, summary or pictures are not of the committed results."""
 
 
+def run(config: Config) -> None:
+    """Write the numbers, or check them."""
+    readme = README.read_text(encoding="utf-8")
+    fresh = updated(readme, block(read_results(RESULTS)))
+    if not config.check:
+        write_text(README, fresh)
+        return
+    stale = [README] if fresh != readme else []
+    stale += of_other_results(RESULTS)
+    if stale:
+        names = ", ".join(str(path.relative_to(ROOT)) for path in stale)
+        print(f"eval/readme.py: not of {RESULTS.relative_to(ROOT)}: {names}; run `make readme`", file=sys.stderr)
+        sys.exit(1)
+
+
 def main() -> None:
     """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/readme.py"):
-        readme = README.read_text(encoding="utf-8")
-        fresh = updated(readme, block(json.loads(RESULTS.read_text(encoding="utf-8"))))
-        if not config.check:
-            write_text(README, fresh)
-            return
-        stale = [README] if fresh != readme else []
-        stale += of_other_results(RESULTS)
-        if stale:
-            names = ", ".join(str(path.relative_to(ROOT)) for path in stale)
-            print(f"eval/readme.py: not of {RESULTS.relative_to(ROOT)}: {names}; run `make readme`", file=sys.stderr)
-            sys.exit(1)
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import tyro
-
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import run_command
 from eval.comparison.scenarios import require_same_physics, write
 from eval.comparison.splits import SPLITS, load
 
@@ -26,16 +24,19 @@ class Config:
     """Draw all splits from their seeds and write eval/comparison/scenarios.json."""
 
 
+def run(config: Config) -> None:
+    """Write the scenarios if asked to, and check them."""
+    if config.write:
+        write()
+    splits = load()
+    require_same_physics(splits)
+    for name, split in splits.items():
+        print(f"{name:<11} {len(split.moves)} scenarios  sha256 {split.digest[:12]}  {SPLITS[name].description}")
+
+
 def main() -> None:
     """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/scenarios.py"):
-        if config.write:
-            write()
-        splits = load()
-        require_same_physics(splits)
-        for name, split in splits.items():
-            print(f"{name:<11} {len(split.moves)} scenarios  sha256 {split.digest[:12]}  {SPLITS[name].description}")
+    run_command(__file__, Config, run, __doc__)
 
 
 if __name__ == "__main__":

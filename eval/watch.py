@@ -16,10 +16,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import torch
 import tyro
-from gymnasium.error import DependencyNotInstalled
 from rich.console import Console
 
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import require_writable
 from eval.comparison.methods import chosen, methods_side_by_side
 from eval.comparison.splits import EPISODES, load
@@ -51,8 +50,7 @@ class Config:
         Raises:
             ValueError: If one is not allowed.
         """
-        if not 0 <= self.scenario < EPISODES:
-            raise ValueError(f"--scenario must lie within 0 and {EPISODES - 1}, got {self.scenario}")
+        require_bounds(self, scenario=(0, EPISODES - 1))
         if not 0.01 <= self.speed <= 10:
             raise ValueError(f"--speed must lie within 0.01 and 10, got {self.speed:g}")
         if self.out is not None:
@@ -62,9 +60,11 @@ class Config:
             raise ValueError(f"at most {side_by_side.AT_MOST} arms fit side by side, got {count}")
 
 
-def watch(config: Config, console: Console) -> None:
+def watch(config: Config) -> None:
     """Run the arms, then show or write what they did."""
+    console = Console()
     config.check()
+    torch.set_num_threads(1)
     splits = load()
     split = splits[chosen("split", (config.split,), splits)[0]]
     methods = methods_side_by_side(config.controller, config.policy)
@@ -84,13 +84,7 @@ def watch(config: Config, console: Console) -> None:
 
 def main() -> None:
     """Command line."""
-    config = tyro.cli(Config, description=__doc__)
-    with one_line_errors("eval/watch.py"):
-        torch.set_num_threads(1)
-        try:
-            watch(config, Console())
-        except DependencyNotInstalled as error:
-            raise ValueError(str(error)) from None
+    run_command(__file__, Config, watch, __doc__)
 
 
 if __name__ == "__main__":

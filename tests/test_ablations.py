@@ -29,7 +29,7 @@ from eval.learning import ablation_runs
 from eval.learning.ablation_report import COLUMNS, AblationStudy, VariantResult, as_json, draw, markdown
 from eval.learning.ablation_runs import AblationRun, score
 from eval.learning.ablations import AblationConfig, run_all
-from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, VARIANTS, Variant
+from eval.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
 from eval.speed import training_loop
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -54,8 +54,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_names_factors_and_folders_are_unique_and_known():
     names = [variant.name for variant in VARIANTS]
-    assert len({*names, *QUESTIONS}) == len(names) + len(QUESTIONS)
-    assert set(QUESTIONS) == set(DEFAULTS) == {variant.factor for variant in VARIANTS[1:]}
+    assert len({*names, *FACTORS}) == len(names) + len(FACTORS)
+    assert set(FACTORS) == {variant.factor for variant in VARIANTS[1:]}
     assert VARIANTS[0] is DEFAULT and not DEFAULT.options
 
 
@@ -177,9 +177,9 @@ def made_up(seeds: int = 2) -> AblationStudy:
 def test_the_page():
     study = made_up()
     page = markdown(study, 5.0)
-    for question in QUESTIONS.values():
+    for question, _ in FACTORS.values():
         assert f"## {question}" in page
-    assert page.count("(default) | – | 305 [300, 310] |") == len(QUESTIONS)
+    assert page.count("(default) | – | 305 [300, 310] |") == len(FACTORS)
     cost = study.results[1].score("cost_mean")
     ratio = cost.mean() / 305
     assert f"| nothing | `--knowledge none` | {cost.mean():.0f} [{cost[0]:.0f}, {cost[1]:.0f}] |" in page
@@ -195,7 +195,7 @@ def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     draw(study, tmp_path / "curves.png")
     figure = plt.gcf()
     panels = [axis for axis in figure.axes if isinstance(axis, Axes) and axis.get_visible()]
-    assert [panel.get_title("left") for panel in panels] == list(QUESTIONS.values())
+    assert [panel.get_title("left") for panel in panels] == [factor.question for factor in FACTORS.values()]
     assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
     for panel, results in zip(panels, study.factors().values(), strict=True):
         legend = panel.get_legend()

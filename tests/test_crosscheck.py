@@ -64,7 +64,7 @@ def test_report_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     ("arguments", "message"),
     [
         (["crosscheck", "--arms", "0"], "--arms must lie within 1 and 1000, got 0"),
-        (["crosscheck", "--seed", "-1"], "--seed must not be negative, got -1"),
+        (["crosscheck", "--seed", "-1"], "--seed must be at least 0, got -1"),
         (["crosscheck", "--out", "/proc/nowhere"], "cannot write to /proc/nowhere"),
         (["convergence", "--samples", "0"], "--samples must lie within 1 and 1200, got 0"),
     ],

@@ -292,7 +292,10 @@ def test_report_of_a_run(tmp_path: Path):
     for split in ("nominal", "randomized"):
         assert costs[split, "iterative", 1] == costs[split, "arm alone", 1] == costs[split, "adaptive", None]
         assert costs[split, "motor", 1] == costs[split, "paper", None]
-    assert "the cost falls from" in (tmp_path / "out/summary.md").read_text()
+    page = (tmp_path / "out/summary.md").read_text()
+    for split in ("nominal", "randomized"):
+        assert f"\n| {split} | first of `iterative` | " in page
+        assert f"\n| {split} | `privileged` | " in page
 
 
 @pytest.mark.parametrize(
@@ -300,7 +303,7 @@ def test_report_of_a_run(tmp_path: Path):
     [
         (("--arms", "3"), "--arms must lie within 4 and 1000, got 3"),
         (("--repetitions", "1"), "--repetitions must lie within 2 and 100, got 1"),
-        (("--seed", "-1"), "--seed must not be negative, got -1"),
+        (("--seed", "-1"), "--seed must be at least 0, got -1"),
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
     ],
 )

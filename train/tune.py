@@ -13,16 +13,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import tyro
-
 from agents.learners.tuning import TuningConfig, counted, training_command, trials_as_csv, tune
+from baselines.tools.command import run_command
 from baselines.tools.files import write_text
 from baselines.tools.parallel import StopRequest, stop_on_signals
 
 
-def main() -> None:
-    """Run the command."""
-    config, stop = tyro.cli(TuningConfig, description=__doc__), StopRequest()
+def run(config: TuningConfig) -> None:
+    """Tune, and print the command that trains with the settings found; an interruption says how to go on."""
+    stop = StopRequest()
     try:
         with stop_on_signals(stop, lambda: print("stopping soon; once more to stop at once", flush=True)):
             study = tune(config, stop, lambda line: print(line, flush=True))
@@ -36,10 +35,11 @@ def main() -> None:
         again = shlex.join(["python", "train/tune.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"])
         print(f"interrupted; trials are kept in {config.file}; to go on:\n  {again}")
         sys.exit(130)
-    except (OSError, ValueError) as error:
-        for line in str(error).splitlines():
-            print(f"train/tune.py: {line}", file=sys.stderr)
-        sys.exit(2)
+
+
+def main() -> None:
+    """Command line."""
+    run_command(__file__, TuningConfig, run, __doc__)
 
 
 if __name__ == "__main__":

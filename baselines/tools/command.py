@@ -1,11 +1,35 @@
-"""Errors of commands: one clear line for a user's mistakes, without a stack trace."""
+"""Commands: options from the command line, and one clear line for a user's mistakes, without a stack trace."""
 
 from __future__ import annotations
 
+import difflib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from pathlib import Path
+from typing import NoReturn, TypeVar
+
+from gymnasium.error import DependencyNotInstalled
+
+Config = TypeVar("Config")
+
+
+def run_command(file: str, kind: type[Config], work: Callable[[Config], object], description: str | None) -> None:
+    """Run a command with the options of its command line; errors as in `one_line_errors`.
+
+    Args:
+        file: The command's `__file__`.
+        kind: Its options, a dataclass.
+        work: What it does with them.
+        description: What `--help` says.
+    """
+    script = f"{Path(file).parent.name}/{Path(file).name}"
+    try:
+        import tyro
+    except ModuleNotFoundError as error:
+        stop_without(script, error)
+    with one_line_errors(script):
+        work(tyro.cli(kind, description=description))
 
 
 def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
@@ -18,14 +42,50 @@ def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
 
 @contextmanager
 def one_line_errors(script: str) -> Iterator[None]:
-    """Exit with status 2 on a user's mistake, and with 130 on Ctrl-C, with one line of text."""
+    """Exit with status 2 on a user's mistake, and with 130 on Ctrl-C, with one line for each error."""
     try:
         yield
     except BrokenPipeError:  # the reader of the output has seen enough
         sys.exit(0)
-    except (OSError, ValueError) as error:
-        print(f"{script}: {error}", file=sys.stderr)
+    except (OSError, ValueError, DependencyNotInstalled) as error:
+        for line in str(error).splitlines():
+            print(f"{script}: {line}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt as stop:
         print(f"{script}: {str(stop) or 'interrupted'}", file=sys.stderr)
         sys.exit(130)
+
+
+def require_bounds(options: object, **bounds: tuple[int, int | None]) -> None:
+    """Check numbers among the options of a command; those that are None are not given.
+
+    Args:
+        options: The options.
+        **bounds: By option the least and the largest value that is allowed, None for none.
+
+    Raises:
+        ValueError: If one is out of range, naming it.
+    """
+    for name, (least, largest) in bounds.items():
+        value = getattr(options, name)
+        if value is not None and not (least <= value and (largest is None or value <= largest)):
+            allowed = f"be at least {least}" if largest is None else f"lie within {least} and {largest}"
+            raise ValueError(f"--{name} must {allowed}, got {value}")
+
+
+def require_known(names: Collection[str], known: Collection[str], complaint: str) -> None:
+    """Check that names are known.
+
+    Args:
+        names: What a user wrote.
+        known: What there is.
+        complaint: About an unknown name, which stands in it as `{}`.
+
+    Raises:
+        ValueError: With the complaint, and the nearest known name or all of them.
+    """
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            raise ValueError(f"{complaint.format(repr(name))}; {hint}")

@@ -36,7 +36,11 @@ def factory(spec: str) -> Callable[[], Any]:
     """
     where, _, name = absolute(spec).rpartition(":")
     try:
-        module = _from_file(Path(where)) if where.endswith(".py") else _from_path(where)
+        if where.endswith(".py"):
+            module = _from_file(Path(where))
+        else:
+            _search(Path.cwd())
+            module = importlib.import_module(where)
     except Exception as error:  # whatever a user's module does when it is imported
         raise ValueError(f"{spec} cannot be imported: {type(error).__name__}: {error}") from None
     found = getattr(module, name, None)
@@ -56,11 +60,6 @@ def _from_file(path: Path) -> ModuleType:
     sys.modules[location.name] = module  # dataclasses look their module up
     location.loader.exec_module(module)
     return module
-
-
-def _from_path(name: str) -> ModuleType:
-    _search(Path.cwd())
-    return importlib.import_module(name)
 
 
 def _search(folder: Path) -> None:

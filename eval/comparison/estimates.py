@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +42,10 @@ def _middle_mean(values: Floats) -> Floats:
     return ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
 
 
-def _mean(values: Floats) -> Floats:
-    return values.mean(axis=-1)
-
-
 def resampled(values: Floats, mean: bool = False) -> Floats:
     """Interquartile means (or plain means) of bootstrap samples of a (seeds, episodes) table, shape (RESAMPLES,)."""
     seeds, episodes = values.shape
-    center = _mean if mean else _middle_mean
+    center = partial(np.mean, axis=-1) if mean else _middle_mean
 
     def of_both(scenarios: NDArray[np.intp], runs: NDArray[np.intp], axis: int = -1) -> Floats:
         drawn = values[runs[..., :, None], scenarios[..., None, :]]

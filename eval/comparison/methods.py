@@ -58,19 +58,18 @@ class Method:
 
 def classical_methods() -> list[Method]:
     """All classical controllers."""
-    tuned = read_file()
-    return [_classical(name, tuned.get(name, {})) for name in CONTROLLERS]
+    tuned, methods = read_file(), []
+    for name in CONTROLLERS:
+        entry = tuned.get(name, {})
+        tuning = entry.get("provenance", {})
+        cost = {"simulator_steps": [tuning["steps"]], "wall_clock_s": [tuning["seconds"]]} if tuning else {}
+        methods.append(Method(name, "classical", (name,), _hash(entry.get("gains")), cost))
+    return methods
 
 
 def _all_gains() -> dict[str, Any]:
     """Gains of all classical controllers, which a controller that builds on them may use."""
     return {name: entry.get("gains") for name, entry in read_file().items()}
-
-
-def _classical(name: str, entry: dict[str, Any]) -> Method:
-    tuning = entry.get("provenance", {})
-    cost = {"simulator_steps": [tuning["steps"]], "wall_clock_s": [tuning["seconds"]]} if tuning else {}
-    return Method(name, "classical", (name,), _hash(entry.get("gains")), cost)
 
 
 def _hash(content: object) -> str:
@@ -107,15 +106,11 @@ def learned_methods(folders: Iterable[Path]) -> list[Method]:
             raise ValueError(
                 f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
             )
-        # Shipped policies lie in a folder of their method's name.
-        shipped = folder.resolve().is_relative_to(POLICIES)
-        name = folder.resolve().parent.name if shipped else _method_name(spec.algorithm, spec.base)
+        name = spec.algorithm if spec.base == "paper" else f"{spec.algorithm}-{spec.base}"
+        if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
+            name = folder.resolve().parent.name
         grouped.setdefault(name, []).append(folder.resolve())
     return [_learned(name, members) for name, members in grouped.items()]
-
-
-def _method_name(algorithm: str, base: str) -> str:
-    return algorithm if base == "paper" else f"{algorithm}-{base}"
 
 
 def _learned(name: str, folders: list[Path]) -> Method:

@@ -12,7 +12,7 @@ import json
 import platform
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache, partial
@@ -57,16 +57,13 @@ class Pair:
         of_method = [self.method.name, self.method.kind, self.method.identity]
         content = [VERSION, self.split.digest, self.episodes, *of_method, _code()]
         key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
-        return folder / "pairs" / f"{self._stem()}.{key}.npz"
+        return folder / "pairs" / f"{self.stem}.{key}.npz"
 
-    def _stem(self) -> str:
+    @property
+    def stem(self) -> str:
+        """Beginning of the file's name, before the key."""
         method = re.sub(r"[^\w-]", "_", self.method.name)
         return f"{self.split.name}.{method}.{self.episodes}"
-
-    def outdated(self, folder: Path) -> Iterator[Path]:
-        """Files of this pair's results with other code, gains or policies."""
-        current = self.file(folder)
-        return (path for path in current.parent.glob(f"{self._stem()}.*.npz") if path != current)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +131,11 @@ def run_and_keep(pair: Pair, folder: Path) -> Metrics | Failure:
     metrics = attempt(pair.method.name, pair.split.name, lambda: measure(pair))
     if isinstance(metrics, Failure) or pair.method.identity is None:
         return metrics
-    write_atomically(pair.file(folder), lambda path: np.savez(path, allow_pickle=False, **metrics))
-    for path in pair.outdated(folder):
-        path.unlink(missing_ok=True)
+    current = pair.file(folder)
+    write_atomically(current, lambda path: np.savez(path, allow_pickle=False, **metrics))
+    for path in current.parent.glob(f"{pair.stem}.*.npz"):
+        if path != current:  # of other code, gains or policies
+            path.unlink(missing_ok=True)
     return metrics
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,7 @@ def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tup
     return MethodOutcome(method, split, metrics, estimates, action_times)
 
 
-@dataclass(frozen=True, slots=True)
-class Profiles:
+class Profiles(NamedTuple):
     """Performance profiles of all methods on one split, in one metric."""
 
     thresholds: NDArray[np.float64]
@@ -117,8 +116,8 @@ class Comparison:
 def make_comparison(outcomes: list[MethodOutcome], failures: list[Failure], provenance: dict[str, Any]) -> Comparison:
     """Compare the outcomes with one another."""
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
-    best = {split: _against(found, _opponent_of_all(found)) for split, found in by_split.items()}
-    base = {split: _against(found, _base_of(found)) for split, found in by_split.items()}
+    best = {split: _against(found, _best_opponent(found)) for split, found in by_split.items()}
+    base = {split: _against(found, _bases(found)) for split, found in by_split.items()}
     marks = {split: {name: _marks(o, name, best[split]) for name in PAIRED_METRICS} for split, o in by_split.items()}
     return Comparison(outcomes, best, base, marks, failures, provenance)
 
@@ -129,28 +128,25 @@ def best_classical(outcomes: list[MethodOutcome]) -> MethodOutcome | None:
     return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm, default=None)
 
 
-def _opponent_of_all(outcomes: list[MethodOutcome]) -> Callable[[MethodOutcome], MethodOutcome | None]:
+def _best_opponent(outcomes: list[MethodOutcome]) -> dict[str, MethodOutcome]:
     best = best_classical(outcomes)
-    return lambda outcome: None if outcome is best else best
+    return {o.method.name: best for o in outcomes if best and o is not best}
 
 
-def _base_of(outcomes: list[MethodOutcome]) -> Callable[[MethodOutcome], MethodOutcome | None]:
-    by_name = {outcome.method.name: outcome for outcome in outcomes}
-    return lambda outcome: by_name.get(outcome.method.base or "")
+def _bases(outcomes: list[MethodOutcome]) -> dict[str, MethodOutcome]:
+    by_name = {o.method.name: o for o in outcomes}
+    return {o.method.name: by_name[o.method.base] for o in outcomes if o.method.base in by_name}
 
 
-def _against(
-    outcomes: list[MethodOutcome], opponent: Callable[[MethodOutcome], MethodOutcome | None]
-) -> dict[str, dict[str, Paired]]:
-    """Ranked methods of one split against an opponent each: by method and metric.
+def _against(outcomes: list[MethodOutcome], opponents: dict[str, MethodOutcome]) -> dict[str, dict[str, Paired]]:
+    """Ranked methods of one split against their opponents, by method and metric.
 
     All comparisons in one metric are a family for Holm's correction: one question, asked of every method.
     """
-    pairs = [(outcome, opponent(outcome)) for outcome in outcomes if outcome.ranked]
     found: dict[str, dict[str, Paired]] = {
         one.method.name: {name: paired(one.metrics[name], other.metrics[name]) for name in PAIRED_METRICS}
-        for one, other in pairs
-        if other is not None
+        for one in outcomes
+        if one.ranked and (other := opponents.get(one.method.name))
     }
     for name in PAIRED_METRICS:
         adjusted = holm([of_method[name].p for of_method in found.values()])

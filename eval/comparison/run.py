@@ -30,10 +30,6 @@ from eval.comparison.splits import Split
 from eval.comparison.timing import action_times
 
 
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with a message about the results that are kept."""
-
-
 def choose_methods(
     names: Sequence[str], policies: Sequence[Path] = (), added: Sequence[str] = (), results: Path | None = None
 ) -> list[Method]:
@@ -89,7 +85,7 @@ def compare(
         OSError: If the folder cannot be written to, or a process was killed.
         ValueError: If the folder has results of other scenarios, the arms do not move as they did when the scenarios
             were drawn, or no method could be run.
-        Interrupted: On Ctrl-C.
+        KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept.
     """
     began = time.perf_counter()
     require_writable(folder)
@@ -128,7 +124,7 @@ def _outcomes(
     try:
         results = dict(zip(map(id, sound), run_pairs(sound, folder, jobs, one_more), strict=True))
     except KeyboardInterrupt:
-        raise Interrupted(
+        raise KeyboardInterrupt(
             f"interrupted: {_kept(sound, folder)} of {len(sound)} pairs of method and split are kept in {folder}; the "
             "same command goes on from there"
         ) from None

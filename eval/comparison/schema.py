@@ -26,6 +26,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pandas as pd
 from jsonschema import Draft202012Validator, validators
 
@@ -105,12 +106,9 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
     frames = []
     for outcome in comparison.outcomes:
         for seed in range(outcome.seeds):
-            frame = pd.DataFrame({name: values[seed] for name, values in outcome.metrics.items()})
-            frame.insert(0, "episode", range(len(frame)))
-            frame.insert(0, "seed", seed)
-            frame.insert(0, "split", outcome.split)
-            frame.insert(0, "method", outcome.method.name)
-            frames.append(frame)
+            columns = {name: values[seed] for name, values in outcome.metrics.items()}
+            run = {"method": outcome.method.name, "split": outcome.split, "seed": seed}
+            frames.append(pd.DataFrame({**run, "episode": np.arange(len(columns["cost"])), **columns}))
     return pd.concat(frames, ignore_index=True)
 
 

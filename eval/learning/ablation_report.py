@@ -8,24 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
 from beltarm_env.task.seeds import ABLATIONS
 from eval.learning.ablation_runs import described
 from eval.learning.curves import BEST_CLASSICAL
-from eval.learning.variants import DEFAULT, DEFAULTS, QUESTIONS, Variant
+from eval.learning.variants import DEFAULT, FACTORS, Variant
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import COLOURS
+from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
@@ -78,12 +74,12 @@ class AblationStudy:
     def factors(self) -> dict[str, list[VariantResult]]:
         """Results by factor; the default is the first of each."""
         default, *others = self.results
-        grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in QUESTIONS}
+        grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in FACTORS}
         return {factor: [default, *group] for factor, group in grouped.items() if group}
 
 
 def _label(result: VariantResult, factor: str) -> str:
-    return f"{DEFAULTS[factor]} (default)" if result.variant == DEFAULT else result.variant.label
+    return f"{FACTORS[factor].default} (default)" if result.variant == DEFAULT else result.variant.label
 
 
 def as_json(study: AblationStudy) -> str:
@@ -105,6 +101,7 @@ def as_json(study: AblationStudy) -> str:
 def markdown(study: AblationStudy, seconds: float) -> str:
     """Content of `ablations.md`."""
     seeds = len(study.results[0].runs)
+    common = study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
     parts = [
         "# What makes learning work: ablations",
         f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: {study.steps:,} "
@@ -116,23 +113,18 @@ def markdown(study: AblationStudy, seconds: float) -> str:
         "workspace, which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs "
         "default* is the ratio of mean costs. *Minutes* are the wall-clock of one run.",
         "What it means is in [../learning.md](../learning.md). The common part of the commands is "
-        f"`{_common(study)}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
+        f"`{common}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
         "![curves](curves.png)",
         f"Cost on validation arms while learning: every run a thin line, a variant's geometric mean a thick one. "
         f"Dashed: the default's base, `{study.results[0].base}`; dotted: `{BEST_CLASSICAL}`, the best controller "
         "that does not learn.",
     ]
     for factor, results in study.factors().items():
-        parts += [f"## {QUESTIONS[factor]}", _table(study, factor, results)]
+        parts += [f"## {FACTORS[factor].question}", _table(study, factor, results)]
     parts += ["## On the same arms, without learning", _references(study)]
     took = sum(result.minutes * len(result.runs) for result in study.results)
     parts += [f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s; the runs took {took:.0f} min."]
     return "\n\n".join(parts) + "\n"
-
-
-def _common(study: AblationStudy) -> str:
-    """Command of the default run, without its seed."""
-    return study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
 
 
 def _table(study: AblationStudy, factor: str, results: list[VariantResult]) -> str:
@@ -179,8 +171,7 @@ def draw(study: AblationStudy, path: Path) -> None:
     _scale(panels, study)
     figure.supxlabel("agent steps (millions)", fontsize=10)
     figure.supylabel("mean episode cost, validation arms", fontsize=10)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantResult]) -> None:
@@ -199,7 +190,7 @@ def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantR
         middle = np.exp(np.mean([np.log(curve[:shortest, 2]) for curve in curves], axis=0))
         name = _label(result, factor) if factor else result.variant.label
         axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=name)
-    axis.set_title(QUESTIONS.get(factor, ""), fontsize=9, loc="left")
+    axis.set_title(FACTORS[factor].question if factor else "", fontsize=9, loc="left")
     axis.legend(fontsize=7, loc="upper right", framealpha=0.9, borderpad=0.3, handlelength=1.2)
     axis.grid(alpha=0.3, which="both")
     axis.tick_params(labelsize=8)

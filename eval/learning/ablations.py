@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -11,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from agents.residual.bases import make_base
-from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side
+from baselines.tools.command import require_bounds, require_known
+from baselines.tools.parallel import Failure, Interrupted, StopRequest, run_side_by_side
 from eval.learning.ablation_report import AblationStudy, VariantResult
 from eval.learning.ablation_runs import AblationRun, score
 from eval.learning.curves import BEST_CLASSICAL, classical_cost
-from eval.learning.variants import DEFAULT, QUESTIONS, VARIANTS, Variant
+from eval.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
 
 _QUICK_STEPS = 128
 
@@ -47,9 +47,7 @@ class AblationConfig:
         Raises:
             ValueError: Naming the option, its value and the bound.
         """
-        for name, most in {"steps": 10**9, "seeds": 100, "jobs": 256, "arms": 10_000}.items():
-            if not 1 <= getattr(self, name) <= most:
-                raise ValueError(f"--{name} must lie within 1 and {most}, got {getattr(self, name)}")
+        require_bounds(self, steps=(1, 10**9), seeds=(1, 100), jobs=(1, 256), arms=(1, 10_000))
         self.chosen()
 
     def chosen(self) -> list[Variant]:
@@ -58,12 +56,8 @@ class AblationConfig:
         Raises:
             ValueError: If there is no such factor or variant.
         """
-        known = [*QUESTIONS, *(variant.name for variant in VARIANTS)]
-        for name in self.only:
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
-                raise ValueError(f"nothing to vary is called {name!r}; {hint}")
+        known = [*FACTORS, *(variant.name for variant in VARIANTS)]
+        require_known(self.only, known, "nothing to vary is called {}")
         wanted = {DEFAULT.name, *self.only} if self.only else set(known)
         return [variant for variant in VARIANTS if variant.name in wanted or variant.factor in wanted]
 
@@ -94,10 +88,10 @@ def run_all(
         KeyboardInterrupt: If asked to stop; what was begun is saved.
     """
     stop, plan = stop or StopRequest(), config.planned()
-    found = {str(run.folder): run.finished(config.arms) for run in plan}
+    found: dict[str, Any] = {str(run.folder): run.finished(config.arms) for run in plan}
     left = {str(run.folder): run for run in plan if found[str(run.folder)] is None}
     report(f"{len(plan)} run{'s' if len(plan) > 1 else ''}, {len(plan) - len(left)} finished before")
-    tasks = {name: partial(_finish, run, config.arms) for name, run in left.items()}
+    tasks = {name: partial(run.finish, config.arms) for name, run in left.items()}
     failures: list[str] = []
     with closing(run_side_by_side(tasks, config.jobs, stop=stop)) as outcomes:
         for name, done in outcomes:
@@ -111,16 +105,10 @@ def run_all(
         raise ValueError("; ".join(failures))
     if stop.made:
         raise KeyboardInterrupt("interrupted; what was begun is saved, the same command goes on")
-    runs = {run: found[str(run.folder)] for run in plan}
-    return [VariantResult(variant, _of(variant, runs)) for variant in config.chosen()]
-
-
-def _finish(run: AblationRun, arms: int, channel: Channel) -> dict[str, Any]:
-    return run.finish(arms, channel)
-
-
-def _of(variant: Variant, found: dict[AblationRun, dict[str, Any] | None]) -> list[dict[str, Any]]:
-    return [done for run, done in found.items() if run.variant == variant and done is not None]
+    return [
+        VariantResult(variant, [found[str(run.folder)] for run in plan if run.variant == variant])
+        for variant in config.chosen()
+    ]
 
 
 def study(config: AblationConfig, report: Callable[[str], object], stop: StopRequest | None = None) -> AblationStudy:

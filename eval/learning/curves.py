@@ -6,22 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
-import numpy as np
-from numpy.typing import NDArray
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from agents.policy.bundle import MANIFEST, BundleError, BundleSpec, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import validate
 from baselines import CONTROLLERS
-from baselines.tools.files import write_atomically
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import COLOURS
+from eval.style.figures import save_figure
 
 Floats = NDArray[np.float64]
 
@@ -111,8 +107,7 @@ def draw(curves: list[Curve], classical: float, path: Path) -> None:
     _name_methods(axes[0], curves, colours, panels[0][1])
     axes[0].set_ylabel("mean episode cost, validation arms")
     mark_one_two_five(axes[0].yaxis)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _references(axis: Axes, curves: list[Curve], classical: float, named: bool) -> None:

@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Factor(NamedTuple):
+    """Something that is varied."""
+
+    question: str
+    default: str  # its setting in the default run
 
 
 @dataclass(frozen=True)
@@ -10,27 +18,27 @@ class Variant:
     """Training run that changes one option of the default run."""
 
     name: str  # its folder's
-    factor: str  # key of `QUESTIONS`
+    factor: str  # key of `FACTORS`
     label: str
     options: tuple[str, ...] = ()
     script: str = "ppo"
     common_budget: bool = True  # False for a learner whose steps are not those of PPO
 
 
-QUESTIONS = {
-    "told": "What must the agent know of the arm?",
-    "base": "Which controller should it correct?",
-    "hold": "How long should a residual be held?",
-    "discount": "How far should it look ahead?",
-    "limit": "How much torque may it add?",
-    "exploration": "How wildly should it explore?",
-    "learning_rate": "How fast should it learn?",
-    "network": "How wide must the network be?",
-    "arms": "How many arms at once?",
-    "activation": "Does the activation function matter?",
-    "teacher": "Does a teacher help?",
+FACTORS = {
+    "told": Factor("What must the agent know of the arm?", "belief of the filter"),
+    "base": Factor("Which controller should it correct?", "paper"),
+    "hold": Factor("How long should a residual be held?", "6 ms"),
+    "discount": Factor("How far should it look ahead?", "0.988: 0.5 s"),
+    "limit": Factor("How much torque may it add?", "the whole limit"),
+    "exploration": Factor("How wildly should it explore?", "0.52 of the range"),
+    "learning_rate": Factor("How fast should it learn?", "3.5e-4"),
+    "network": Factor("How wide must the network be?", "256, 256"),
+    "arms": Factor("How many arms at once?", "512"),
+    "activation": Factor("Does the activation function matter?", "relu"),
+    "teacher": Factor("Does a teacher help?", "none: PPO"),
 }
-"""Question behind each factor that is varied."""
+"""Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
 VARIANTS = (
     DEFAULT,
@@ -60,17 +68,3 @@ VARIANTS = (
     Variant("tanh", "activation", "tanh", ("--activation", "tanh")),
     Variant("student", "teacher", "a student of a practised teacher", script="student", common_budget=False),
 )
-DEFAULTS = {
-    "told": "belief of the filter",
-    "base": "paper",
-    "hold": "6 ms",
-    "discount": "0.988: 0.5 s",
-    "limit": "the whole limit",
-    "exploration": "0.52 of the range",
-    "learning_rate": "3.5e-4",
-    "network": "256, 256",
-    "arms": "512",
-    "activation": "relu",
-    "teacher": "none: PPO",
-}
-"""Setting of each factor in the default run."""

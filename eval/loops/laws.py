@@ -162,9 +162,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     return _state_feedback(params, k, gain, identification_gain(params, uncertainty, k))
 
 
-@lru_cache(maxsize=8)
-def _horizon(params: ArmParams, velocity_weight: float, change_weight: float) -> Horizon:
-    return horizon(params, velocity_weight, change_weight)
+_horizon = lru_cache(maxsize=8)(horizon)
 
 
 def horizon_gain(ahead: Horizon, angle: float) -> Floats:

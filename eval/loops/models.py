@@ -68,15 +68,6 @@ def loop_model(controller: Any, k: int, params: ArmParams | None = None) -> cont
     return -(model * sampled_arm(params or controller.params, ANGLES[k]))
 
 
-def delayed(loop: control.StateSpace, samples: int) -> control.StateSpace:
-    """Insert a delay of whole samples into the loop."""
-    if samples == 0:
-        return loop
-    chain = np.eye(samples, k=-1)
-    first, last = np.eye(samples)[:, :1], np.eye(samples)[-1:]
-    return loop * control.StateSpace(chain, first, last, 0, CONTROL_PERIOD)
-
-
 def closed_poles(loop: control.StateSpace, gain: float = 1.0) -> Poles:
     """Poles z of the closed loop, with L multiplied by a gain."""
     closed = cast("control.StateSpace", control.feedback(gain * loop, 1))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from beltarm_env.metrics import METRICS, heading
+from beltarm_env.metrics import heading
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.estimates import Estimate, estimate
+from eval.comparison.estimates import estimate
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.gains import gains_table
-from eval.loops.models import Margins, Poles
 from eval.loops.study import LoopStudy, at_angle, worst
 from eval.style.markdown_table import markdown_table
+from eval.style.metrics import cell
 from eval.style.text import number, poles_text
 
 _SHOWN = (0, 45, 90)
@@ -29,68 +30,29 @@ def factor(value: float) -> str:
     return f"×{value:.3g}"
 
 
-def _cells(margin: Margins) -> list[str]:
-    if not margin.stable:
-        return ["unstable", *["–"] * 4]
-    texts = [factor(margin.gain_up), factor(margin.gain_down), number(margin.phase, 0)]
-    return [*texts, number(margin.delay, 1), number(margin.modulus, 2)]
-
-
-def _slowest(poles: Poles) -> str:
-    """The slowest poles [1/s]."""
-    return poles_text(poles[poles.imag > -1e-6][:_MOST_POLES])
+_MARGINS: dict[str, tuple[str, Callable[[float], str]]] = {
+    "gain_up": ("gain up", factor),
+    "gain_down": ("gain down", factor),
+    "phase": ("phase (°)", partial(number, digits=0)),
+    "delay": ("delay (samples)", partial(number, digits=1)),
+    "modulus": ("modulus", partial(number, digits=2)),
+}
+"""Title and text of each margin."""
+_MARGIN_TITLES = [title for title, _ in _MARGINS.values()]
 
 
 def margins_table(study: LoopStudy) -> str:
     """Each margin's worst over the angles, with the angle."""
-    titles = ["controller", "gain up", "gain down", "phase (°)", "delay (samples)", "modulus", "slowest pole (1/s)"]
     rows = []
     for name, found in study.scans.items():
-        cells = []
-        for column, text in (
-            ("gain_up", factor),
-            ("gain_down", factor),
-            ("phase", lambda value: number(value, 0)),
-            ("delay", lambda value: number(value, 1)),
-            ("modulus", lambda value: number(value, 2)),
-        ):
+        cells = ["yes" if all(margin.stable for margin in found.margins) else "no"]
+        for column, (_, text) in _MARGINS.items():
             value, degrees = worst(found, column)
             shown = text(value)
             cells.append(shown if shown == "–" else f"{shown} at {degrees:.0f}°")
-        slowest = [float(poles.real.max()) for poles in found.poles]
-        rows.append([name, *cells, number(max(slowest), 1 if max(slowest) < -1 else 2)])
-    return markdown_table(titles, rows)
-
-
-def stability_line(study: LoopStudy) -> str:
-    """Name the loops that are not stable at all angles."""
-    unstable = [name for name, found in study.scans.items() if not all(margin.stable for margin in found.margins)]
-    total = len(study.scans)
-    if not unstable:
-        return f"All {total} loops are stable at all angles: every pole lies inside the unit circle."
-    return f"Not stable at all angles: {', '.join(unstable)}; the other {total - len(unstable)} loops are."
-
-
-def delay_lines(study: LoopStudy) -> list[str]:
-    """Costs with a delayed encoder beside the delay margins: does the linear loop predict the arm with friction?"""
-    lines = []
-    for samples in (1, 2):
-        title = f"delay {samples} sample" + ("s" if samples > 1 else "")
-        column = [change.title for change in CHANGES].index(title)
-        beyond, within = [], []
-        for name, found in study.scans.items():
-            (beyond if worst(found, "delay")[0] < samples else within).append(name)
-        said = [
-            f"{names}: {_ratios(study, listed, column)}"
-            for names, listed in (("worst margin below that", beyond), ("above", within))
-            if listed
-        ]
-        lines.append(f"- {title}, cost over that without it; {'; '.join(said)}.")
-    return lines
-
-
-def _ratios(study: LoopStudy, names: list[str], column: int) -> str:
-    return ", ".join(f"{name} {_ratio(study.costs[name].breaks[column].ratio)}" for name in names)
+        slowest = max(float(poles.real.max()) for poles in found.poles)
+        rows.append([name, *cells, number(slowest, 1 if slowest < -1 else 2)])
+    return markdown_table(["controller", "stable", *_MARGIN_TITLES, "slowest pole (1/s)"], rows)
 
 
 def _ratio(value: float) -> str:
@@ -99,10 +61,6 @@ def _ratio(value: float) -> str:
 
 def _label(name: str) -> str:
     return f"*{name}* (not ranked)" if name == PRIVILEGED else name
-
-
-def _interval(value: Estimate, digits: int) -> str:
-    return f"{value.iqm:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
 
 
 def costs_table(study: LoopStudy) -> str:
@@ -114,7 +72,7 @@ def costs_table(study: LoopStudy) -> str:
     rows = []
     for name, costs in study.costs.items():
         cells = [
-            _interval(estimate(found[metric][None]), METRICS[metric].digits)
+            cell(metric, estimate(found[metric][None]))
             for found in (costs.nominal, costs.randomized)
             for metric in _SHOWN_METRICS
         ]
@@ -160,13 +118,15 @@ def gap_table(study: LoopStudy) -> str:
 
 def controller_section(study: LoopStudy, name: str) -> str:
     """Gains, and margins and poles at some angles, of one controller."""
-    found = study.scans[name]
-    titles = ["angle", "gain up", "gain down", "phase (°)", "delay (samples)", "modulus", "slowest poles (1/s)"]
-    rows = []
+    found, rows = study.scans[name], []
     for degrees in _SHOWN:
         margin, k = at_angle(found, degrees)
-        rows.append([f"{degrees}°", *_cells(margin), _slowest(found.poles[k])])
-    return f"### {name}\n\n{gains_table(name)}\n\n{markdown_table(titles, rows)}"
+        cells = [text(getattr(margin, column)) for column, (_, text) in _MARGINS.items()]
+        cells = cells if margin.stable else ["unstable", *["–"] * (len(cells) - 1)]
+        upper = found.poles[k][found.poles[k].imag > -1e-6]
+        rows.append([f"{degrees}°", *cells, poles_text(upper[:_MOST_POLES])])
+    table = markdown_table(["angle", *_MARGIN_TITLES, "slowest poles (1/s)"], rows)
+    return f"### {name}\n\n{gains_table(name)}\n\n{table}"
 
 
 def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
@@ -178,12 +138,9 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "`make loops`.",
         "## Linear loops",
         _LOOPS,
-        stability_line(study),
         margins_table(study),
         shown["margins"],
         "Gain margins: upwards in blue, downwards in vermilion where there is one. Dashed: 6 dB, 30°, one sample, 0.5.",
-        "The encoder's delay is where the loop and the arm with friction can be compared:",
-        "\n".join(delay_lines(study)),
         shown["poles"],
         "Poles s = ln z / 1.5 ms, upper half plane; faster ones lie outside. Dashed: damping ratios 0.1 and 0.3.",
         "## Costs",
@@ -220,9 +177,10 @@ _LOOPS = (
     "angle, so the loop may be cut at the torque or at the encoder alike. *Gain up* and *gain down* are the factors at "
     "which the loop becomes unstable, *delay* is the encoder's delay (or the torque's, if the controller does not know "
     "of it) that it bears in samples of 1.5 ms, *modulus* is 1 / max|S|. The worst over 46 angles from 0° to 90°, and "
-    "where. `preview` and `adaptive` have the gain of the plan long before its end, `adaptive` with the nominal arm "
-    "and an encoder in time identified and held: one that is late from the start on it finds out about, and its margin "
-    "is for one that becomes late. `mpc` has the first torque of its horizon within the torque limit. Friction damps "
-    "what these loops leave undamped, and compensating it at rest multiplies the gain for small pushes: a small margin "
-    "here is a warning, not yet a failure."
+    "where; *stable*: every pole lies inside the unit circle at all of them. `preview` and `adaptive` have the gain of "
+    "the plan long before its end, `adaptive` with the nominal arm and an encoder in time identified and held: one "
+    "that is late from the start on it finds out about, and its margin is for one that becomes late. `mpc` has the "
+    "first torque of its horizon within the torque limit. Friction damps what these loops leave undamped, and "
+    "compensating it at rest multiplies the gain for small pushes: a small margin here is a warning, not yet a "
+    "failure. What a late encoder costs the arm with friction stands below, under *Where each breaks*."
 )

@@ -2,53 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
-import numpy as np
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from baselines.models.linear import ANGLES
-from baselines.tools.files import write_atomically
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.models import Scan
 from eval.loops.study import LoopStudy
 from eval.style.colours import BLUE, VERMILION
+from eval.style.figures import save_figures
 
 _DEGREES = np.degrees(ANGLES)
-_MOST_DB, _MOST_DELAY = 45.0, 200.0
 _COLUMNS = (
-    ("gain_up", "gain margins (dB)", (-_MOST_DB, _MOST_DB)),
-    ("phase", "phase margin (°)", (0.0, 115.0)),
-    ("delay", "delay margin (samples)", (0.15, _MOST_DELAY)),
-    ("modulus", "modulus margin", (0.0, 1.05)),
+    ("gain_up", "gain margins (dB)", (-45.0, 45.0), 6.0),
+    ("phase", "phase margin (°)", (0.0, 115.0), 30.0),
+    ("delay", "delay margin (samples)", (0.15, 200.0), 1.0),
+    ("modulus", "modulus margin", (0.0, 1.05), 0.5),
 )
-_LEAST = {"gain_up": 6.0, "phase": 30.0, "delay": 1.0, "modulus": 0.5}
-"""Usual requirements, drawn as lines; for the delay one sample."""
+"""Margin, title, limits of the axis, usual requirement, drawn as a line; for the delay one sample."""
 
 
 def save_pictures(study: LoopStudy, folder: Path) -> list[Path]:
     """Draw all pictures into `folder`."""
-    figures: dict[str, Callable[[], Figure]] = {
+    figures = {
         "margins.png": lambda: _margins(study.scans),
         "poles.png": lambda: _poles(study.scans),
         "breaks.png": lambda: _breaks(study),
     }
-    paths = []
-    for name, draw in figures.items():
-        path, figure = folder / name, draw()
-        write_atomically(path, lambda temporary, figure=figure: figure.savefig(temporary, dpi=110))
-        plt.close(figure)
-        paths.append(path)
-    return paths
+    return save_figures(figures, folder, dpi=110)
 
 
 def _values(scan: Scan, name: str) -> np.ndarray:
@@ -67,10 +54,10 @@ def _margins(scans: dict[str, Scan]) -> Figure:
         len(scans), len(_COLUMNS), figsize=(10.5, 1.15 * len(scans) + 0.8), sharex=True, sharey="col", squeeze=False
     )
     for row, (name, scan) in zip(axes, scans.items(), strict=True):
-        for axis, (column, _, _) in zip(row, _COLUMNS, strict=True):
-            _draw_margin(axis, scan, column)
+        for axis, (column, _, _, least) in zip(row, _COLUMNS, strict=True):
+            _draw_margin(axis, scan, column, least)
         row[0].set_ylabel(name, rotation=0, ha="right", va="center", labelpad=8, fontsize=11)
-    for axis, (_, title, limits) in zip(axes[0], _COLUMNS, strict=True):
+    for axis, (_, title, limits, _) in zip(axes[0], _COLUMNS, strict=True):
         axis.set_title(title, fontsize=10.5)
         axis.set(ylim=limits, xlim=(0, 90), xticks=(0, 30, 60, 90))
     for axis in axes[-1]:
@@ -83,12 +70,12 @@ def _margins(scans: dict[str, Scan]) -> Figure:
     return figure
 
 
-def _draw_margin(axis: Axes, scan: Scan, column: str) -> None:
-    axis.axhline(_LEAST[column], color="0.6", lw=0.9, ls="--", zorder=1)
+def _draw_margin(axis: Axes, scan: Scan, column: str, least: float) -> None:
+    axis.axhline(least, color="0.6", lw=0.9, ls="--", zorder=1)
     axis.grid(color="0.92", lw=0.6)
     axis.tick_params(labelsize=8.5)
     if column == "gain_up":
-        axis.axhline(-_LEAST[column], color="0.6", lw=0.9, ls="--", zorder=1)
+        axis.axhline(-least, color="0.6", lw=0.9, ls="--", zorder=1)
         axis.plot(_DEGREES, _decibels(_values(scan, "gain_up")), color=BLUE, lw=1.8)
         axis.plot(_DEGREES, _decibels(_values(scan, "gain_down")), color=VERMILION, lw=1.8)
     else:
@@ -136,7 +123,9 @@ def _breaks(study: LoopStudy) -> Figure:
             text = f"{found.ratio:.2f}" if found.ratio < 9.95 else f"{found.ratio:.0f}"
             text += f"\nleft {found.failures}" if found.failures else ""
             axis.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
-    axis.set_xticks(range(len(CHANGES)), [_wrapped(change.title) for change in CHANGES], fontsize=8.5)
+    # A number and its unit stay on one line.
+    titles = [change.title.replace(" ", "\n", -1 if "×" in change.title else 1) for change in CHANGES]
+    axis.set_xticks(range(len(CHANGES)), titles, fontsize=8.5)
     axis.set_yticks(range(len(names)), [f"{name}\n(not ranked)" if name == PRIVILEGED else name for name in names])
     axis.xaxis.tick_top()
     axis.tick_params(length=0)
@@ -145,8 +134,3 @@ def _breaks(study: LoopStudy) -> Figure:
     bar.ax.set_yticklabels([f"×{tick:g}" for tick in ticks])
     bar.set_label("cost over nominal")
     return figure
-
-
-def _wrapped(title: str) -> str:
-    """Break a title into lines, a number and its unit on one."""
-    return title.replace(" ", "\n", -1 if "×" in title else 1)

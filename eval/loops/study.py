@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -38,23 +38,19 @@ def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str],
         ValueError: If gains or the oracle's file are damaged, or a controller has no linear law.
     """
     known = makers(names)
-    scans, costs, times = {}, {}, {}
-    for name in names:
-        scans[name] = _told(f"{name}: margins", tell, lambda name=name: scan(CONTROLLERS[name]()))
-    for name, make in known.items():
-        costs[name] = _told(f"{name}: costs", tell, lambda name=name, make=make: measure(name, make, arms))
-    for name in names:
-        times[name] = _told(
-            f"{name}: times", tell, lambda name=name: measure_times(known[name]([]), batch, LOOPS.first)
-        )
+
+    def of_each(what: str, chosen: Iterable[str], work: Callable[[str], Result]) -> dict[str, Result]:
+        results = {}
+        for name in chosen:
+            began = time.perf_counter()
+            results[name] = work(name)
+            tell(f"{name}: {what}, {time.perf_counter() - began:.1f} s")
+        return results
+
+    scans = of_each("margins", names, lambda name: scan(CONTROLLERS[name]()))
+    costs = of_each("costs", known, lambda name: measure(name, known[name], arms))
+    times = of_each("times", names, lambda name: measure_times(known[name]([]), batch, LOOPS.first))
     return LoopStudy(arms, batch, scans, costs, times, oracle())
-
-
-def _told(what: str, tell: Callable[[str], object], work: Callable[[], Result]) -> Result:
-    began = time.perf_counter()
-    result = work()
-    tell(f"{what}, {time.perf_counter() - began:.1f} s")
-    return result
 
 
 def worst(found: Scan, name: str) -> tuple[float, float]:

@@ -6,23 +6,19 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, heading
 from eval.comparison.estimates import interquartile_mean, paired
 from eval.repetition.study import ARM, KINDS, MOTOR, TORQUE, RepetitionResult
 from eval.style.colours import BLUE, ORANGE, VERMILION
+from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
 
 Floats = NDArray[np.float64]
@@ -37,38 +33,21 @@ _COLUMNS = {
 """Title and decimals of each metric."""
 
 
-def _of(results: list[RepetitionResult], kind: str, name: str) -> RepetitionResult:
-    return next(result for result in results if (result.kind, result.name) == (kind, name))
-
-
-def _against(ours: Floats, other: Floats) -> str:
-    found = paired(ours[None], other[None])
-    d = found.difference
-    wins = "lower" if d.high < 0 else "higher" if d.low > 0 else "not shown to differ"
-    return f"{wins} ({d.iqm:+.1f} [{d.low:+.1f}, {d.high:+.1f}]; lower on {100 * found.win_rate.iqm:.0f} % of the arms)"
-
-
-def verdict(results: list[RepetitionResult], kind: str) -> str:
-    """What is learnt over the repetitions, in a few sentences."""
-    runs, motor = _of(results, kind, TORQUE).repetitions, _of(results, kind, MOTOR)
-    costs = np.array([run["cost"] for run in runs])
-    means = [run["cost"].iqm for run in _of(results, kind, TORQUE).estimates]
-    rise = max(0.0, float(np.max(np.diff(means) / means[:-1])))
-    alone = _of(results, kind, ARM).repetitions[-1]["cost"]
-    known = _of(results, kind, "privileged").repetitions[0]["cost"]
-    first, last = motor.estimates[0], motor.estimates[-1]
-    return (
-        f"the cost falls from {means[0]:.0f} to {means[1]:.0f} with the second repetition and {means[-1]:.0f} with the "
-        f"{_ordinal(len(runs))}; from one to the next it never rises by more than {100 * rise:.1f} %. "
-        f"The last against the first is {_against(costs[-1], costs[0])}, against learning the arm alone "
-        f"{_against(costs[-1], alone)}, against `privileged` {_against(costs[-1], known)}. Textbook learning takes the "
-        f"motor's error from {first['motor_rms_mrad'].iqm:.2f} to {last['motor_rms_mrad'].iqm:.2f} mrad, and the tip's "
-        f"residual vibration from {first['residual_pp_mm'].iqm:.1f} to {last['residual_pp_mm'].iqm:.1f} mm."
-    )
-
-
-def _ordinal(number: int) -> str:
-    return f"{number}{'th' if number % 100 in (11, 12, 13) else {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th')}"
+def differences_table(results: list[RepetitionResult]) -> str:
+    """Cost of the last repetition minus others on the same arms, and the share of arms on which it is lower."""
+    rows = []
+    for kind in KINDS:
+        learnt = _costs(results, kind, TORQUE)
+        others = {
+            f"first of `{TORQUE}`": learnt[0],
+            f"last of `{ARM}`": _costs(results, kind, ARM)[-1],
+            "`privileged`": _costs(results, kind, "privileged")[0],
+        }
+        for name, other in others.items():
+            found = paired(learnt[-1:], other[None])
+            d, wins = found.difference, found.win_rate.iqm
+            rows.append([kind, name, f"{d.iqm:+.1f} [{d.low:+.1f}, {d.high:+.1f}]", f"{100 * wins:.0f}"])
+    return markdown_table(["arms", "against", "cost", "lower on (% of the arms)"], rows, "llrr")
 
 
 def _table(results: list[RepetitionResult], kind: str) -> str:
@@ -100,10 +79,12 @@ def markdown(results: list[RepetitionResult], seed: int, seconds: float) -> str:
         "linear and quadratic, the arm and the cost are not.",
         "What is learnt is the cost, a sum of norms. The tip's RMS error, a square, may well rise a little meanwhile.",
         "![Cost over the repetitions](cost.png)",
+        f"The last repetition of `{TORQUE}` minus others, arm by arm:",
+        differences_table(results),
     ]
     for kind, of_kind in KINDS.items():
         parts += [f"## {kind}", f"{arms} scenarios: {of_kind.description}, random moves, seeds from {seed}."]
-        parts += [f"**In short**, {verdict(results, kind)}", _table(results, kind)]
+        parts.append(_table(results, kind))
     parts.append(f"`{command_line()}`, commit {commit()}, {seconds:.0f} s.")
     return "\n\n".join(parts) + "\n"
 
@@ -145,12 +126,12 @@ def save_picture(results: list[RepetitionResult], path: Path) -> None:
     grid[0, 0].set_ylabel("cost of an episode (% of that arm's first)")
     grid[1, 0].set_ylabel("cost of an episode")
     figure.suptitle("Interquartile means over arms; bands: the middle half of the arms", fontsize=10)
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _costs(results: list[RepetitionResult], kind: str, name: str) -> Floats:
-    return np.array([run["cost"] for run in _of(results, kind, name).repetitions])
+    (found,) = (result for result in results if (result.kind, result.name) == (kind, name))
+    return np.array([run["cost"] for run in found.repetitions])
 
 
 def _draw(axes: Axes, results: list[RepetitionResult], kind: str, names: tuple[str, ...], unit: Floats) -> list[_Label]:

@@ -48,120 +48,111 @@ class Assumption:
     alternatives: list[Alternative]
 
 
+def _arm(*, unknown: bool = False, **constants: float) -> dict[str, Any]:
+    return {"arm": constants, "unknown": unknown}
+
+
+def _settings(**changes: Any) -> dict[str, Any]:
+    return {"changes": changes}
+
+
+_FRICTION, _DAMPING = _TABLE_1.coulomb_friction, _TABLE_1.belt_damping_ratio
+_OF_ARM_AND_SERVO: tuple[tuple[str, str, dict[str, dict[str, Any]]], ...] = (
+    ("how the arm folds", "as printed", {"full two-link arm": _settings(model="lagrangian")}),
+    (
+        "M2(90°)",
+        f"{_TABLE_1.arm_inertia + _TABLE_1.arm_inertia_swing:.2f} kg m²",
+        {
+            "M2(90°) 0.04 kg m²": _arm(arm_inertia_swing=0.03),
+            "M2(90°) 0.10 kg m²": _arm(arm_inertia_swing=0.09),
+            "payload 0.2 kg: 0.12 kg m²": _arm(payload_mass=0.2),
+            "M2(90°) 0.05, taken for 0.07": _arm(unknown=True, arm_inertia_swing=0.04),
+            "M2(90°) 0.09, taken for 0.07": _arm(unknown=True, arm_inertia_swing=0.08),
+        },
+    ),
+    (
+        "Coulomb friction",
+        f"{_FRICTION:g} N m, set-valued: the motor sticks",
+        {
+            "no Coulomb friction": _arm(coulomb_friction=0.0),
+            "Coulomb friction × 0.7": _arm(coulomb_friction=0.7 * _FRICTION),
+            "Coulomb friction of Table 1": _arm(coulomb_friction=_FRICTION),
+            "Coulomb friction × 1.3": _arm(coulomb_friction=1.3 * _FRICTION),
+        },
+    ),
+    (
+        "belt damping ratio",
+        f"ζ = {_DAMPING:g} at 90°",
+        {f"belt damping ζ = {ratio:g}": _arm(belt_damping_ratio=ratio) for ratio in (0.0, 0.005, _DAMPING, 0.05)},
+    ),
+    (
+        "torque limit",
+        f"{_TABLE_1.torque_limit:g} N m",
+        {f"torque limit {limit:g} N m": _arm(torque_limit=limit) for limit in (0.12, 0.10, 0.08)},
+    ),
+    (
+        "length l3 of the hand",
+        f"{_TABLE_1.hand_length:.2f} m",
+        {"hand 0 m": _arm(hand_length=0.0), "hand 0.20 m": _arm(hand_length=0.20)},
+    ),
+    (
+        "sign of the friction compensation",
+        "that of the reference speed",
+        {
+            "compensated by measured speed": _settings(friction_sign="measured"),
+            "friction not compensated": _settings(friction_sign="none"),
+        },
+    ),
+    (
+        "torsional velocity",
+        "simulated from encoder data",
+        {"torsion measured exactly": _settings(true_torsion=True)},
+    ),
+    (
+        "encoder",
+        f"{ENCODER_COUNTS} counts per revolution",
+        {
+            "encoder 1000 counts": _settings(encoder_counts=1000),
+            "encoder 100 000 counts": _settings(encoder_counts=100_000),
+        },
+    ),
+)
+"""Name, chosen value, and what differs of an `Alternative`, by its label."""
+
+
 def list_assumptions(standard: MoveShape) -> list[Assumption]:
     """Everything assumed, varied one at a time around the standard move."""
-    return [*_of_the_move(standard), *_of_the_arm(standard), *_of_the_servo(standard)]
+    others = [
+        Assumption(name, chosen, [Alternative(label, standard, **values) for label, values in alternatives.items()])
+        for name, chosen, alternatives in _OF_ARM_AND_SERVO
+    ]
+    return [*_of_the_move(standard), *others]
 
 
 def _of_the_move(standard: MoveShape) -> list[Assumption]:
-    ramps = [(f"ramps of {ramp:g} s", standard._replace(ramp_time=ramp)) for ramp in _RAMP_TIMES]
-    durations = [
-        (
-            f"move of {factor * standard.duration:.3g} s",
-            standard._replace(duration=factor * standard.duration, ramp_time=factor * standard.ramp_time),
-        )
+    start, goal, duration, ramp_time = standard
+    length = abs(goal - start)
+    ramps = {f"ramps of {ramp:g} s": standard._replace(ramp_time=ramp) for ramp in _RAMP_TIMES}
+    durations = {
+        f"move of {factor * duration:.3g} s": MoveShape(start, goal, factor * duration, factor * ramp_time)
         for factor in _LENGTHENED
-    ]
-    length = abs(standard.goal - standard.start)
-    places = [  # with one end at 0° two of them are the same
-        ("backwards", standard._replace(start=standard.goal, goal=standard.start)),
-        ("the same length, to 0°", standard._replace(start=length, goal=0.0)),
-        ("the same length, from 0°", standard._replace(start=0.0, goal=length)),
-    ]
+    }
+    places = {  # with one end at 0° two of them are the same
+        "backwards": standard._replace(start=goal, goal=start),
+        "the same length, to 0°": standard._replace(start=length, goal=0.0),
+        "the same length, from 0°": standard._replace(start=0.0, goal=length),
+    }
     return [
-        Assumption("ramp time of the trapezoid", f"{standard.ramp_time:g} s", _allowed(ramps, standard)),
-        Assumption("duration of the move", f"{standard.duration:g} s", _allowed(durations, standard)),
-        Assumption(
-            "where the move leads",
-            f"{degrees(standard.start)} to {degrees(standard.goal)}",
-            _allowed(places, standard),
-        ),
+        Assumption("ramp time of the trapezoid", f"{ramp_time:g} s", _allowed(ramps, standard)),
+        Assumption("duration of the move", f"{duration:g} s", _allowed(durations, standard)),
+        Assumption("where the move leads", f"{degrees(start)} to {degrees(goal)}", _allowed(places, standard)),
     ]
 
 
-def _of_the_arm(standard: MoveShape) -> list[Assumption]:
-    def of_arm(label: str, *, unknown: bool = False, **arm: float) -> Alternative:
-        return Alternative(label, standard, arm, unknown)
-
-    friction, damping = _TABLE_1.coulomb_friction, _TABLE_1.belt_damping_ratio
-    return [
-        Assumption(
-            "how the arm folds",
-            "as printed",
-            [Alternative("full two-link arm", standard, changes={"model": "lagrangian"})],
-        ),
-        Assumption(
-            "M2(90°)",
-            f"{_TABLE_1.arm_inertia + _TABLE_1.arm_inertia_swing:.2f} kg m²",
-            [
-                of_arm("M2(90°) 0.04 kg m²", arm_inertia_swing=0.03),
-                of_arm("M2(90°) 0.10 kg m²", arm_inertia_swing=0.09),
-                of_arm("payload 0.2 kg: 0.12 kg m²", payload_mass=0.2),
-                of_arm("M2(90°) 0.05, taken for 0.07", unknown=True, arm_inertia_swing=0.04),
-                of_arm("M2(90°) 0.09, taken for 0.07", unknown=True, arm_inertia_swing=0.08),
-            ],
-        ),
-        Assumption(
-            "Coulomb friction",
-            f"{friction:g} N m, set-valued: the motor sticks",
-            [
-                of_arm("no Coulomb friction", coulomb_friction=0.0),
-                of_arm("Coulomb friction × 0.7", coulomb_friction=0.7 * friction),
-                of_arm("Coulomb friction of Table 1", coulomb_friction=friction),
-                of_arm("Coulomb friction × 1.3", coulomb_friction=1.3 * friction),
-            ],
-        ),
-        Assumption(
-            "belt damping ratio",
-            f"ζ = {damping:g} at 90°",
-            [of_arm(f"belt damping ζ = {ratio:g}", belt_damping_ratio=ratio) for ratio in (0.0, 0.005, damping, 0.05)],
-        ),
-        Assumption(
-            "torque limit",
-            f"{_TABLE_1.torque_limit:g} N m",
-            [of_arm(f"torque limit {limit:g} N m", torque_limit=limit) for limit in (0.12, 0.10, 0.08)],
-        ),
-        Assumption(
-            "length l3 of the hand",
-            f"{_TABLE_1.hand_length:.2f} m",
-            [of_arm("hand 0 m", hand_length=0.0), of_arm("hand 0.20 m", hand_length=0.20)],
-        ),
-    ]
-
-
-def _of_the_servo(standard: MoveShape) -> list[Assumption]:
-    def of_servo(label: str, **changes: Any) -> Alternative:
-        return Alternative(label, standard, changes=changes)
-
-    return [
-        Assumption(
-            "sign of the friction compensation",
-            "that of the reference speed",
-            [
-                of_servo("compensated by measured speed", friction_sign="measured"),
-                of_servo("friction not compensated", friction_sign="none"),
-            ],
-        ),
-        Assumption(
-            "torsional velocity",
-            "simulated from encoder data",
-            [of_servo("torsion measured exactly", true_torsion=True)],
-        ),
-        Assumption(
-            "encoder",
-            f"{ENCODER_COUNTS} counts per revolution",
-            [
-                of_servo("encoder 1000 counts", encoder_counts=1000),
-                of_servo("encoder 100 000 counts", encoder_counts=100_000),
-            ],
-        ),
-    ]
-
-
-def _allowed(named: list[tuple[str, MoveShape]], standard: MoveShape) -> list[Alternative]:
+def _allowed(named: dict[str, MoveShape], standard: MoveShape) -> list[Alternative]:
     """Alternative moves that the environment allows, without the standard one and without repetitions."""
     alternatives: list[Alternative] = []
-    for name, move in named:
+    for name, move in named.items():
         others = (standard, *(alternative.move for alternative in alternatives))
         if is_allowed(move) and not any(np.allclose(move, other) for other in others):
             alternatives.append(Alternative(name, move))

@@ -5,17 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from baselines.tools.files import write_atomically
 from beltarm_env.task.seeds import PAPER_MOVES
 from eval.reproduction.locus_plots import damping_picture, locus_picture
 from eval.reproduction.loop import PAPER_ARM, k4_locus
@@ -23,12 +18,12 @@ from eval.reproduction.responses import Response
 from eval.reproduction.ringing import PHASES, REDUCED, REMOVED, Suppression
 from eval.reproduction.study import AS_ANALYSED, FRICTION, MAIN, STANDARD, TO_0, PaperStudy, Scene
 from eval.style.colours import BLUE, GREEN, ORANGE, PINK
+from eval.style.figures import save_figures
 from eval.style.text import degrees
 
 WITHOUT, SUPPRESSED = ORANGE, BLUE
 """Colours of K4 = 0 and of the gain given."""
 _PHASE_SHADE = "#F0F0F0"
-_DPI = 100
 _STYLES: dict[str, dict[str, Any]] = {AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, FRICTION: {"lw": 1.5}}
 """How lines as analysed and with friction are drawn: both can be seen where they coincide."""
 
@@ -60,17 +55,7 @@ def save_pictures(study: PaperStudy, folder: Path) -> list[Path]:
         "assumptions.png": lambda: _assumptions(study),
         "moves.png": lambda: _moves(study),
     }
-    paths = []
-    for name, draw in figures.items():
-        figure, path = draw(), folder / name
-        write_atomically(path, lambda temporary, figure=figure: _write(figure, temporary))
-        plt.close(figure)
-        paths.append(path)
-    return paths
-
-
-def _write(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=_DPI, format="png", pil_kwargs={"optimize": True})
+    return save_figures(figures, folder, dpi=100, pil_kwargs={"optimize": True})
 
 
 def _responses(study: PaperStudy, place: str, view: str, rows: tuple[tuple[str, str, str | None], ...]) -> Figure:
@@ -112,10 +97,10 @@ def _signal(
     stop = scene.move.duration
     axis.axvspan(0, stop, color=_PHASE_SHADE, zorder=0)
     if reference is not None:
-        axis.plot(shown.time, getattr(shown, reference), color="0.35", lw=1.2, ls="--", label="reference")
+        axis.plot(shown.time, shown.signal(reference), color="0.35", lw=1.2, ls="--", label="reference")
     else:
         axis.axhline(0, color="0.35", lw=1.2, ls="--")
-    axis.plot(shown.time, getattr(shown, name), color=colour, lw=1.4, label=label)
+    axis.plot(shown.time, shown.signal(name), color=colour, lw=1.4, label=label)
     axis.set_xlim(0, shown.time[-1])
     axis.grid(alpha=0.3)
 
@@ -173,14 +158,10 @@ def _ramp_sweep(axis: Axes, study: PaperStudy) -> None:
     axis.text(period, 0.97, " one period", transform=axis.get_xaxis_transform(), color="0.35", fontsize=9, va="top")
     axis.set(xlabel="ramp time of the trapezoid (s)", ylabel="ringing after the stop (m/s²)")
     axis.set_ylim(bottom=0)
-    axis.set_title(_title(study), fontsize=11)
+    start, goal = study.move[:2]
+    axis.set_title(f"{degrees(start)} to {degrees(goal)} in {study.move.duration:g} s", fontsize=11)
     axis.grid(alpha=0.3)
     _legend_below(axis)
-
-
-def _title(study: PaperStudy) -> str:
-    start, goal = study.move[:2]
-    return f"{degrees(start)} to {degrees(goal)} in {study.move.duration:g} s"
 
 
 def _distribution(axis: Axes, study: PaperStudy) -> None:

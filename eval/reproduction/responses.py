@@ -29,20 +29,11 @@ class Response:
     lateral_speed: Floats  # y'; the reference has none
     torque: Floats  # of the motor
 
-    @property
-    def radial_acceleration(self) -> Floats:
-        """Acceleration of r; as in the paper the tachometer's r' differentiated."""
-        return np.diff(self.radial_speed, prepend=0.0) / CONTROL_PERIOD
-
-    @property
-    def radial_acceleration_reference(self) -> Floats:
-        """Acceleration of r of a rigid arm."""
-        return np.diff(self.radial_speed_reference, prepend=0.0) / CONTROL_PERIOD
-
-    @property
-    def lateral_acceleration(self) -> Floats:
-        """Acceleration across the line of motion."""
-        return np.diff(self.lateral_speed, prepend=0.0) / CONTROL_PERIOD
+    def signal(self, name: str) -> Floats:
+        """A speed by its name; or an acceleration, as in the paper the tachometer's speed differentiated."""
+        if "acceleration" not in name:
+            return getattr(self, name)
+        return np.diff(getattr(self, name.replace("acceleration", "speed")), prepend=0.0) / CONTROL_PERIOD
 
     @property
     def motor_speed_error(self) -> float:

@@ -7,7 +7,7 @@ of the position loop, which is no vibration.
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import SeedRange
 from eval.reproduction.loop import ServoGains, without_and_with
-from eval.reproduction.runs import Conditions, run_moves, run_random_moves
+from eval.reproduction.runs import Conditions, run_moves
 
 Floats = NDArray[np.float64]
 Answer = Literal["yes", "in part", "no", "not comparable"]
@@ -33,7 +33,7 @@ REDUCED = 0.8
 """Ratio to the ringing without vibration feedback below which it counts as reduced; above the inverse, as increased."""
 REMOVED = 0.1
 """Ratio below which it counts as removed."""
-ANSWERS: tuple[Answer, ...] = ("yes", "in part", "no", "not comparable")
+ANSWERS: tuple[Answer, ...] = get_args(Answer)
 
 
 class Ringing(NamedTuple):
@@ -113,11 +113,6 @@ class Suppression(NamedTuple):
         return "yes" if ratio < REMOVED else "in part" if ratio < REDUCED else "no"
 
 
-def suppression(conditions: Conditions, gains: ServoGains, moves: list[MoveShape]) -> Suppression:
-    """Run moves without and with vibration feedback."""
+def suppression(conditions: Conditions, gains: ServoGains, moves: list[MoveShape] | SeedRange) -> Suppression:
+    """Run moves, or those that the environment draws from some seeds, without and with vibration feedback."""
     return Suppression(*(ringing_of(run_moves(conditions, g, moves)) for g in without_and_with(gains)))
-
-
-def random_suppression(conditions: Conditions, gains: ServoGains, seeds: SeedRange) -> Suppression:
-    """Run moves that the environment draws without and with vibration feedback."""
-    return Suppression(*(ringing_of(run_random_moves(conditions, g, seeds)) for g in without_and_with(gains)))

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines import PaperController
+from baselines.reading import read
 from baselines.servo.paper import PaperGains, PaperMemory
 from beltarm_env import ArmParams
-from beltarm_env.observation import decode, size
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import check_moves
 from beltarm_env.task.reference import TRAPEZOID, MoveShape
@@ -21,7 +21,6 @@ from eval.reproduction.loop import PAPER_ARM, ServoGains
 
 FrictionSign = Literal["reference", "measured", "none"]
 
-_MEASURED = size("encoder")
 _UNLIMITED = 100.0  # torque limit [N m] at which the servo inside `AssumedServo` never saturates
 
 
@@ -65,13 +64,13 @@ class AssumedServo:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], PaperMemory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
-        action, memory = self._servo.predict(observation[:, :_MEASURED], state, episode_start, deterministic)
-        torque, seen = action[:, 0].astype(np.float64) * _UNLIMITED, decode(observation, "full")
+        action, memory = self._servo.predict(observation, state, episode_start, deterministic)
+        torque, reading = action[:, 0].astype(np.float64) * _UNLIMITED, read(observation, self._servo.params, "full")
         if self._conditions.friction_sign != "none":
-            moving = "reference_speed" if self._conditions.friction_sign == "reference" else "motor_speed"
-            torque += self._coulomb_friction * np.sign(seen[moving])
-        if self._conditions.true_torsion:
-            torque -= self._k4 * seen["torsion_speed"]
+            reference = self._conditions.friction_sign == "reference"
+            torque += self._coulomb_friction * np.sign(reading.reference_speed if reference else reading.motor_speed)
+        if self._conditions.true_torsion and reading.torsion is not None:
+            torque -= self._k4 * reading.torsion[:, 1]
         return np.clip(torque / self._limit, -1, 1).astype(np.float32)[:, None], memory
 
 
@@ -93,23 +92,19 @@ def is_allowed(move: MoveShape) -> bool:
     return True
 
 
-def run_moves(conditions: Conditions, gains: ServoGains, moves: list[MoveShape]) -> Recording:
-    """Run given moves side by side."""
-    table = dict(zip(MoveShape._fields, np.array(moves).T, strict=True))
-    return _run(conditions, gains, len(moves), 0, {"move": table})
-
-
-def run_random_moves(conditions: Conditions, gains: ServoGains, seeds: SeedRange) -> Recording:
-    """Run the moves that the environment draws from each of the seeds."""
-    return _run(conditions, gains, seeds.size, seeds.first, {})
-
-
-def _run(conditions: Conditions, gains: ServoGains, count: int, seed: int, options: dict[str, Any]) -> Recording:
+def run_moves(conditions: Conditions, gains: ServoGains, moves: list[MoveShape] | SeedRange) -> Recording:
+    """Run given moves side by side, or those that the environment draws from each of some seeds."""
+    options: dict[str, Any] = {"params": asdict(conditions.arm)}
+    if isinstance(moves, SeedRange):
+        seed, count = moves
+    else:
+        seed, count = 0, len(moves)
+        options["move"] = dict(zip(MoveShape._fields, np.array(moves).T, strict=True))
     return rollout(
         AssumedServo(conditions, gains.feedback),
         count,
         seed=seed,
-        options={"params": asdict(conditions.arm), **options},
+        options=options,
         sensors="full",
         encoder_counts=conditions.encoder_counts,
         model=conditions.model,

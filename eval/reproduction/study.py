@@ -19,7 +19,6 @@ from eval.reproduction.ringing import (
     REMOVED,
     Answer,
     Suppression,
-    random_suppression,
     ringing_of,
     suppression,
 )
@@ -131,7 +130,7 @@ def run_study(gains: ServoGains, move: MoveShape) -> PaperStudy:
         {view: try_alternatives(assumptions, base, gains) for view, base in MAIN.items()},
         np.array([one.ramp_time for one in swept]),
         {view: suppression(conditions, gains, swept) for view, conditions in MAIN.items()},
-        {view: random_suppression(under, gains, PAPER_MOVES) for view, under in BOTH_ARMS.items()},
+        {view: suppression(under, gains, PAPER_MOVES) for view, under in BOTH_ARMS.items()},
     )
 
 

@@ -14,14 +14,7 @@ _EPISODES = 5
 
 
 def accuracy_row() -> Row:
-    """Largest tip distance to the event-located reference over stick-slip moves."""
-    worst, changes = _tip_error()
-    what = f"tip error of {_EPISODES} stick-slip episodes, {changes} mode changes"
-    return what, f"{1e6 * worst:.4f} um", "event-located DOP853", "-"
-
-
-def _tip_error() -> tuple[float, int]:
-    """Largest distance of the tips [m], and how often the arms changed between stick and slip."""
+    """Largest tip distance to the event-located reference over stick-slip moves, and their changes of mode."""
     worst, changes = 0.0, 0
     for seed in range(_EPISODES):
         env = gym.make("BeltArm-v0", randomization="train")
@@ -39,4 +32,5 @@ def _tip_error() -> tuple[float, int]:
             distance = np.linalg.norm(tip(arm.params, arm.state) - tip(reference.params, reference.state))
             worst = max(worst, float(distance))
         changes += len(reference.mode_changes)
-    return worst, changes
+    what = f"tip error of {_EPISODES} stick-slip episodes, {changes} mode changes"
+    return what, f"{1e6 * worst:.4f} um", "event-located DOP853", "-"

@@ -22,15 +22,13 @@ REGIMES = {
     "moves": "the benchmark's moves",
     "stick-slip": "back and forth",
 }
-MUJOCOS_OWN = "RK4, d = 0.9, b = 100/s"
-"""The setting with the friction that MuJoCo has by default."""
 STEPS = (1, 2, 4, 8)
 """MuJoCo steps per control period."""
 SETTINGS = {
     "RK4": {"integrator": "rk4"},
     "implicitfast": {"integrator": "implicitfast"},
     "Euler": {"integrator": "euler"},
-    MUJOCOS_OWN: {"integrator": "rk4", "friction_impedance": 0.9, "friction_rate": 100.0},
+    "RK4, d = 0.9, b = 100/s": {"integrator": "rk4", "friction_impedance": 0.9, "friction_rate": 100.0},
     "RK4, d = 0.9999, b = 100/s": {"integrator": "rk4", "friction_impedance": 0.9999, "friction_rate": 100.0},
     "RK4, d = 0.9999, b = 400/s": {"integrator": "rk4", "friction_impedance": 0.9999, "friction_rate": 400.0},
 }

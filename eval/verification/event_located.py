@@ -91,10 +91,6 @@ class EventLocatedArm:
         m11, m12, m22 = self._terms(*self._y.tolist())[:3]
         return np.array([[m11, m12], [m12, m22]])
 
-    def rates(self, torque: float, friction: float | None) -> tuple[list[float], float]:
-        """Derivatives of (q, q'), and the friction torque [N m]; `friction` is None while the motor sticks."""
-        return self._rates(self._y, torque, friction)
-
     def holding_torque(self, torque: float) -> float:
         """Friction torque that would hold the motor at standstill, against a motor torque [N m]."""
         return self.rates(torque, None)[1]
@@ -125,13 +121,13 @@ class EventLocatedArm:
         holding = self.holding_torque(torque)
         return broke_away or (int(np.sign(holding)) if abs(holding) > self._holds else 0)
 
-    def _rates(self, y: Floats, torque: float, friction: float | None) -> tuple[list[float], float]:
-        """Derivatives of y = (q, q'), and the friction torque; `friction` is None while the motor sticks.
+    def rates(self, torque: float, friction: float | None, y: Floats | None = None) -> tuple[list[float], float]:
+        """Derivatives of y = (q, q'), by default the arm's own, and the friction torque [N m].
 
-        A stuck motor has theta_1'' = 0, so phi'' follows from the second equation alone and the first one says what
-        holds the motor: G tau_f = G tau_m - tau_b - M_12 phi'' - c_1.
+        `friction` is None while the motor sticks. A stuck motor has theta_1'' = 0, so phi'' follows from the second
+        equation alone and the first one says what holds the motor: G tau_f = G tau_m - tau_b - M_12 phi'' - c_1.
         """
-        p, (theta_1, phi, omega_1, omega_phi) = self.params, y.tolist()
+        p, (theta_1, phi, omega_1, omega_phi) = self.params, (self._y if y is None else y).tolist()
         m11, m12, m22, c1, c2, _ = self._terms(theta_1, phi, omega_1, omega_phi)
         belt = p.belt_stiffness * (theta_1 - phi) + self._damping * (omega_1 - omega_phi)
         if friction is None:
@@ -151,14 +147,14 @@ class EventLocatedArm:
             return y[2] if t > start or y[2] != 0 else direction * 1e-300
 
         def breaks_away(_: float, y: Floats) -> float:
-            return abs(self._rates(y, torque, None)[1]) - self._holds
+            return abs(self.rates(torque, None, y)[1]) - self._holds
 
         event: Any = breaks_away if direction == 0 else stops
         event.terminal = True
         event.direction = 1 if direction == 0 else -direction
         friction = None if direction == 0 else direction * self.params.coulomb_friction
         solution = solve_ivp(
-            lambda _, y: self._rates(y, torque, friction)[0],
+            lambda _, y: self.rates(torque, friction, y)[0],
             (start, end),
             self._y,
             method="DOP853",

@@ -6,27 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
-from numpy.typing import NDArray
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
 from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
 from eval.comparison.results import Comparison, MethodOutcome, best_classical
 from eval.style.axes import mark_one_two_five
-from eval.style.colours import BLUE, COLOURS, GREEN, ORANGE
+from eval.style.colours import BLUE, COLOURS, OF_KIND
+from eval.style.figures import save_figures
 from eval.views.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
-_KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN, "privileged": "0.55"}
 RESULTS_KEY = "results.json"
 """Of a picture's metadata: the SHA-256 of the file that the picture belongs to."""
 _ACROSS = 4  # splits side by side
@@ -37,28 +32,15 @@ def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: st
     """Draw all pictures into `folder`, each with the SHA-256 of the results.json that it belongs to."""
     shown = dict.fromkeys(name for methods in traces.values() for name in methods)
     colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
-    figures = {}
-    if traces:
-        figures["tip_error.png"] = _time_plot(traces, colours, _tip_error, "tip error (mm)")
-        figures["residual.png"] = _residual_plot(traces, colours)
-        figures["torque.png"] = _time_plot(traces, colours, _torque, "motor torque (N m)")
-    figures["intervals.png"] = _intervals(comparison)
-    paths = []
-    for name, figure in figures.items():
-        path = folder / name
-        options = {"dpi": 120, "metadata": {RESULTS_KEY: results}}
-        write_atomically(path, lambda temporary, figure=figure, options=options: figure.savefig(temporary, **options))
-        plt.close(figure)
-        paths.append(path)
-    return paths
-
-
-def _tip_error(recording: Recording) -> NDArray[np.float64]:
-    return 1000 * np.linalg.norm(recording.tip_error[:, 0], axis=1)
-
-
-def _torque(recording: Recording) -> NDArray[np.float64]:
-    return recording.torque[:, 0]
+    figures: dict[str, Callable[[], Figure]] = {
+        "tip_error.png": lambda: _time_plot(
+            traces, colours, lambda run: 1000 * np.linalg.norm(run.tip_error[:, 0], axis=1), "tip error (mm)"
+        ),
+        "residual.png": lambda: _residual_plot(traces, colours),
+        "torque.png": lambda: _time_plot(traces, colours, lambda run: run.torque[:, 0], "motor torque (N m)"),
+    }
+    figures = (figures if traces else {}) | {"intervals.png": lambda: _intervals(comparison)}
+    return save_figures(figures, folder, metadata={RESULTS_KEY: results})
 
 
 def _grid(count: int, height: float, rows: int = 1) -> tuple[Figure, list[list[Axes]]]:
@@ -88,7 +70,7 @@ def _legend(figure: Figure, axes: list[Axes], columns: int, **options: Any) -> N
     entries = {}
     for axis in axes:
         entries.update(dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True)))
-    order = list(_KIND_COLOURS)
+    order = list(OF_KIND)
     if all(label in order for label in entries):
         entries = {label: entries[label] for label in sorted(entries, key=order.index)}
     options = {"loc": "outside lower center", "ncols": columns, "frameon": False} | options
@@ -158,9 +140,7 @@ def _interval_axis(axis: Axes, ranking: list[MethodOutcome], name: str) -> None:
         value = outcome.estimates[name]
         ends = [[value.iqm - value.low], [value.high - value.iqm]]
         kind = outcome.method.kind
-        axis.errorbar(
-            value.iqm, height, xerr=np.abs(ends), fmt="o", color=_KIND_COLOURS[kind], ms=4, capsize=2, label=kind
-        )
+        axis.errorbar(value.iqm, height, xerr=np.abs(ends), fmt="o", color=OF_KIND[kind], ms=4, capsize=2, label=kind)
     unranked = sum(not outcome.ranked for outcome in ranking)
     if unranked:
         axis.axhline(unranked - 0.5, color="0.55", lw=0.8)

@@ -98,7 +98,8 @@ def _frames(tracks: list[Track], samples: list[int]) -> Iterator[np.ndarray]:
     pygame = import_pygame()
     pygame.font.init()
     font = pygame.font.Font(None, 23)
-    largest = float(np.median([track.error.max() for track in tracks])), max(_torque_limit(track) for track in tracks)
+    limits = [float(track.motion.params[0, COLUMN.torque_limit]) for track in tracks]
+    largest = float(np.median([track.error.max() for track in tracks])), max(limits)
     for k in samples:
         surface = pygame.Surface((_COLUMN * len(tracks), _SIZE))
         surface.fill(_PAPER)
@@ -106,10 +107,6 @@ def _frames(tracks: list[Track], samples: list[int]) -> Iterator[np.ndarray]:
             _draw(pygame, surface.subsurface((column * _COLUMN, 0, _COLUMN, _SIZE)), font, track, k, largest)
         pixels = pygame.image.tobytes(surface, "RGB")
         yield np.frombuffer(pixels, np.uint8).reshape(_SIZE, _COLUMN * len(tracks), 3)
-
-
-def _torque_limit(track: Track) -> float:
-    return float(track.motion.params[0, COLUMN.torque_limit])
 
 
 def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: tuple[float, float]) -> None:

@@ -9,12 +9,11 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from eval.comparison.results import Comparison, profiles
-from eval.style.colours import BLUE, GREEN, ORANGE
+from eval.style.colours import OF_KIND
 from eval.style.metrics import cell
 from eval.views.report.scenes import Map
 from eval.views.report.svg import GROUND, INK, WIDTH, Panel, faint, line, panel, panel_style
 
-KIND_COLOURS = {"classical": BLUE, "learned": ORANGE, "added": GREEN}
 STRONGEST = 4
 """Ratio of a map's strongest colour, in all maps, so that they can be compared."""
 _MARKERS = {"classical": "o", "learned": "s", "added": "D"}
@@ -37,7 +36,7 @@ def _forest(comparison: Comparison, split: str) -> Panel:
         pair, kind = pairs[method]["cost"], kinds[method]
         value = pair.difference
         ends = np.abs([[value.iqm - value.low], [value.high - value.iqm]])
-        style = {"fmt": _MARKERS[kind], "color": KIND_COLOURS[kind], "ms": 5, "capsize": 2.5}
+        style = {"fmt": _MARKERS[kind], "color": OF_KIND[kind], "ms": 5, "capsize": 2.5}
         axis.errorbar(value.iqm, height, xerr=ends, mfc=None if pair.survives else "none", **style)
     axis.axvline(0, color=INK, lw=0.9)
     axis.set_yticks(range(len(order)), order)

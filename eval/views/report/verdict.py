@@ -159,7 +159,9 @@ def _without_challenger(comparison: Comparison) -> list[str]:
     names = "; ".join(
         f"{split}: {best.method.name} ({cell('cost', best.estimates['cost'])})" for split, best in leaders.items()
     )
-    tied = [f"{split} ({', '.join(found)})" for split in leaders if (found := _ties(comparison, split))]
+    against_best = {split: comparison.against_best[split].items() for split in leaders}
+    ties = {split: [name for name, p in pairs if not p["cost"].survives] for split, pairs in against_best.items()}
+    tied = [f"{split} ({', '.join(found)})" for split, found in ties.items() if found]
     return [
         f"Learned against classical is not decided here: {missing}.",
         f"The lowest cost among the classical controllers, by split: {names}.",
@@ -167,7 +169,3 @@ def _without_challenger(comparison: Comparison) -> list[str]:
         if tied
         else "Every other one is shown to cost more.",
     ]
-
-
-def _ties(comparison: Comparison, split: str) -> list[str]:
-    return [name for name, pairs in comparison.against_best[split].items() if not pairs["cost"].survives]
