@@ -9,9 +9,9 @@ correction is the error of the predicted encoder angle, weighted,
 
     [x; d] = [x^-; d] + L(theta_1) (theta_a - x^-_1)
 
-with the steady-state gain L of the linear arm (python-control's `dlqe`), tabulated over the joint angle. The encoder's
-rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the motor, a torsional
-acceleration (stiffness and inertia that differ) and the random walk of d.
+with the steady-state gain L of the linear arm (by the discrete algebraic Riccati equation), tabulated over the joint
+angle. The encoder's rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the
+motor, a torsional acceleration (stiffness and inertia that differ) and the random walk of d.
 
 While the motor sticks, the encoder carries no information about the torsion: then only the angle is corrected, and
 torsion and its rate follow the model alone. If the encoder moves by more than two counts, the filter takes the motor to
@@ -23,9 +23,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-import control
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
 from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
 from baselines.reading import Reading
@@ -71,15 +71,11 @@ def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
         transition = np.eye(5)
         transition[:4, :4], transition[:4, 4] = tables.transition[k], tables.by_torque[k]
         covariance = np.zeros((5, 5))
-        for by_noise, deviation in (
-            (tables.by_torque[k], noise.torque),
-            (tables.by_acceleration[k], noise.acceleration),
-        ):
-            covariance[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
+        for by_noise, deviation in ((tables.by_torque, noise.torque), (tables.by_acceleration, noise.acceleration)):
+            covariance[:4, :4] += deviation**2 * np.outer(by_noise[k], by_noise[k])
         covariance[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
-        _, before, _ = control.dlqe(transition, np.eye(5), measured, covariance, np.array([[QUANTUM**2 / 12]]))
-        # dlqe's own gain is the predictor's, A times this one.
-        gains[k] = np.asarray(before)[:, 0] / (before[0, 0] + QUANTUM**2 / 12)
+        before = solve_discrete_are(transition.T, measured.T, covariance, np.array([[QUANTUM**2 / 12]]))
+        gains[k] = before[:, 0] / (before[0, 0] + QUANTUM**2 / 12)
     return gains
 
 

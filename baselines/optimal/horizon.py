@@ -25,8 +25,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from control import dare
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
 from baselines.models.linear import ANGLES, LinearArms, between, linear_arm, place
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
@@ -71,7 +71,7 @@ def horizon(
         weight = np.zeros((SIZE, SIZE))
         add_tip_cost(weight, float(angle), 0.0, softened_sine(float(angle)), plant, weights)
         step = single[k, :SIZE, :SIZE]
-        final[k] = dare(step, step[:, 4:], weight, [[change_weight]])[0] - weight
+        final[k] = solve_discrete_are(step, step[:, 4:], weight, [[change_weight]]) - weight
     return Horizon(
         plant,
         lengths.astype(np.int64),

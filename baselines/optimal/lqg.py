@@ -4,8 +4,7 @@
 
 State and torque of the smoothed move come from the flat output, see `baselines.optimal.flatness`; the torque is the one
 in the middle of the sample over which it is held. Estimates x and d are those of `baselines.estimation.observer`, a
-Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (python-control's
-`dlqr`) of the linear arm at each of 46 joint angles, interpolated at the angle of the reference. It minimises
+Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (LQR) of the linear arm at each of 46 joint angles, interpolated at the angle of the reference. It minimises
 
     sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
 
@@ -22,9 +21,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import control
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve, solve_discrete_are
 
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
@@ -73,8 +72,9 @@ def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
         scaled = scales[:, None] * np.array(tip_error_rows(float(angle), 0.0, bounded_sine(float(angle)), plant))
         state_cost = scaled.T @ scaled
         transition, by_torque = tables.transition[0, k], tables.by_torque[0, k][:, None]
-        gain, _, _ = control.dlqr(transition, by_torque, state_cost, np.array([[weights.torque]]))
-        gains[k] = np.asarray(gain)[0]
+        price = np.array([[weights.torque]])
+        to_go = solve_discrete_are(transition, by_torque, state_cost, price)
+        gains[k] = solve(by_torque.T @ to_go @ by_torque + price, by_torque.T @ to_go @ transition)[0]
     return gains
 
 
