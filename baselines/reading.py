@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.task.moves import MOVE_FIELDS
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Reading(NamedTuple):
@@ -25,12 +22,12 @@ class Reading(NamedTuple):
     reference_speed: Floats  # [rad/s]
     reference_acceleration: Floats  # [rad/s^2]
     move: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
-    step: NDArray[np.intp]  # control periods since the move's start
+    step: Integers  # control periods since the move's start
     last_torque: Floats  # held over the last period [N m]
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
 
 
-def read(observations: NDArray[np.float32], params: ArmParams, sensors: str = "encoder") -> Reading:
+def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> Reading:
     """Decode observations of shape (n, size).
 
     Args:

@@ -16,13 +16,13 @@ from typing import Any, ClassVar, overload
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.actor import ACTIVATIONS
 from agents.residual.env import ResidualVecEnv
+from beltarm_env.arrays import Singles
 from beltarm_env.task.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
@@ -134,7 +134,7 @@ class ResidualSAC(SAC):
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Singles, Singles]:
         return super()._sample_action(0, action_noise, n_envs)
 
 

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.residual.knowledge import KNOWLEDGE, InformedBase, InformedMemory, Knowledge
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller
-
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

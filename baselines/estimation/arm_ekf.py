@@ -20,19 +20,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import FIELDS, params_table
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.simulation import load_arms
-
-Floats = NDArray[np.float64]
 
 IDENTIFIED = (
     "arm_inertia_swing",
@@ -81,7 +79,7 @@ class Tracks(NamedTuple):
     covariance: Floats  # of both, shape (10, 10, m)
     evidence: Floats  # ln of the likelihood of all that the encoder has shown, shape (m,)
 
-    def of(self, rows: NDArray[np.intp]) -> Tracks:
+    def of(self, rows: Integers) -> Tracks:
         """Selection of filters."""
         return Tracks(*(part.take(rows, axis=-1) for part in self))
 

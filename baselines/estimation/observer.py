@@ -24,16 +24,14 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.sensors import ENCODER_COUNTS
-
-Floats = NDArray[np.float64]
 
 QUANTUM = 2 * np.pi / ENCODER_COUNTS
 """One count of the encoder [rad]."""
@@ -86,7 +84,7 @@ class StickSlipObserver:
         self.params = params
         self._gains = kalman_gains(params, noise or Noise())
 
-    def update(self, estimate: Estimate | None, reading: Reading, begins: NDArray[np.bool_]) -> Estimate:
+    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> Estimate:
         """Bring the estimate up to this sample.
 
         Args:

@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimation.identification import Belief
 from baselines.estimation.observer import QUANTUM
@@ -33,11 +32,10 @@ from baselines.gains import tuned
 from baselines.iterative.lesson import Law, Lesson, Notes
 from baselines.iterative.norm_optimal import Linearisation, norm_weights, optimal_change
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.task.reference import TRAPEZOID, sample_references
-
-Floats = NDArray[np.float64]
 
 _YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below which it counts as stuck [rad/s / (N m)]
 

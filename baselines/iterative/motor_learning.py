@@ -19,18 +19,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.norm_optimal import Trial, Weights, optimal_change
 from baselines.models.linear import LinearArms, at_angle, linear_arm
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from baselines.servo.paper import PaperController, PaperMemory
 from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
-
-Floats = NDArray[np.float64]
 
 _EFFORT = 1.0  # R [1/(N m)^2]
 _SMOOTHNESS = 1000.0  # r [1/(N m)^2]: the filter against learning the encoder's rounding

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import params_table
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.linear import sample_models
-
-Floats = NDArray[np.float64]
 
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
 """Joint angles of the tables [rad], every two degrees; outside, tables are constant."""

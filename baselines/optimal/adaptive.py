@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.estimation.arm_ekf import IDENTIFIED, Uncertainty
@@ -26,10 +25,9 @@ from baselines.estimation.identification import ArmIdentifier, Belief, Identifyi
 from baselines.gains import Gains, tunable, tuned
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 _EVERY = 20  # samples between plans
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale

@@ -33,10 +33,9 @@ from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
-
-Floats = NDArray[np.float64]
 
 STEPS = np.repeat([1, 2, 4, 8], [8, 6, 6, 20])
 """Length of every step in samples: 0.3 s in all."""

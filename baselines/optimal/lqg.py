@@ -4,7 +4,8 @@
 
 State and torque of the smoothed move come from the flat output, see `baselines.optimal.flatness`; the torque is the one
 in the middle of the sample over which it is held. Estimates x and d are those of `baselines.estimation.observer`, a
-Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (LQR) of the linear arm at each of 46 joint angles, interpolated at the angle of the reference. It minimises
+Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (LQR) of the linear arm at each
+of 46 joint angles, interpolated at the angle of the reference. It minimises
 
     sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
 
@@ -22,7 +23,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve, solve_discrete_are
 
 from baselines.controller import ClassicalController
@@ -33,10 +33,9 @@ from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
 from baselines.optimal.plan import Weights
 from baselines.optimal.tip_error import bounded_sine, error_weights, tip_error_rows
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class LqgController(ClassicalController[LqgMemory]):
         friction = self.gains.friction_share * self.params.coulomb_friction * direction
         return torque - estimate.disturbance + friction, LqgMemory(corners, estimate)
 
-    def _resmoothed(self, corners: Corners | None, begins: NDArray[np.bool_], moves: Floats) -> Corners:
+    def _resmoothed(self, corners: Corners | None, begins: Flags, moves: Floats) -> Corners:
         """Smoothed moves, with new ones for arms that begin an episode."""
         if corners is not None and not begins.any():
             return corners

@@ -13,19 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)

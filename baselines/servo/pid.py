@@ -17,17 +17,15 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)

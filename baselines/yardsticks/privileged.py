@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.gains import tuned
@@ -19,11 +18,10 @@ from baselines.models.friction import breakaway_direction
 from baselines.optimal.adaptive import AdaptiveGains
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
 from baselines.optimal.preview import PreviewGains
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS, params_table
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import (
     QUINTIC,
@@ -17,8 +17,6 @@ from beltarm_env.task.reference import (
     SCURVE_PEAK_ACCELERATION,
     MoveShape,
 )
-
-Floats = NDArray[np.float64]
 
 MOVE_FIELDS = MoveShape._fields
 DRAWS = 5
@@ -203,7 +201,7 @@ def check_moves(profile: int, table: Floats) -> None:
             )
 
 
-def _require(allowed: NDArray[np.bool_], table: Floats, rule: str) -> None:
+def _require(allowed: Flags, table: Floats, rule: str) -> None:
     if not allowed.all():
         raise ValueError(f"move: {rule}, got {_describe(*table[int(np.argmin(allowed))])}")
 

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env.arm import FIELDS, NOMINAL, ArmParams
+from beltarm_env.arrays import Floats
 
-Floats = NDArray[np.float64]
 Ranges = Mapping[str, tuple[float, float]]
 
 
