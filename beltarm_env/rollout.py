@@ -29,11 +29,7 @@ class Controller(Protocol):
     """
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Compute actions for a batch of observations.
 

@@ -230,11 +230,7 @@ class _Paused:
         self._pause = pause
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Pause, then call the controller's `predict`."""
         self._pause(len(observation))

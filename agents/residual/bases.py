@@ -23,11 +23,7 @@ class NoController:
     """No torque at all: what an agent that learns from scratch starts from."""
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, None]:
         """Zeros of shape (n, 1)."""
         return np.zeros((len(observation), 1), np.float32), None

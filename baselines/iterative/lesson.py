@@ -75,11 +75,7 @@ class Notes:
         self._actions: list[Singles] = []
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Call the controller and record."""
         action, state = self.controller.predict(observation, state, episode_start, deterministic)

@@ -1,4 +1,4 @@
-"""Batches of full arms moved by MuJoCo instead of by the kernels."""
+"""Batches of full arms moved by MuJoCo instead of by the kernels, as the engine of an `ArmBatch`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _Arm:
 
 
 class MuJoCoArms:
-    """Engine of `num_arms` arms, each with a MuJoCo model and state of its own; see `batch.Engine`."""
+    """Engine of `num_arms` arms, each with a MuJoCo model and state of its own."""
 
     def __init__(self, num_arms: int) -> None:
         self._arms: dict[int, _Arm] = {}
