@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,6 +57,11 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         last_torque=seen["last_torque"] * params.torque_limit,
         torsion=np.stack([seen["torsion"], seen["torsion_speed"]], axis=1) if sensors == "full" else None,
     )
+
+
+def chosen(which: Flags, these: Any, others: Any) -> Any:
+    """Rows of `these` for arms in `which`, shape (n,), and of `others` for the rest; arrays with the arms first."""
+    return np.where(which.reshape(-1, *[1] * (these.ndim - 1)), these, others)
 
 
 def beginning(memory: object, episode_start: Flags | None, count: int) -> Flags:

@@ -8,11 +8,10 @@ an arm that does leave costs as much as a hundred that do not.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, log
 from pathlib import Path
-from typing import Any, ClassVar, overload
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -118,11 +117,7 @@ class SacConfig(ReinforcementConfig):
 class ClippedAdam(torch.optim.Adam):
     """Adam on gradients whose norm over all weights is at most `_MAX_GRADIENT`."""
 
-    @overload
-    def step(self, closure: None = None) -> None: ...
-    @overload
-    def step(self, closure: Callable[[], float]) -> float: ...
-    def step(self, closure: Callable[[], float] | None = None) -> float | None:
+    def step(self, closure: Any = None) -> Any:
         """Clip, and step."""
         for group in self.param_groups:
             torch.nn.utils.clip_grad_norm_(group["params"], _MAX_GRADIENT)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.residual.knowledge import KNOWLEDGE, InformedBase, InformedMemory, Knowledge
+from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller
 
@@ -111,13 +112,7 @@ class ResidualController:
             seen = self.informed.seen(observation, informed)
             fresh, following = self.policy.predict(seen, policy, episode_start, deterministic)
             residual = np.where(due[:, None], fresh, residual)
-            policy = _remembered(policy, following, due)
+            # Row by row: what it has become where the policy was due, what it was elsewhere.
+            policy = chosen(due, following, policy) if isinstance(policy, np.ndarray) else following
         action = combine(informed.action, residual, self.settings.limit)
         return action, ResidualMemory(informed, policy, residual, age + 1)
-
-
-def _remembered(before: Any, following: Any, due: Flags) -> Any:
-    """A policy's memory, row by row: what it has become where the policy was due, what it was elsewhere."""
-    if not isinstance(before, np.ndarray):
-        return following
-    return np.where(due.reshape(-1, *[1] * (before.ndim - 1)), following, before)

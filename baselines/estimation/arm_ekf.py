@@ -23,7 +23,7 @@ import numpy as np
 
 from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, params_table
+from beltarm_env.arm import COLUMN, FIELDS, params_table
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
@@ -41,7 +41,6 @@ IDENTIFIED = (
     "arm_inertia",
 )
 _ROWS = np.array([FIELDS.index(name) for name in IDENTIFIED])
-_LIMIT = FIELDS.index("torque_limit")
 _LOWEST = np.array([-0.5, -0.4, -0.3, -0.6, -0.6, -0.4])
 _HIGHEST = np.array([1.4, 0.4, 0.3, 0.6, 0.6, 0.4])
 """Bounds of the logarithms: they hold all arms of the benchmark, and only arms that can be integrated."""
@@ -103,7 +102,7 @@ def _simulated(state: Floats, table: Floats, torque: Floats, simulations: int) -
         count = min(LANES, len(torque) - low)
         arms = table[:, low : low + count].copy()
         for j in range(count):
-            actions[j] = min(max(torque[low + j] / arms[_LIMIT, j], -1.0), 1.0)
+            actions[j] = min(max(torque[low + j] / arms[COLUMN.torque_limit, j], -1.0), 1.0)
         load_arms(block, arms, LUMPED)
         for k in range(simulations):
             for i in range(4):

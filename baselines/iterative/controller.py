@@ -92,12 +92,9 @@ class IterativeController(AdaptiveController):
         torque, memory = super().law(reading, begins, memory)
         return self.lesson.torque(torque, memory.belief, reading) if self.lesson else torque, memory
 
-    def _identified(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> Belief:
-        return self._recalled(reading, begins, memory.belief if memory else None)
-
-    def _recalled(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
+    def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, which begins with the lesson's constants."""
-        new = self._identifier.update(belief, reading, begins)
+        new = super()._identified(reading, begins, belief)
         if self.lesson is None:
             return new
         if len(begins) != len(self.lesson.moves):
@@ -117,7 +114,7 @@ class IterativeController(AdaptiveController):
         begins[0] = True
         belief = None
         for reading, start in zip(readings, begins, strict=True):
-            belief = self._recalled(reading, start, belief)
+            belief = self._identified(reading, start, belief)
         assert belief is not None
         moves = readings[0].move.copy()
         new = Lesson(moves, belief.logs, belief.covariance[:, 4:, 4:].copy(), None)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimation.identification import Belief
-from baselines.reading import Reading, read
+from baselines.reading import Reading, chosen, read
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller
@@ -53,17 +52,13 @@ class Lesson:
         law = new.law
         if law:
             idle = law._replace(holds=np.zeros_like(law.holds))
-            law = Law(*(_chosen(which, old, now) for old, now in zip(self.law or idle, law, strict=True)))
-        logs, covariance = _chosen(which, self.logs, new.logs), _chosen(which, self.covariance, new.covariance)
+            law = Law(*(chosen(which, old, now) for old, now in zip(self.law or idle, law, strict=True)))
+        logs, covariance = chosen(which, self.logs, new.logs), chosen(which, self.covariance, new.covariance)
         return Lesson(new.moves, logs, covariance, law)
 
     def knows(self, reading: Reading) -> Flags:
         """Whether each arm makes the move of its lesson, shape (n,)."""
         return (reading.move == self.moves).all(axis=1)
-
-
-def _chosen(which: Flags, of_these: NDArray[Any], of_others: NDArray[Any]) -> NDArray[Any]:
-    return np.where(which.reshape(-1, *[1] * (of_these.ndim - 1)), of_these, of_others)
 
 
 class Notes:

@@ -122,7 +122,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
-        belief = self._identified(reading, begins, memory)
+        belief = self._identified(reading, begins, memory.belief if memory else None)
         bold = memory.bold.drop(begins) if memory else PlanCache.empty(belief)
         careful = memory.careful.drop(begins) if memory else PlanCache.empty(belief)
         bold = bold.replan(bold.is_stale(belief, reading), reading, belief, self._identifier, self._bold)
@@ -137,8 +137,9 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
         return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)
 
-    def _identified(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> Belief:
-        return self._identifier.update(memory.belief if memory else None, reading, begins)
+    def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
+        """Belief at this sample, from that of the last one."""
+        return self._identifier.update(belief, reading, begins)
 
 
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:

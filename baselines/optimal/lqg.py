@@ -33,7 +33,7 @@ from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
 from baselines.optimal.plan import Weights
 from baselines.optimal.tip_error import bounded_sine, error_weights, tip_error_rows
-from baselines.reading import Reading
+from baselines.reading import Reading, chosen
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
 
@@ -115,7 +115,4 @@ class LqgController(ClassicalController[LqgMemory]):
         new = smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)
         if corners is None:
             return new
-        which = begins[:, None]
-        start = np.where(begins, new.start, corners.start)
-        rest = (np.where(which, fresh, old) for fresh, old in zip(new[1:], corners[1:], strict=True))
-        return Corners(start, *rest)
+        return Corners(*(chosen(begins, *pair) for pair in zip(new, corners, strict=True)))

@@ -23,7 +23,7 @@ from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
-from baselines.reading import Reading
+from baselines.reading import Reading, chosen
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
 
@@ -39,12 +39,10 @@ class PidGains(FrictionGains):
 
 @dataclass(frozen=True, slots=True)
 class PidMemory:
-    """Memory from sample to sample: integral of the error, and the planned ramps."""
+    """Memory from sample to sample."""
 
     integral: Floats  # of the motor's angle error [rad s], shape (n,)
-    onset: Floats  # of the k planned ramps, see `Ramps`; shape (n, k)
-    time: Floats  # of the ramps
-    speed: Floats  # of the ramps
+    ramps: Ramps  # as planned
 
 
 class PidServo(ClassicalController[PidMemory]):
@@ -73,20 +71,16 @@ class PidServo(ClassicalController[PidMemory]):
         error, speed_error = motor_errors(reading, wanted, self.params)
         torque = self._torque(wanted, error, speed_error, integral)
         winding = (np.abs(torque) > self.params.torque_limit) & (torque * error > 0)
-        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), *ramps)
+        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), ramps)
 
     def _recall(self, memory: PidMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Ramps]:
         """Integral and plan at this sample: zero and a new one where an episode begins."""
         if memory is None:
             return np.zeros(len(begins)), self.plan(now.move)
-        ramps = Ramps(memory.onset, memory.time, memory.speed)
         if not begins.any():
-            return memory.integral, ramps
-        anew = zip(self.plan(now.move), ramps, strict=True)
-        return (
-            np.where(begins, 0.0, memory.integral),
-            Ramps(*(np.where(begins[:, None], fresh, old) for fresh, old in anew)),
-        )
+            return memory.integral, memory.ramps
+        ramps = Ramps(*(chosen(begins, *pair) for pair in zip(self.plan(now.move), memory.ramps, strict=True)))
+        return np.where(begins, 0.0, memory.integral), ramps
 
     def _torque(self, wanted: Motion, error: Floats, speed_error: Floats, integral: Floats) -> Floats:
         """Torque before it is cut at the limit [N m]."""

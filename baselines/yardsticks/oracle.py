@@ -24,7 +24,7 @@ from baselines.reading import read
 from baselines.tools.files import require_writable, write_text
 from baselines.tools.provenance import command_line
 from beltarm_env import EPISODE_STEPS, ArmParams, __version__
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import params_columns, params_table
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
@@ -79,8 +79,8 @@ class Replay:
 
 def replay(scenarios: list[Scenario], actions: Singles) -> Recording:
     """Run actions of shape (n, T) in the environment, each row in its scenario."""
-    params = {name: [getattr(s.params, name) for s in scenarios] for name in FIELDS}
-    move = {name: [getattr(s.move, name) for s in scenarios] for name in MoveShape._fields}
+    params = params_columns(params_table([scenario.params for scenario in scenarios]))
+    move = dict(zip(MoveShape._fields, np.array([scenario.move for scenario in scenarios]).T, strict=True))
     return rollout(Replay(actions), len(scenarios), seed=0, options={"params": params, "move": move})
 
 
