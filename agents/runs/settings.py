@@ -116,14 +116,7 @@ class RunConfig:
     def spec(self, **provenance: Any) -> BundleSpec:
         """Specification of the trained policy."""
         return BundleSpec(
-            self.algorithm,
-            self.base,
-            self.residual,
-            self.hidden,
-            self.activation,
-            self.sensors,
-            self.lstm,
-            provenance,
+            self.algorithm, self.base, self.residual, self.hidden, self.activation, self.sensors, self.lstm, provenance
         )
 
     def identity(self) -> dict[str, Any]:

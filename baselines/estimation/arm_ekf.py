@@ -213,7 +213,7 @@ class ArmFilter:
         self.uncertainty = uncertainty
         self._nominal = params_table([params]).T
         arm = linear_arm(params)
-        self._by_noise = np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1)  # shape (46, 2, 4)
+        self._by_noise = np.stack([arm.by_torque, arm.by_acceleration], axis=1)  # shape (46, 2, 4)
 
     def initial(self, angles: Floats, resolution: float) -> Tracks:
         """Filters of nominal arms at rest at motor angles of shape (m,), measured with a resolution [rad]."""

@@ -26,7 +26,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
+from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
@@ -62,7 +62,7 @@ class Estimate:
 @lru_cache(maxsize=64)
 def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
     """Steady-state gains L for [x; d] at each of `ANGLES`, shape (46, 5)."""
-    tables = LinearArms(*(part[0] for part in linear_arm(params)))
+    tables = linear_arm(params)
     gains = np.empty((len(ANGLES), 5))
     measured = np.array([[1.0, 0, 0, 0, 0]])
     for k in range(len(ANGLES)):

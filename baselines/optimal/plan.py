@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import LinearArms, between, linear_arms, place
+from baselines.models.linear import LinearArms, between, linear_arms, place, turning_load
 from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
 from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
@@ -50,12 +50,10 @@ class Plan(NamedTuple):
 def _set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
     """Write A, b and d of the step between two samples of the reference, each an angle and a speed."""
     row, weight = place(now[0])
-    sine, cosine = np.sin(now[0]), np.cos(now[0])
-    m2 = plant.inertia + plant.inertia_swing * sine * sine
-    centrifugal = plant.inertia_swing * sine * cosine * now[1] * now[1] / m2
+    m2, turning = turning_load(now[0], now[1], plant)
     for i in range(4):
         b[i] = between(model.by_torque[row, i], model.by_torque[row + 1, i], weight)
-        d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * centrifugal
+        d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * (turning / m2)
         for j in range(4):
             a[i, j] = between(model.transition[row, i, j], model.transition[row + 1, i, j], weight)
     for i in range(4):

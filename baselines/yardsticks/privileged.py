@@ -15,7 +15,7 @@ from baselines.controller import ClassicalController
 from baselines.gains import tuned
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.adaptive import AdaptiveGains
-from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
+from baselines.optimal.plan import Plans, planned_torque, replanned
 from baselines.optimal.preview import PreviewGains
 from baselines.reading import Reading
 from beltarm_env import ArmParams
@@ -38,7 +38,7 @@ class PrivilegedController(ClassicalController[Plans]):
         self.gains = gains or PreviewGains()
         self._table = params_table(arms)
         self._friction = self._table[:, COLUMN.coulomb_friction]
-        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._weights = self.gains.weights()
 
     def law(self, reading: Reading, begins: Flags, memory: Plans | None) -> tuple[Floats, Plans]:
         """Torque [N m] of one sample, see `ClassicalController`.
