@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.reading import Flags, Floats, Reading, beginning, read
+from baselines.reading import Reading, beginning, read
 from beltarm_env import ArmParams
+from beltarm_env.arrays import Flags, Floats, Singles
 
 Memory = TypeVar("Memory")
 
@@ -42,11 +42,11 @@ class ClassicalController(ABC, Generic[Memory]):
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: Memory | None = None,
         episode_start: Flags | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Memory]:
+    ) -> tuple[Singles, Memory]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         reading = read(observation, self.params, self.sensors)
         torque, memory = self.law(reading, beginning(state, episode_start, len(observation)), state)

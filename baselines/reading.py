@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.task.moves import MOVE_FIELDS
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class Reading(NamedTuple):
@@ -25,12 +22,12 @@ class Reading(NamedTuple):
     reference_speed: Floats  # [rad/s]
     reference_acceleration: Floats  # [rad/s^2]
     move: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
-    step: NDArray[np.intp]  # control periods since the move's start
+    step: Integers  # control periods since the move's start
     last_torque: Floats  # held over the last period [N m]
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
 
 
-def read(observations: NDArray[np.float32], params: ArmParams, sensors: str = "encoder") -> Reading:
+def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> Reading:
     """Decode observations of shape (n, size).
 
     Args:
@@ -60,6 +57,11 @@ def read(observations: NDArray[np.float32], params: ArmParams, sensors: str = "e
         last_torque=seen["last_torque"] * params.torque_limit,
         torsion=np.stack([seen["torsion"], seen["torsion_speed"]], axis=1) if sensors == "full" else None,
     )
+
+
+def chosen(which: Flags, these: Any, others: Any) -> Any:
+    """Rows of `these` for arms in `which`, shape (n,), and of `others` for the rest; arrays with the arms first."""
+    return np.where(which.reshape(-1, *[1] * (these.ndim - 1)), these, others)
 
 
 def beginning(memory: object, episode_start: Flags | None, count: int) -> Flags:

@@ -14,11 +14,9 @@ from dataclasses import astuple, dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
-
-Floats = NDArray[np.float64]
 
 _LARGEST = 1e9  # beyond any arm, and far from overflowing
 _MAY_BE_ZERO = {

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from beltarm_env import observation
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, tip_errors
 from beltarm_env.kernels.observe import observe_arms
@@ -25,11 +25,10 @@ from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference
 from beltarm_env.timing import CONTROL_PERIOD
 
 if TYPE_CHECKING:
+    from beltarm_env.mujoco.engine import MuJoCoArms
     from beltarm_env.mujoco.renderer import MuJoCoRenderer
     from beltarm_env.rendering.renderer import Renderer
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
@@ -47,18 +46,6 @@ TOTALS = (
 """Episode summary, added to `info` at its end: costs with the charge for steps not taken, tip errors [m]."""
 
 
-class Engine(Protocol):
-    """A physics engine beside the kernels."""
-
-    def begin(self, arms: Indices, table: Floats, states: Floats) -> None:
-        """Begin new episodes for arms with parameters (n, len(FIELDS)) from states (n, 4)."""
-        ...
-
-    def advance(self, actions: Floats) -> Floats:
-        """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
-        ...
-
-
 def new_renderer(model: str, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
     """Make what draws an arm of this model."""
     if model == "mujoco":
@@ -70,7 +57,7 @@ def new_renderer(model: str, render_mode: Literal["human", "rgb_array"], fps: in
     return Renderer(render_mode, fps)
 
 
-def _engine(model: str, num_arms: int) -> Engine | None:
+def _engine(model: str, num_arms: int) -> MuJoCoArms | None:
     if model != "mujoco":
         return None
     from beltarm_env.mujoco.engine import MuJoCoArms
@@ -124,11 +111,11 @@ class ArmBatch:
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
-    def reset(self, arms: Indices, uniforms: Floats, options: Mapping[str, Any] | None) -> None:
+    def reset(self, arms: Integers, uniforms: Floats, options: Mapping[str, Any] | None) -> None:
         """Begin a new episode for some arms.
 
         Args:
-            arms: Indices of the arms.
+            arms: Integers of the arms.
             uniforms: Draws in [0, 1), shape (len(arms), DRAWS).
             options: `params`, `move` and `state`, each a scalar or one value per arm; see `BeltArmEnv.reset`.
 
@@ -187,15 +174,15 @@ class ArmBatch:
         count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
         at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
 
-    def observe(self, observations: NDArray[np.float32], arms: Indices) -> None:
+    def observe(self, observations: Singles, arms: Integers) -> None:
         """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""
         chosen = np.zeros(len(self.blocks), dtype=np.bool_)
         chosen[arms // at.LANES] = True
         observe_arms(self.blocks, self.tile, observations, chosen, self.profile, self.tier)
 
     @property
-    def all_arms(self) -> Indices:
-        """Indices of all arms."""
+    def all_arms(self) -> Integers:
+        """Integers of all arms."""
         return np.arange(self.num_arms)
 
     @property
@@ -227,7 +214,7 @@ class ArmBatch:
         """Reference of one arm at its joint, `time` seconds into its move."""
         return Reference(*reference_at(self.profile, MoveShape(*self.moves[arm].tolist()), float(time)))
 
-    def totals(self, arms: Indices, terminated: NDArray[np.bool_]) -> Floats:
+    def totals(self, arms: Integers, terminated: Flags) -> Floats:
         """Sum up the episodes of some arms: shape (len(TOTALS), num_arms), zero for the other arms."""
         totals = np.zeros((len(TOTALS), self.num_arms))
         episode_totals(self.blocks, arms, terminated, totals)

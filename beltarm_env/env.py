@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from beltarm_env import observation
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats, Singles
 from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors
@@ -24,7 +25,7 @@ _ARM = np.array([0])
 _HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
 
 
-def _as_action(action: object) -> NDArray[np.float64]:
+def _as_action(action: object) -> Floats:
     """Coerce the action to shape (1,), or raise ValueError."""
     try:
         array = np.asarray(action)
@@ -35,7 +36,7 @@ def _as_action(action: object) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
-class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class BeltArmEnv(gym.Env[Singles, Singles]):
     """Belt-driven handling robot: move the arm's end along a reference without making it ring.
 
     ## Description
@@ -158,7 +159,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Singles, dict[str, Any]]:
         """Begin an episode.
 
         Args:
@@ -182,7 +183,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self.render()
         return result[0], {}
 
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Singles) -> tuple[Singles, float, bool, bool, dict[str, Any]]:
         """Hold a torque for one control period.
 
         Args:
@@ -248,7 +249,7 @@ class BeltArmEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._renderer = None
 
     @property
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> Floats:
         """Copy of the true state x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), float64."""
         return self._batch.states[0]
 

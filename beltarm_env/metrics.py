@@ -8,11 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
-
-Floats = NDArray[np.float64]
 
 SETTLING_BAND = 0.001
 """Both coordinates of the tip error must stay within +- this for the arm to have settled [m]."""
@@ -59,7 +57,7 @@ def episode_metrics(
     torque_limit: Floats,
     move_duration: Floats,
     cost: Floats,
-    finished: NDArray[np.bool_],
+    finished: Flags,
 ) -> dict[str, Floats]:
     """Compute the metrics of n episodes of T steps.
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+
+from beltarm_env.arrays import Floats, Singles
 
 LOOKAHEADS = (0.03, 0.06, 0.12, 0.20, 0.40)
 """How far ahead of the current sample the reference is shown [s]."""
@@ -79,17 +80,17 @@ def index(name: str, sensors: str = "encoder") -> int:
     return names.index(name)
 
 
-def scales(sensors: str = "encoder") -> NDArray[np.float64]:
+def scales(sensors: str = "encoder") -> Floats:
     """Return the physical value of 1.0 in each entry, shape (size,)."""
     return np.array([entry.scale for entry in ENTRIES[sensors]])
 
 
-def bounds(sensors: str = "encoder") -> NDArray[np.float32]:
+def bounds(sensors: str = "encoder") -> Singles:
     """Return the largest magnitude of each scaled entry, shape (size,)."""
     return np.array([entry.bound / entry.scale for entry in ENTRIES[sensors]], dtype=np.float32)
 
 
-def decode(observation: NDArray[np.float32], sensors: str = "encoder") -> dict[str, NDArray[np.float64]]:
+def decode(observation: Singles, sensors: str = "encoder") -> dict[str, Floats]:
     """Turn observations into physical units, by name.
 
     Args:

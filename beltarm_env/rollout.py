@@ -12,14 +12,12 @@ from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.metrics import episode_metrics
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
-
-Floats = NDArray[np.float64]
 
 
 class Controller(Protocol):
@@ -31,12 +29,8 @@ class Controller(Protocol):
     """
 
     def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
         """Compute actions for a batch of observations.
 
         Args:
@@ -94,7 +88,7 @@ class Recording:
     tip_error: Floats  # radial, lateral [m]     (T, n, 2)
     tip_velocity_error: Floats  # [m/s]     (T, n, 2)
     cost: Floats  # of the whole episode    (n,)
-    finished: NDArray[np.bool_]  # False where the arm left the workspace, and stayed where it was    (n,)
+    finished: Flags  # False where the arm left the workspace, and stayed where it was    (n,)
     params: Floats  # columns as `ArmParams`     (n, 12)
     moves: Floats  # start, goal [rad], duration, ramp time [s]     (n, 4)
 

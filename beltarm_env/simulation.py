@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, ArmParams, params_table, plant_of
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
@@ -15,8 +15,6 @@ from beltarm_env.kernels.layout import LANES, load_state, store_plant, store_sta
 from beltarm_env.physics.models import MODELS, Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import check_integrable, integration_substeps
-
-Floats = NDArray[np.float64]
 
 
 @compiled

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from beltarm_env import observation
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.step import step_arms
@@ -23,12 +24,11 @@ from beltarm_env.task.ranges import Ranges
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
-Flags = NDArray[np.bool_]
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 _NONE = np.empty(0, dtype=np.intp)
 
 
-def _masked(names: Sequence[str], values: NDArray[np.float64], mask: Flags) -> dict[str, Any]:
+def _masked(names: Sequence[str], values: Floats, mask: Flags) -> dict[str, Any]:
     """Info entries in Gymnasium's form: an array per name, and beside it which arms it holds for."""
     info: dict[str, Any] = {}
     masks = np.repeat(mask[np.newaxis], len(names), axis=0)
@@ -37,7 +37,7 @@ def _masked(names: Sequence[str], values: NDArray[np.float64], mask: Flags) -> d
     return info
 
 
-class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
     """`num_envs` belt arms stepped by one compiled loop; arm *i* behaves bit for bit as a `BeltArmEnv` of its own.
 
     `reset(seed=s)` seeds arm *i* as `BeltArmEnv.reset(seed=s + i)` would. Episodes are truncated after 1200 steps by
@@ -109,7 +109,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Singles, dict[str, Any]]:
         """Begin new episodes.
 
         Args:
@@ -137,9 +137,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._batch.observe(result, self._batch.all_arms)
         return result, {}
 
-    def step(
-        self, actions: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Singles) -> tuple[Singles, Floats, Flags, Flags, dict[str, Any]]:
         """Hold a torque for one control period in every arm.
 
         Args:
@@ -194,9 +192,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             info = self._finished(info, result, over, terminated)
         return result, rewards, terminated, truncated, info
 
-    def _finished(
-        self, info: dict[str, Any], result: NDArray[np.float32], over: Flags, terminated: Flags
-    ) -> dict[str, Any]:
+    def _finished(self, info: dict[str, Any], result: Singles, over: Flags, terminated: Flags) -> dict[str, Any]:
         """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
         totals = _masked(TOTALS, self._batch.totals(self._ended, terminated), over)
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
@@ -215,18 +211,18 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             "_final_info": over.copy(),
         }
 
-    def _restart(self, arms: NDArray[np.intp], result: NDArray[np.float32]) -> None:
+    def _restart(self, arms: Integers, result: Singles) -> None:
         """Begin new random episodes and put their first observations into `result`."""
         self._batch.reset(arms, self._draws(arms), None)
         self._batch.observe(result, arms)
 
-    def _draws(self, arms: NDArray[np.intp]) -> NDArray[np.float64]:
+    def _draws(self, arms: Integers) -> Floats:
         draws = np.empty((len(arms), DRAWS))
         for row, arm in zip(draws, arms.tolist(), strict=True):
             self._generators[arm].random(out=row)
         return draws
 
-    def _seed(self, seed: int | Sequence[int | None] | None, arms: NDArray[np.intp]) -> None:
+    def _seed(self, seed: int | Sequence[int | None] | None, arms: Integers) -> None:
         if seed is None or isinstance(seed, int | np.integer):
             super().reset(seed=None if seed is None else int(seed))
             seeds = [None if seed is None else int(seed) + arm for arm in range(self.num_envs)]
@@ -248,7 +244,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             raise ValueError("reset_mask must choose at least one arm, got all False")
         return mask
 
-    def _checked_actions(self, actions: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _checked_actions(self, actions: Singles) -> Floats:
         array = np.asarray(actions)
         if array.shape != (self.num_envs, 1) or array.dtype.kind not in "fiu":
             raise ValueError(f"actions must be numbers of shape ({self.num_envs}, 1), got {array.dtype} {array.shape}")
@@ -280,7 +276,7 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._renderers = None
 
     @property
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> Floats:
         """Copy of the true states (rad, rad/s), shape (num_envs, 4), float64."""
         return self._batch.states
 
@@ -290,16 +286,16 @@ class BeltArmVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return [self._batch.params(arm) for arm in range(self.num_envs)]
 
     @property
-    def params_table(self) -> NDArray[np.float64]:
+    def params_table(self) -> Floats:
         """Copy of all parameters, shape (num_envs, fields), columns as `ArmParams`."""
         return self._batch.table.copy()
 
-    def tip_errors(self) -> NDArray[np.float64]:
+    def tip_errors(self) -> Floats:
         """Tip minus reference tip now: x, y [m] and their speeds [m/s], shape (num_envs, 4)."""
         return self._batch.tip_errors()
 
     @property
-    def moves(self) -> NDArray[np.float64]:
+    def moves(self) -> Floats:
         """Moves, shape (num_envs, 4): start, goal [rad], duration, ramp_time [s]."""
         return self._batch.moves
 

@@ -101,7 +101,7 @@ def test_learning_converges_monotonically_on_a_linear_arm(mismatch: float):
     """The nominal arm without friction, 45 degrees, torque acting more or less strongly than believed."""
     steps, model = 150, linear_arm(ArmParams())
     angle = np.full(steps, np.pi / 4)
-    transition, by_torque = at_angle(model.transition[0], angle), at_angle(model.by_torque[0], angle)
+    transition, by_torque = at_angle(model.transition, angle), at_angle(model.by_torque, angle)
     of_state = np.zeros((steps, 4, 4))
     of_state[:, 0, 0], of_state[:, 0, 2], of_state[:, 1, 2] = 0.5 / 88, -0.5, 0.6
     believed = Trial(transition, by_torque, np.zeros((steps, 4)), of_state)

@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = {
     "beltarm_env": (
-        *("timing", "jit", "arm", "physics", "observation metrics", "task", "kernels", "rendering", "mujoco"),
+        *("arrays timing", "jit", "arm", "physics", "observation metrics", "task", "kernels", "rendering", "mujoco"),
         *("simulation batch", "env", "vector_env", "rollout"),
     ),
     "baselines": (

@@ -155,7 +155,7 @@ class TestFeedbackGains:
     def test_are_the_optimum_of_the_riccati_equation(self, weights: Weights):
         tables = linear_arm(ArmParams())
         for k in (0, 22, 45):
-            a, b, gain = tables.transition[0, k], tables.by_torque[0, k], feedback_gains(ArmParams(), weights)[k]
+            a, b, gain = tables.transition[k], tables.by_torque[k], feedback_gains(ArmParams(), weights)[k]
             c = tip_errors(float(ANGLES[k]))
             q = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
             closed = a - np.outer(b, gain)
@@ -194,7 +194,7 @@ class TestFeedbackGains:
         tables = linear_arm(ArmParams())
         measured = np.array([1.0, 0, 0, 0, 0])
         for k in range(len(ANGLES)):
-            a, b = tables.transition[0, k], tables.by_torque[0, k]
+            a, b = tables.transition[k], tables.by_torque[k]
             extended = np.eye(5)
             extended[:4, :4], extended[:4, 4] = a, b
             for other in (max(k - 1, 0), k, min(k + 1, len(ANGLES) - 1)):  # scheduled by an angle that is not the arm's

@@ -88,7 +88,7 @@ class TestLinearModels:
                 np.testing.assert_allclose(tables.by_acceleration[i, k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
 
     def test_tables_are_interpolated_and_end_where_the_arm_does(self):
-        table = linear_arm(ArmParams()).by_torque[0]
+        table = linear_arm(ArmParams()).by_torque
         between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
         np.testing.assert_allclose(between, [0.5 * (table[3] + table[4]), table[0], table[-1]])
 
@@ -108,7 +108,7 @@ def linear_run(torques: Floats | None, gains: float = 1.0) -> tuple[float, Float
     x, cost, applied = np.array([GEAR * MOVE[0, 0], 0.0, 0.0, 0.0]), 0.0, np.empty(EPISODE_STEPS)
     for k in range(EPISODE_STEPS):
         angle, speed = references[k]
-        a, b, e = (at_angle(part[0], np.array([angle]))[0] for part in tables)
+        a, b, e = (at_angle(part, np.array([angle]))[0] for part in tables)
         m2 = 0.01 + 0.06 * math.sin(angle) ** 2
         torque = plan.torque[0, k] - gains * plan.gain[0, k] @ (x - plan.reference[0, k])
         torque = torque if torques is None else torques[k]
@@ -138,7 +138,7 @@ class TestPlan:
     def test_gain_at_rest_is_that_of_the_infinite_horizon(self):
         plan = plan_moves(np.array([[0.3, 0.8, 0.5, 0.1]]), params_table([ArmParams()]), Weights())
         tables = linear_arm(ArmParams())
-        a, b = (at_angle(part[0], np.array([0.8]))[0] for part in tables[:2])
+        a, b = (at_angle(part, np.array([0.8]))[0] for part in tables[:2])
         radial, reach = 0.5 * math.sin(0.8), 0.5 * math.cos(0.8) + 0.1
         of_angles = [[-radial / GEAR, 0, radial, 0], [0, 0, reach, 0]]
         c = np.array([*of_angles, [0, -radial / GEAR, 0, radial], [0, 0, 0, reach]])
@@ -161,7 +161,7 @@ class TestObserver:
     def test_covariance_is_that_of_simulated_errors(self):
         # The linear arm driven by the noise that the filter is designed for, at 45 degrees.
         noise, k = Noise(1e-2, 30.0, 0.2), 22
-        tables = [part[0, k] for part in linear_arm(ArmParams())]
+        tables = [part[k] for part in linear_arm(ArmParams())]
         gain = kalman_gains(ArmParams(), noise)[k]
         transition = np.eye(5)
         transition[:4, :4], transition[:4, 4] = tables[0], tables[1]

@@ -57,7 +57,9 @@ def observations(count: int = 5, steps: int = 250, seed: int = 5_000_000) -> np.
 
 
 def arrays(memory: Any) -> list[np.ndarray]:
-    return [getattr(memory, field.name) for field in fields(memory)]
+    """All arrays in a controller's memory, those of its tuples too."""
+    parts = [getattr(memory, field.name) for field in fields(memory)]
+    return [array for part in parts for array in (part if isinstance(part, tuple) else (part,))]
 
 
 def residual(weights: np.ndarray, delays: np.ndarray, frequency: float, zeta: float) -> float:

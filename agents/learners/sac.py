@@ -8,21 +8,20 @@ an arm that does leave costs as much as a hundred that do not.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, log
 from pathlib import Path
-from typing import Any, ClassVar, overload
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3 import SAC
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
 from agents.policy.actor import ACTIVATIONS
 from agents.residual.env import ResidualVecEnv
+from beltarm_env.arrays import Singles
 from beltarm_env.task.cost import MAX_COST
 
 _NEAR_ZERO = 0.01
@@ -118,11 +117,7 @@ class SacConfig(ReinforcementConfig):
 class ClippedAdam(torch.optim.Adam):
     """Adam on gradients whose norm over all weights is at most `_MAX_GRADIENT`."""
 
-    @overload
-    def step(self, closure: None = None) -> None: ...
-    @overload
-    def step(self, closure: Callable[[], float]) -> float: ...
-    def step(self, closure: Callable[[], float] | None = None) -> float | None:
+    def step(self, closure: Any = None) -> Any:
         """Clip, and step."""
         for group in self.param_groups:
             torch.nn.utils.clip_grad_norm_(group["params"], _MAX_GRADIENT)
@@ -134,7 +129,7 @@ class ResidualSAC(SAC):
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Singles, Singles]:
         return super()._sample_action(0, action_noise, n_envs)
 
 

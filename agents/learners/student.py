@@ -48,7 +48,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch.nn.functional import huber_loss
 
 from agents.learners.teaching import Pairs, ask, practise
@@ -58,11 +57,9 @@ from agents.residual.controller import ResidualController
 from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
 from beltarm_env import EPISODE_STEPS
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
-
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -233,11 +230,7 @@ class _Paused:
         self._pause = pause
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Pause, then call the controller's `predict`."""
         self._pause(len(observation))

@@ -7,15 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from agents.residual.controller import ResidualController, ResidualMemory
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.lesson import Lesson, Notes
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, Recording
 
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 Trial = Callable[[Controller], Recording]
 """Runs a controller for an episode: every time on the same arms, with the same moves."""
 

@@ -159,11 +159,8 @@ def tune(
     require_writable(config.out)
     _begin(config)
     workers = {f"worker {number}": partial(_search, config, number) for number in range(config.jobs)}
-    failed = []
     with closing(run_side_by_side(workers, config.jobs, stop=stop, tell=lambda _, line: tell(line))) as ends:
-        for name, end in ends:
-            if isinstance(end, Failure):
-                failed.append(f"{name}: {end.message}")
+        failed = [f"{name}: {end.message}" for name, end in ends if isinstance(end, Failure)]
     if failed:
         raise ValueError("\n".join(failed))
     return open_study(config)
@@ -233,8 +230,7 @@ def counted(study: optuna.Study) -> list[FrozenTrial]:
 
 def trials_as_csv(study: optuna.Study) -> str:
     """Format all trials as CSV: number, validation cost, settings, state and duration."""
-    table = study.trials_dataframe(attrs=("number", "value", "params", "state", "duration"))
-    return table.to_csv(index=False)
+    return study.trials_dataframe(attrs=("number", "value", "params", "state", "duration")).to_csv(index=False)
 
 
 def training_command(config: TuningConfig, study: optuna.Study) -> str:

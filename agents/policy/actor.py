@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
+from beltarm_env.arrays import Flags, Singles
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 MAX_WIDTH = 1024
@@ -67,10 +65,10 @@ class Actor(nn.Module):
     def predict(
         self,
         observation: Singles,
-        state: NDArray[np.float32] | None = None,
+        state: Singles | None = None,
         episode_start: Flags | None = None,
         deterministic: bool = True,
-    ) -> tuple[Singles, NDArray[np.float32] | None]:
+    ) -> tuple[Singles, Singles | None]:
         """Return residuals, shape (n, 1), and the LSTM's hidden and cell state, shape (n, 2, width), None without one.
 
         Raises:

@@ -177,16 +177,9 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 
 def _spec_of(content: dict[str, Any]) -> BundleSpec:
     """Read the description in a manifest's content; raises errors of any kind if this release cannot."""
-    spec = BundleSpec(
-        algorithm=content["algorithm"],
-        base=content["base"],
-        residual=ResidualSettings(**content["residual"]),
-        hidden=tuple(content["hidden"]),
-        activation=content["activation"],
-        sensors=content["sensors"],
-        lstm=content["lstm"],
-        provenance=content["provenance"],
-    )
+    known = {name: content[name] for name in BundleSpec.__slots__}
+    known |= {"residual": ResidualSettings(**content["residual"]), "hidden": tuple(content["hidden"])}
+    spec = BundleSpec(**known)
     if spec.algorithm not in ALGORITHMS or spec.base not in BASES:
         raise ValueError(f"it has no algorithm {spec.algorithm!r} or no base controller {spec.base!r}")
     if (content["layout"], content["entries"]) != (LAYOUT, spec.entries()):

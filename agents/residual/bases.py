@@ -10,12 +10,12 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.residual.knowledge import Knowledge
 from baselines import CONTROLLERS
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveGains
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller
 
 
@@ -23,12 +23,8 @@ class NoController:
     """Controller whose torque is zero: base of an agent that learns from scratch."""
 
     def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], None]:
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, None]:
         """Zeros of shape (n, 1)."""
         return np.zeros((len(observation), 1), np.float32), None
 

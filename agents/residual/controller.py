@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.residual.knowledge import KNOWLEDGE, InformedBase, InformedMemory, Knowledge
+from baselines.reading import chosen
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller
-
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +112,7 @@ class ResidualController:
             seen = self.informed.seen(observation, informed)
             fresh, following = self.policy.predict(seen, policy, episode_start, deterministic)
             residual = np.where(due[:, None], fresh, residual)
-            policy = _remembered(policy, following, due)
+            # By rows: the new memory where the policy decided, the old one elsewhere.
+            policy = chosen(due, following, policy) if isinstance(policy, np.ndarray) else following
         action = combine(informed.action, residual, self.settings.limit)
         return action, ResidualMemory(informed, policy, residual, age + 1)
-
-
-def _remembered(before: Any, following: Any, due: Flags) -> Any:
-    """Merge a policy's memory by rows: the new one where the policy decided, the old one elsewhere."""
-    if not isinstance(before, np.ndarray):
-        return following
-    return np.where(due.reshape(-1, *[1] * (before.ndim - 1)), following, before)

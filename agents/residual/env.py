@@ -17,9 +17,8 @@ from agents.residual.controller import ResidualSettings, checked_residual, combi
 from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, check_data_sheet
-
-Singles = NDArray[np.float32]
 
 
 class ResidualEnv(gym.Wrapper[Singles, Singles, Singles, Singles]):
@@ -117,7 +116,7 @@ class ResidualVecEnv(VecEnv):
         self._memory = self.informed.advance(observation, self._memory, start)
         return self.informed.seen(observation, self._memory)
 
-    def _spread(self, observation: Singles, start: NDArray[np.bool_]) -> tuple[Singles, NDArray[np.bool_]]:
+    def _spread(self, observation: Singles, start: Flags) -> tuple[Singles, Flags]:
         """Run the arms under the base for one episode, restarting one group after another."""
         hold = self.settings.hold
         turn = (np.arange(self.num_envs) * (EPISODE_STEPS // hold) // self.num_envs + 1) * hold
@@ -148,7 +147,7 @@ class ResidualVecEnv(VecEnv):
         """Take the residuals, shape (n, 1)."""
         self._residual = checked_residual(actions, self.num_envs)
 
-    def step_wait(self) -> tuple[Singles, Singles, NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Singles, Singles, Flags, list[dict[str, Any]]]:
         """Hold the residuals for `hold` samples."""
         rewards = np.zeros(self.num_envs)
         done = np.zeros(self.num_envs, np.bool_)
@@ -178,8 +177,8 @@ class ResidualVecEnv(VecEnv):
         self,
         infos: list[dict[str, Any]],
         terminal: Singles,
-        ended: NDArray[np.bool_],
-        truncated: NDArray[np.bool_],
+        ended: Flags,
+        truncated: Flags,
         info: dict[str, Any],
     ) -> None:
         """Info of the arms whose episode ended: last observation and episode summary."""

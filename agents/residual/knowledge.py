@@ -16,7 +16,6 @@ from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from baselines.estimation.arm_ekf import IDENTIFIED
 from baselines.estimation.identification import Belief, IdentifyingController
@@ -24,13 +23,11 @@ from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env import observation as layout
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import Entry
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Controller, nominal_params
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 Knowledge = Literal["belief", "none"]
 
 _BASE_TORQUE = Entry("base_torque", "of limit", 1.0, 1.0)

@@ -14,8 +14,6 @@ others are bundles (`agents.policy.bundle`), which hold numbers alone.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import pickle
 import random
@@ -26,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import torch
 
 from agents.runs.settings import RunConfig
@@ -129,8 +128,9 @@ class RunFolder:
         content = {"version": VERSION, "progress": progress, "learner": learner, "generators": _generators()}
         content["written_by"] = self._software
         try:
-            write_atomically(self.checkpoint, lambda path: _dump(content, path))
-            write_text(self.curve, _table(progress["curve"]))
+            pickled = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
+            write_atomically(self.checkpoint, lambda path: path.write_bytes(pickled))
+            write_text(self.curve, pandas.DataFrame(progress["curve"]).to_csv(index=False))
         except OSError as error:
             kept = "the last good checkpoint stays, to go on from with --resume" if self.checkpoint.exists() else ""
             message = f"cannot save to {self.folder}: {error.strerror or error}; {kept or 'free some space'}"
@@ -209,18 +209,3 @@ def _set_generators(states: tuple[Any, ...]) -> None:
     torch.set_rng_state(pytorch)
     if cuda:
         torch.cuda.set_rng_state_all(cuda)
-
-
-def _dump(content: dict[str, Any], path: Path) -> None:
-    with path.open("wb") as file:
-        pickle.dump(content, file, pickle.HIGHEST_PROTOCOL)
-
-
-def _table(curve: list[dict[str, float]]) -> str:
-    """Format rows as CSV."""
-    text = io.StringIO(newline="")
-    if curve:
-        writer = csv.DictWriter(text, fieldnames=list(curve[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(curve)
-    return text.getvalue()

@@ -21,7 +21,6 @@ from agents.runs.monitor import Maker, News
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.tools.parallel import (
-    BrokenOff,
     Channel,
     Failure,
     Interrupted,
@@ -115,7 +114,7 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
                 if isinstance(end, Failure):
                     rows.show(name, state=end.message)
                     if not isinstance(end.error, Interrupted):
-                        failed.append(f"{name}: {_explained(end)}")
+                        failed.append(f"{name}: {end.resumable_message}")
                 else:
                     rows.show(name, end.steps, f"done, {end.scores}")
     if failed:
@@ -125,11 +124,6 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
     print(f"{len(runs)} runs in {config.out}; learning curves: python eval/curves.py --runs {config.out}")
     policies = " ".join(f"--policy {run.out / 'best'}" for run in runs.values())
     print(f"compare them: python eval/compare.py {policies}")
-
-
-def _explained(failure: Failure) -> str:
-    """Message of a failed run, with a remedy if its process died."""
-    return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
 
 
 def run_task(config: RunConfig, make_learner: Maker, command: str, channel: Channel) -> News:

@@ -160,7 +160,7 @@ class TrainingMonitor:
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:
             self.progress["best_cost"] = scores["cost"]
-            save_bundle(self.folder.best, self._completed_spec(scores), actor)
+            save_bundle(self.folder.best, self.completed_spec(scores), actor)
         self.save()
         self.channel.report(News(steps, self.progress["scores"], scores["cost"]))
 
@@ -174,10 +174,11 @@ class TrainingMonitor:
         run = {"steps": self.learner.steps, "seconds": round(self.seconds, 1)}
         return {"run": run, "curve": [list(point) for point in self.curve]}
 
-    def _completed_spec(self, scores: dict[str, float]) -> BundleSpec:
-        reached = {"steps": self.learner.steps, "seconds": round(self.seconds, 1), "validation": scores}
-        known = {**self.spec.provenance, **self.provenance(), "reached": reached}
-        return replace(self.spec, provenance={**known, "validation_of_base": self.base_scores})
+    def completed_spec(self, scores: dict[str, float]) -> BundleSpec:
+        """Specification of the policy that reached these validation scores just now."""
+        known = self.provenance()
+        reached = {"reached": {**known["run"], "validation": scores}, "validation_of_base": self.base_scores}
+        return replace(self.spec, provenance={**self.spec.provenance, **known, **reached})
 
 
 Maker = Callable[[Any], Learner]

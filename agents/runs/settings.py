@@ -116,24 +116,16 @@ class RunConfig:
     def spec(self, **provenance: Any) -> BundleSpec:
         """Specification of the trained policy."""
         return BundleSpec(
-            self.algorithm,
-            self.base,
-            self.residual,
-            self.hidden,
-            self.activation,
-            self.sensors,
-            self.lstm,
-            provenance,
+            self.algorithm, self.base, self.residual, self.hidden, self.activation, self.sensors, self.lstm, provenance
         )
 
     def identity(self) -> dict[str, Any]:
         """Identity of a run: its options, the gains of its base, and the observation layout."""
         options = {name: value for name, value in asdict(self).items() if name not in MAY_CHANGE}
-        plain = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items()}
         settings = base_settings(self.base, self.knowledge)
         return {
             "algorithm": self.algorithm,
-            "options": plain,
+            "options": options,
             "base_hash": settings_hash(settings),
             "layout": LAYOUT,
             "entries": self.spec().entries(),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.policy.bundle import BundleSpec, annotate, save_bundle
+from agents.policy.bundle import annotate, save_bundle
 from agents.runs.checkpoint import RunFolder, written_by
-from agents.runs.monitor import Maker, TrainingMonitor
+from agents.runs.monitor import SCORES, Maker, TrainingMonitor
 from agents.runs.settings import RunConfig
 from baselines.tools.parallel import Channel
 from baselines.tools.provenance import command_line
@@ -52,21 +52,18 @@ def train(
     try:
         if learner.steps < config.length:
             learner.learn(monitor)
-            _finish(monitor, spec)
+            _finish(monitor)
     finally:
         logger.close()
         learner.close()
     return monitor
 
 
-def _finish(monitor: TrainingMonitor, spec: BundleSpec) -> None:
+def _finish(monitor: TrainingMonitor) -> None:
     """Save the last policy, and complete the provenance of the best one."""
-    folder, known = monitor.folder, monitor.provenance()
-    scores = {name: value for name, value in monitor.progress["curve"][-1].items() if name not in ("steps", "seconds")}
-    reached = {**known["run"], "validation": scores}
-    provenance = {**spec.provenance, **known, "reached": reached, "validation_of_base": monitor.base_scores}
-    save_bundle(folder.last, replace(spec, provenance=provenance), monitor.learner.actor())
-    annotate(folder.best, **known)
+    scores = {name: monitor.progress["curve"][-1][name] for name in SCORES}
+    save_bundle(monitor.folder.last, monitor.completed_spec(scores), monitor.learner.actor())
+    annotate(monitor.folder.best, **monitor.provenance())
 
 
 def _origin(config: RunConfig, command: str) -> dict[str, object]:

@@ -20,19 +20,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import FIELDS, params_table
+from beltarm_env.arm import COLUMN, FIELDS, params_table
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.simulation import load_arms
-
-Floats = NDArray[np.float64]
 
 IDENTIFIED = (
     "arm_inertia_swing",
@@ -43,7 +41,6 @@ IDENTIFIED = (
     "arm_inertia",
 )
 _ROWS = np.array([FIELDS.index(name) for name in IDENTIFIED])
-_LIMIT = FIELDS.index("torque_limit")
 _LOWEST = np.array([-0.5, -0.4, -0.3, -0.6, -0.6, -0.4])
 _HIGHEST = np.array([1.4, 0.4, 0.3, 0.6, 0.6, 0.4])
 """Bounds of the logarithms: they hold all arms of the benchmark, and only arms that can be integrated."""
@@ -81,7 +78,7 @@ class Tracks(NamedTuple):
     covariance: Floats  # of both, shape (10, 10, m)
     evidence: Floats  # ln of the likelihood of all that the encoder has shown, shape (m,)
 
-    def of(self, rows: NDArray[np.intp]) -> Tracks:
+    def of(self, rows: Integers) -> Tracks:
         """Selection of filters."""
         return Tracks(*(part.take(rows, axis=-1) for part in self))
 
@@ -105,7 +102,7 @@ def _simulated(state: Floats, table: Floats, torque: Floats, simulations: int) -
         count = min(LANES, len(torque) - low)
         arms = table[:, low : low + count].copy()
         for j in range(count):
-            actions[j] = min(max(torque[low + j] / arms[_LIMIT, j], -1.0), 1.0)
+            actions[j] = min(max(torque[low + j] / arms[COLUMN.torque_limit, j], -1.0), 1.0)
         load_arms(block, arms, LUMPED)
         for k in range(simulations):
             for i in range(4):
@@ -216,7 +213,7 @@ class ArmFilter:
         self.uncertainty = uncertainty
         self._nominal = params_table([params]).T
         arm = linear_arm(params)
-        self._by_noise = np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1)  # shape (46, 2, 4)
+        self._by_noise = np.stack([arm.by_torque, arm.by_acceleration], axis=1)  # shape (46, 2, 4)
 
     def initial(self, angles: Floats, resolution: float) -> Tracks:
         """Filters of nominal arms at rest at motor angles of shape (m,), measured with a resolution [rad]."""

@@ -25,15 +25,14 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimation.arm_ekf import ArmFilter, Tracks, Uncertainty
 from baselines.estimation.observer import QUANTUM
-from baselines.reading import Flags, Floats, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
+from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled
 
-Whole = NDArray[np.intp]
 Memory = TypeVar("Memory")
 
 LATEST = 2
@@ -52,8 +51,8 @@ class Belief:
 
     state: Floats  # x, shape (n, 4)
     logs: Floats  # ln of each of IDENTIFIED over its nominal value, shape (n, 6)
-    delay: Whole  # of the encoder [samples], shape (n,)
-    believed: Whole = field(repr=False)  # row of the most likely filter of each arm, shape (n,)
+    delay: Integers  # of the encoder [samples], shape (n,)
+    believed: Integers = field(repr=False)  # row of the most likely filter of each arm, shape (n,)
     filters: Filters = field(repr=False)
     count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
     angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
@@ -93,11 +92,11 @@ class IdentifyingController(ABC, Generic[Memory]):
 class Filters:
     """Filters of n arms, one for each delay that an arm may have; sorted by arm, then by delay."""
 
-    arm: Whole  # shape (m,)
-    delay: Whole  # shape (m,)
+    arm: Integers  # shape (m,)
+    delay: Integers  # shape (m,)
     tracks: Tracks
 
-    def of(self, rows: Whole) -> Filters:
+    def of(self, rows: Integers) -> Filters:
         """Selection of filters."""
         return Filters(self.arm[rows], self.delay[rows], self.tracks.of(rows))
 
@@ -117,7 +116,7 @@ class Filters:
         tracks.covariance[4:, 4:, rows] = np.moveaxis(covariance[self.arm[rows]], 0, -1)
         return Filters(self.arm, self.delay, tracks)
 
-    def best(self) -> Whole:
+    def best(self) -> Integers:
         """Row of the most likely filter of each arm, of equals the one with the shortest delay; shape (n,)."""
         return _most_likely(self.arm, self.tracks.evidence)
 
@@ -129,7 +128,7 @@ class Filters:
 
 
 @compiled
-def _most_likely(arm: Whole, evidence: Floats) -> Whole:
+def _most_likely(arm: Integers, evidence: Floats) -> Integers:
     """Row with the highest log-likelihood for each arm, of equals the first; rows are sorted by arm."""
     best = np.empty(arm[-1] + 1, np.intp)
     for row in range(len(arm)):
@@ -197,7 +196,7 @@ class ArmIdentifier:
         state, logs = filters.tracks.state[:, best].T.copy(), filters.tracks.logs[:, best].T.copy()
         return Belief(state, logs, filters.delay[best], best, filters, count, angle, torques)
 
-    def _initial(self, arms: Whole, angles: Floats) -> Filters:
+    def _initial(self, arms: Integers, angles: Floats) -> Filters:
         """Filters of these arms at rest at these motor angles, one for each delay."""
         arm, delay = np.repeat(arms, len(_DELAYS)), np.tile(_DELAYS, len(arms))
         tracks = self._filter.initial(np.repeat(angles, len(_DELAYS)), COARSEST)
@@ -209,7 +208,7 @@ class ArmIdentifier:
         tracks = self._filter.step(belief.filters.tracks, torques[arm, delay], angle[arm], count[arm])
         return Filters(arm, delay, tracks).prune()
 
-    def _predict_delay(self, state: Floats, logs: Floats, delay: Whole, torques: Floats) -> Floats:
+    def _predict_delay(self, state: Floats, logs: Floats, delay: Integers, torques: Floats) -> Floats:
         """Current states, shape (4, n), predicted from those of `delay` samples ago by the torques since."""
         for age in range(int(delay.max()), 0, -1):
             late = np.flatnonzero(delay >= age)

@@ -9,9 +9,9 @@ correction is the error of the predicted encoder angle, weighted,
 
     [x; d] = [x^-; d] + L(theta_1) (theta_a - x^-_1)
 
-with the steady-state gain L of the linear arm (python-control's `dlqe`), tabulated over the joint angle. The encoder's
-rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the motor, a torsional
-acceleration (stiffness and inertia that differ) and the random walk of d.
+with the steady-state gain L of the linear arm (by the discrete algebraic Riccati equation), tabulated over the joint
+angle. The encoder's rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the
+motor, a torsional acceleration (stiffness and inertia that differ) and the random walk of d.
 
 While the motor sticks, the encoder carries no information about the torsion: then only the angle is corrected, and
 torsion and its rate follow the model alone. If the encoder moves by more than two counts, the filter takes the motor to
@@ -23,17 +23,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-import control
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
-from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
+from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.sensors import ENCODER_COUNTS
-
-Floats = NDArray[np.float64]
 
 QUANTUM = 2 * np.pi / ENCODER_COUNTS
 """One count of the encoder [rad]."""
@@ -64,22 +62,18 @@ class Estimate:
 @lru_cache(maxsize=64)
 def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
     """Steady-state gains L for [x; d] at each of `ANGLES`, shape (46, 5)."""
-    tables = LinearArms(*(part[0] for part in linear_arm(params)))
+    tables = linear_arm(params)
     gains = np.empty((len(ANGLES), 5))
     measured = np.array([[1.0, 0, 0, 0, 0]])
     for k in range(len(ANGLES)):
         transition = np.eye(5)
         transition[:4, :4], transition[:4, 4] = tables.transition[k], tables.by_torque[k]
         covariance = np.zeros((5, 5))
-        for by_noise, deviation in (
-            (tables.by_torque[k], noise.torque),
-            (tables.by_acceleration[k], noise.acceleration),
-        ):
-            covariance[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
+        for by_noise, deviation in ((tables.by_torque, noise.torque), (tables.by_acceleration, noise.acceleration)):
+            covariance[:4, :4] += deviation**2 * np.outer(by_noise[k], by_noise[k])
         covariance[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
-        _, before, _ = control.dlqe(transition, np.eye(5), measured, covariance, np.array([[QUANTUM**2 / 12]]))
-        # dlqe's own gain is the predictor's, A times this one.
-        gains[k] = np.asarray(before)[:, 0] / (before[0, 0] + QUANTUM**2 / 12)
+        before = solve_discrete_are(transition.T, measured.T, covariance, np.array([[QUANTUM**2 / 12]]))
+        gains[k] = before[:, 0] / (before[0, 0] + QUANTUM**2 / 12)
     return gains
 
 
@@ -90,7 +84,7 @@ class StickSlipObserver:
         self.params = params
         self._gains = kalman_gains(params, noise or Noise())
 
-    def update(self, estimate: Estimate | None, reading: Reading, begins: NDArray[np.bool_]) -> Estimate:
+    def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> Estimate:
         """Bring the estimate up to this sample.
 
         Args:

@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimation.identification import Belief
 from baselines.estimation.observer import QUANTUM
@@ -33,11 +32,10 @@ from baselines.gains import tuned
 from baselines.iterative.lesson import Law, Lesson, Notes
 from baselines.iterative.norm_optimal import Linearisation, norm_weights, optimal_change
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.task.reference import TRAPEZOID, sample_references
-
-Floats = NDArray[np.float64]
 
 _YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below which it counts as stuck [rad/s / (N m)]
 
@@ -94,12 +92,9 @@ class IterativeController(AdaptiveController):
         torque, memory = super().law(reading, begins, memory)
         return self.lesson.torque(torque, memory.belief, reading) if self.lesson else torque, memory
 
-    def _identified(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> Belief:
-        return self._recalled(reading, begins, memory.belief if memory else None)
-
-    def _recalled(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
+    def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, which begins with the lesson's constants."""
-        new = self._identifier.update(belief, reading, begins)
+        new = super()._identified(reading, begins, belief)
         if self.lesson is None:
             return new
         if len(begins) != len(self.lesson.moves):
@@ -119,7 +114,7 @@ class IterativeController(AdaptiveController):
         begins[0] = True
         belief = None
         for reading, start in zip(readings, begins, strict=True):
-            belief = self._recalled(reading, start, belief)
+            belief = self._identified(reading, start, belief)
         assert belief is not None
         moves = readings[0].move.copy()
         new = Lesson(moves, belief.logs, belief.covariance[:, 4:, 4:].copy(), None)

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimation.identification import Belief
-from baselines.reading import Reading, read
+from baselines.reading import Reading, chosen, read
 from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller
-
-Floats = NDArray[np.float64]
 
 
 class Law(NamedTuple):
@@ -22,7 +20,7 @@ class Law(NamedTuple):
     torque: Floats  # tau_j + c_j [N m], shape (n, T)
     gain: Floats  # K_j, shape (n, T, 5)
     path: Floats  # x_j and the torque before, shape (n, T, 5)
-    holds: NDArray[np.bool_]  # where the law holds, and not the plan, shape (n, T)
+    holds: Flags  # where the law holds, and not the plan, shape (n, T)
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class Lesson:
     covariance: Floats  # of these, shape (n, 6, 6)
     law: Law | None  # None: only the arm was learnt
 
-    def recalled(self, belief: Belief, which: NDArray[np.bool_]) -> Belief:
+    def recalled(self, belief: Belief, which: Flags) -> Belief:
         """Belief with the learnt constants of some arms; `which` has shape (n,)."""
         return belief.with_constants(which, self.logs, self.covariance)
 
@@ -49,22 +47,18 @@ class Lesson:
             torque = torque - feedback
         return np.where(self.law.holds[arms, k] & self.knows(reading), torque, planned)
 
-    def kept(self, which: NDArray[np.bool_], new: Lesson) -> Lesson:
+    def kept(self, which: Flags, new: Lesson) -> Lesson:
         """A new lesson about these arms, in which some arms keep what this one has; `which` has shape (n,)."""
         law = new.law
         if law:
             idle = law._replace(holds=np.zeros_like(law.holds))
-            law = Law(*(_chosen(which, old, now) for old, now in zip(self.law or idle, law, strict=True)))
-        logs, covariance = _chosen(which, self.logs, new.logs), _chosen(which, self.covariance, new.covariance)
+            law = Law(*(chosen(which, old, now) for old, now in zip(self.law or idle, law, strict=True)))
+        logs, covariance = chosen(which, self.logs, new.logs), chosen(which, self.covariance, new.covariance)
         return Lesson(new.moves, logs, covariance, law)
 
-    def knows(self, reading: Reading) -> NDArray[np.bool_]:
+    def knows(self, reading: Reading) -> Flags:
         """Whether each arm makes the move of its lesson, shape (n,)."""
         return (reading.move == self.moves).all(axis=1)
-
-
-def _chosen(which: NDArray[np.bool_], of_these: NDArray[Any], of_others: NDArray[Any]) -> NDArray[Any]:
-    return np.where(which.reshape(-1, *[1] * (of_these.ndim - 1)), of_these, of_others)
 
 
 class Notes:
@@ -72,16 +66,12 @@ class Notes:
 
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
-        self._observations: list[NDArray[np.float32]] = []
-        self._actions: list[NDArray[np.float32]] = []
+        self._observations: list[Singles] = []
+        self._actions: list[Singles] = []
 
     def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
         """Call the controller and record."""
         action, state = self.controller.predict(observation, state, episode_start, deterministic)
         self._observations.append(observation.copy())

@@ -19,18 +19,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.norm_optimal import Trial, Weights, optimal_change
-from baselines.models.linear import LinearArms, at_angle, linear_arm
-from baselines.reading import Flags, Reading
+from baselines.models.linear import at_angle, linear_arm
+from baselines.reading import Reading
 from baselines.servo.paper import PaperController, PaperMemory
 from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
-
-Floats = NDArray[np.float64]
 
 _EFFORT = 1.0  # R [1/(N m)^2]
 _SMOOTHNESS = 1000.0  # r [1/(N m)^2]: the filter against learning the encoder's rounding
@@ -47,7 +45,7 @@ class FeedForward:
         """Torque of this sample [N m], shape (n,); zero for an arm at another move.
 
         Raises:
-            ValueError: If there are not as many arms.
+            ValueError: If there are not as many arm.
         """
         if len(reading.step) != len(self.moves):
             raise ValueError(
@@ -101,11 +99,11 @@ class MotorLearningController(ClassicalController[PaperMemory]):
     def _change(self, angle: Floats, speed: Floats, reference: Floats, torque: Floats) -> Floats:
         """Change v for one arm, from its errors [rad, rad/s], reference [rad] and feed-forward so far, all (T,)."""
         p, gains = self.params, self._paper.gains
-        arms = LinearArms(*(part[0] for part in linear_arm(p)))
-        by_torque = at_angle(arms.by_torque, reference)
+        arm = linear_arm(p)
+        by_torque = at_angle(arm.by_torque, reference)
         inertia = p.motor_inertia
         feedback = [inertia * gains.angle, inertia * gains.speed - p.motor_viscous_friction, 0.0, gains.torsion_speed]
-        transition = at_angle(arms.transition, reference) - by_torque[:, :, None] * np.array(feedback)
+        transition = at_angle(arm.transition, reference) - by_torque[:, :, None] * np.array(feedback)
         length, none = 2 * p.link_length + p.hand_length, np.zeros_like(angle)
         of_state = np.zeros((len(angle), 4, 4))
         of_state[:, 0, 0] = of_state[:, 2, 1] = length / p.gear_ratio

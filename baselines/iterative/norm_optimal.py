@@ -26,17 +26,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.optimal.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
 from beltarm_env.arm import plant_of
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-
-Floats = NDArray[np.float64]
 
 _MOVES = np.array([1e-3, 1e-2, 1e-5, 1e-3, 1e-4])  # of x and of the torque, for the differences
 _COPIES = 2 * len(_MOVES) + 1

@@ -22,13 +22,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.gains import Gains, tunable
 from baselines.models.rigid_arm import Motion
 from beltarm_env import CONTROL_PERIOD
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Floats
 
 _RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
 

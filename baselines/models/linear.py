@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import params_table
+from beltarm_env.arm import Plant, params_table
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.linear import sample_models
-
-Floats = NDArray[np.float64]
 
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
 """Joint angles of the tables [rad], every two degrees; outside, tables are constant."""
@@ -35,8 +33,15 @@ def linear_arms(table: Floats) -> LinearArms:
 
 
 def linear_arm(params: ArmParams) -> LinearArms:
-    """Linear model of one arm: n = 1."""
-    return linear_arms(params_table([params]))
+    """Linear model of one arm, at each of `ANGLES`: without the axis of n arms."""
+    return LinearArms(*(part[0] for part in linear_arms(params_table([params]))))
+
+
+@inlined
+def turning_load(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
+    """Inertia M2 [kg m^2] and the torque M2' phi'^2 / 2 [N m] that completes (5b), at an angle [rad] and its rate."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return plant.inertia + plant.inertia_swing * sine * sine, plant.inertia_swing * sine * cosine * speed * speed
 
 
 @inlined

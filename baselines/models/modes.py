@@ -13,12 +13,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.models.rigid_arm import RigidArm
 from beltarm_env import ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Floats
 
 
 class Mode(NamedTuple):

@@ -9,11 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.models.rigid_arm import Motion
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Floats
 
 
 class Ramps(NamedTuple):

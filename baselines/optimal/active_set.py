@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-
-Floats = NDArray[np.float64]
 
 SIZE = 5
 """Entries of z."""

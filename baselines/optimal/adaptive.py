@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.estimation.arm_ekf import IDENTIFIED, Uncertainty
@@ -26,10 +25,9 @@ from baselines.estimation.identification import ArmIdentifier, Belief, Identifyi
 from baselines.gains import Gains, tunable, tuned
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 _EVERY = 20  # samples between plans
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
@@ -124,7 +122,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
-        belief = self._identified(reading, begins, memory)
+        belief = self._identified(reading, begins, memory.belief if memory else None)
         bold = memory.bold.drop(begins) if memory else PlanCache.empty(belief)
         careful = memory.careful.drop(begins) if memory else PlanCache.empty(belief)
         bold = bold.replan(bold.is_stale(belief, reading), reading, belief, self._identifier, self._bold)
@@ -139,8 +137,9 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
         return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)
 
-    def _identified(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> Belief:
-        return self._identifier.update(memory.belief if memory else None, reading, begins)
+    def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
+        """Belief at this sample, from that of the last one."""
+        return self._identifier.update(belief, reading, begins)
 
 
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:

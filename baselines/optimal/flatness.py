@@ -32,14 +32,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table, plant_of
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-
-Floats = NDArray[np.float64]
 
 _LONGEST_FIRST, _LONGEST = 0.5, 1.0  # spreads over the ramp time: so that the corners keep their order
 _SHORTEST_LAG = 1e-12  # [s]  instead of none

@@ -25,18 +25,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from control import dare
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
-from baselines.models.linear import ANGLES, LinearArms, between, linear_arm, place
+from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
-
-Floats = NDArray[np.float64]
 
 STEPS = np.repeat([1, 2, 4, 8], [8, 6, 6, 20])
 """Length of every step in samples: 0.3 s in all."""
@@ -60,7 +59,7 @@ def horizon(
 ) -> Horizon:
     """Tabulate the problem for an arm."""
     plant, weights = params.plant(), error_weights(velocity_weight)
-    arm = LinearArms(*(part[0] for part in linear_arm(params)))
+    arm = linear_arm(params)
     single = np.zeros((len(ANGLES), SIZE + 1, SIZE + 1))  # over one sample, of z and an acceleration, both held
     single[:, :4, :4], single[:, :4, 4], single[:, :4, 5] = arm.transition, arm.by_torque, arm.by_acceleration
     single[:, 4, 4] = single[:, 5, 5] = 1.0
@@ -71,7 +70,7 @@ def horizon(
         weight = np.zeros((SIZE, SIZE))
         add_tip_cost(weight, float(angle), 0.0, softened_sine(float(angle)), plant, weights)
         step = single[k, :SIZE, :SIZE]
-        final[k] = dare(step, step[:, 4:], weight, [[change_weight]])[0] - weight
+        final[k] = solve_discrete_are(step, step[:, 4:], weight, [[change_weight]]) - weight
     return Horizon(
         plant,
         lengths.astype(np.int64),
@@ -84,20 +83,13 @@ def horizon(
     )
 
 
-@inlined
-def _turning(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
-    """Inertia M2 [kg m^2] and the torque M2' phi'^2 / 2 [N m]."""
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return plant.inertia + plant.inertia_swing * sine * sine, plant.inertia_swing * sine * cosine * speed * speed
-
-
 @compiled
 def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Reference, end: Reference) -> None:
     """Set dynamics and weight of step k, between two references."""
     row, weight = place(middle.angle)
     table, accelerated = ahead.transition[ahead.which[k]], ahead.by_acceleration[ahead.which[k]]
     gear = ahead.plant.gear
-    m2, torque = _turning(middle.angle, middle.speed, ahead.plant)
+    m2, torque = turning_load(middle.angle, middle.speed, ahead.plant)
     for i in range(SIZE):
         for j in range(SIZE):
             p.transition[k, i, j] = between(table[row, i, j], table[row + 1, i, j], weight)
@@ -123,7 +115,7 @@ def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
         for j in range(SIZE):
             p.final[i, j] = between(ahead.final[row, i, j], ahead.final[row + 1, i, j], weight)
     plant = ahead.plant
-    m2, turning = _turning(end.angle, end.speed, plant)
+    m2, turning = turning_load(end.angle, end.speed, plant)
     load = m2 * end.acceleration + turning
     rigid = plant.gear * (end.acceleration / plant.inverse_motor_inertia + plant.viscous_friction * end.speed)
     p.target[0], p.target[1] = plant.gear * load / plant.stiffness, 0.0

@@ -4,8 +4,8 @@
 
 State and torque of the smoothed move come from the flat output, see `baselines.optimal.flatness`; the torque is the one
 in the middle of the sample over which it is held. Estimates x and d are those of `baselines.estimation.observer`, a
-Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (python-control's
-`dlqr`) of the linear arm at each of 46 joint angles, interpolated at the angle of the reference. It minimises
+Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (LQR) of the linear arm at each
+of 46 joint angles, interpolated at the angle of the reference. It minimises
 
     sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
 
@@ -22,37 +22,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import control
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import solve, solve_discrete_are
 
 from baselines.controller import ClassicalController
-from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
 from baselines.optimal.plan import Weights
+from baselines.optimal.preview import PreviewGains
 from baselines.optimal.tip_error import bounded_sine, error_weights, tip_error_rows
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading, chosen
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)
-class LqgGains(Gains):
-    """Smoothness of the move, weights of the feedback and noise of the filter."""
+class SpreadGains(Gains):
+    """Smoothness of the move: times over which the corners of its trapezoid are spread."""
 
-    first_spread: float = tunable(0.3, 0.02, 2.0, log=True)  # [periods]  of the first corner of the trapezoid
+    first_spread: float = tunable(0.3, 0.02, 2.0, log=True)  # [periods]  of the first corner
     spread: float = tunable(0.6, 0.02, 4.0, log=True)  # [periods]  of the others
-    velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
-    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
-    torque_noise: float = tunable(3e-3, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
-    acceleration_noise: float = tunable(5.0, 0.1, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
-    disturbance_noise: float = tunable(0.1, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]  growth of d
-    friction_share: float = tunable(1.0, 0.0, 1.3)  # [-]        of tau_c that is compensated
-    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the torque decides
+
+
+@dataclass(frozen=True)
+class LqgGains(PreviewGains, SpreadGains):
+    """Smoothness of the move; weights of the feedback, noise of the filter and friction compensation as in preview."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +69,10 @@ def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
     for k, angle in enumerate(ANGLES):
         scaled = scales[:, None] * np.array(tip_error_rows(float(angle), 0.0, bounded_sine(float(angle)), plant))
         state_cost = scaled.T @ scaled
-        transition, by_torque = tables.transition[0, k], tables.by_torque[0, k][:, None]
-        gain, _, _ = control.dlqr(transition, by_torque, state_cost, np.array([[weights.torque]]))
-        gains[k] = np.asarray(gain)[0]
+        transition, by_torque = tables.transition[k], tables.by_torque[k][:, None]
+        price = np.array([[weights.torque]])
+        to_go = solve_discrete_are(transition, by_torque, state_cost, price)
+        gains[k] = solve(by_torque.T @ to_go @ by_torque + price, by_torque.T @ to_go @ transition)[0]
     return gains
 
 
@@ -89,11 +87,8 @@ class LqgController(ClassicalController[LqgMemory]):
     def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or LqgGains()
-        g = self.gains
-        self._feedback = feedback_gains(self.params, Weights(g.velocity_weight, g.torque_weight))
-        self._observer = StickSlipObserver(
-            self.params, Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
-        )
+        self._feedback = feedback_gains(self.params, self.gains.weights())
+        self._observer = StickSlipObserver(self.params, self.gains.noise())
 
     def law(self, reading: Reading, begins: Flags, memory: LqgMemory | None) -> tuple[Floats, LqgMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
@@ -109,14 +104,11 @@ class LqgController(ClassicalController[LqgMemory]):
         friction = self.gains.friction_share * self.params.coulomb_friction * direction
         return torque - estimate.disturbance + friction, LqgMemory(corners, estimate)
 
-    def _resmoothed(self, corners: Corners | None, begins: NDArray[np.bool_], moves: Floats) -> Corners:
+    def _resmoothed(self, corners: Corners | None, begins: Flags, moves: Floats) -> Corners:
         """Smoothed moves, with new ones for arms that begin an episode."""
         if corners is not None and not begins.any():
             return corners
         new = smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)
         if corners is None:
             return new
-        which = begins[:, None]
-        start = np.where(begins, new.start, corners.start)
-        rest = (np.where(which, fresh, old) for fresh, old in zip(new[1:], corners[1:], strict=True))
-        return Corners(start, *rest)
+        return Corners(*(chosen(begins, *pair) for pair in zip(new, corners, strict=True)))

@@ -17,17 +17,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.horizon import horizon, plan
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 _RESTING = 0.5  # a motor slower than this is taken to rest [rad/s]; the encoder resolves 1 rad/s from sample to sample
 

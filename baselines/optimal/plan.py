@@ -18,17 +18,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.models.linear import LinearArms, between, linear_arms, place
+from baselines.models.linear import LinearArms, between, linear_arms, place, turning_load
 from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
 from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
+from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import TRAPEZOID, sample_references
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
@@ -51,12 +50,10 @@ class Plan(NamedTuple):
 def _set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
     """Write A, b and d of the step between two samples of the reference, each an angle and a speed."""
     row, weight = place(now[0])
-    sine, cosine = np.sin(now[0]), np.cos(now[0])
-    m2 = plant.inertia + plant.inertia_swing * sine * sine
-    centrifugal = plant.inertia_swing * sine * cosine * now[1] * now[1] / m2
+    m2, turning = turning_load(now[0], now[1], plant)
     for i in range(4):
         b[i] = between(model.by_torque[row, i], model.by_torque[row + 1, i], weight)
-        d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * centrifugal
+        d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * (turning / m2)
         for j in range(4):
             a[i, j] = between(model.transition[row, i, j], model.transition[row + 1, i, j], weight)
     for i in range(4):
@@ -113,7 +110,7 @@ some arms leaves those of the others where they are; never changed in place, sin
 valid."""
 
 
-def replanned(plans: Plans | None, which: NDArray[np.bool_], moves: Floats, table: Floats, weights: Weights) -> Plans:
+def replanned(plans: Plans | None, which: Flags, moves: Floats, table: Floats, weights: Weights) -> Plans:
     """Plans with new ones for some arms; `table` has a row for every arm, or one for all."""
     if plans is not None and not which.any():
         return plans
@@ -125,7 +122,7 @@ def replanned(plans: Plans | None, which: NDArray[np.bool_], moves: Floats, tabl
     return merged
 
 
-def planned_torque(plans: Plans, step: NDArray[np.intp], state: Floats) -> Floats:
+def planned_torque(plans: Plans, step: Integers, state: Floats) -> Floats:
     """tau_ff - K (x - x_ref) [N m] of n arms, each at its step of the episode and in its state, shape (n, 4)."""
     rows = np.array([plan[k] for plan, k in zip(plans, np.minimum(step, EPISODE_STEPS - 1), strict=True)])
     feedback = rows[:, 4:8] * (state - rows[:, :4])

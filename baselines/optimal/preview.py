@@ -13,19 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,15 @@ class PreviewGains(Gains):
     acceleration_noise: float = tunable(5.0, 0.1, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
     disturbance_noise: float = tunable(0.1, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]  growth of d
     friction_share: float = tunable(1.0, 0.0, 1.3)  # [-]        of tau_c that is compensated
-    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
+    friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the torque decides
+
+    def weights(self) -> Weights:
+        """Weights of the tip's velocity error and of the torque."""
+        return Weights(self.velocity_weight, self.torque_weight)
+
+    def noise(self) -> Noise:
+        """Process noise of the filter."""
+        return Noise(self.torque_noise, self.acceleration_noise, self.disturbance_noise)
 
 
 @dataclass(frozen=True)
@@ -60,12 +64,9 @@ class PreviewController(ClassicalController[PreviewMemory]):
     def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or PreviewGains()
-        g = self.gains
         self._table = params_table([self.params])
-        self._weights = Weights(g.velocity_weight, g.torque_weight)
-        self._observer = StickSlipObserver(
-            self.params, Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
-        )
+        self._weights = self.gains.weights()
+        self._observer = StickSlipObserver(self.params, self.gains.noise())
 
     def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""

@@ -21,11 +21,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
-
-Floats = NDArray[np.float64]
 
 
 class CostToGo(NamedTuple):

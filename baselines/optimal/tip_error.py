@@ -15,13 +15,11 @@ for the optimal plan and LQG, `softened_sine` for predictive control.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
-
-Floats = NDArray[np.float64]
 
 _LEAST, _SOFTENING = 0.1, 0.05
 

@@ -33,16 +33,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class DisturbanceMemory:
     fast_load: Floats  # tau_d passed by g_r [N m]
     motor_speed: Floats  # of the last sample [rad/s]
     known: Floats  # known torque since the last sample [N m]
-    held: NDArray[np.bool_]  # whether the last push was not meant to break the motor away
+    held: Flags  # whether the last push was not meant to break the motor away
 
 
 class DisturbanceController(ClassicalController[DisturbanceMemory]):

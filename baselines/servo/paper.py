@@ -13,13 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
-from baselines.reading import Flags, Reading
+from baselines.models.rigid_arm import RigidArm
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,7 @@ class TorsionSimulation:
     """
 
     def __init__(self, params: ArmParams) -> None:
-        self._plant = params.plant()
+        self._plant, self._arm = params.plant(), RigidArm(params)
 
     def follow(
         self, memory: PaperMemory | None, begins: Flags, joint_speed: Floats, joint_angle: Floats
@@ -86,7 +85,7 @@ class TorsionSimulation:
             joint_angle: theta_1 [rad], shape (n,).
         """
         plant = self._plant
-        m2 = plant.inertia + plant.inertia_swing * np.sin(joint_angle) ** 2
+        m2 = self._arm.link_inertia(joint_angle)
         decay = 0.5 * plant.damping / m2
         square = plant.stiffness / m2
         frequency = np.sqrt(square - decay * decay)

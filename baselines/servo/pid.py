@@ -17,17 +17,15 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.ramps import Ramps, motion_at
-from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
-from baselines.reading import Flags, Reading
+from baselines.models.rigid_arm import RigidArm, motor_errors
+from baselines.reading import Reading, chosen
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -41,12 +39,10 @@ class PidGains(FrictionGains):
 
 @dataclass(frozen=True, slots=True)
 class PidMemory:
-    """Memory from sample to sample: integral of the error, and the planned ramps."""
+    """Memory from sample to sample."""
 
     integral: Floats  # of the motor's angle error [rad s], shape (n,)
-    onset: Floats  # of the k planned ramps, see `Ramps`; shape (n, k)
-    time: Floats  # of the ramps
-    speed: Floats  # of the ramps
+    ramps: Ramps  # as planned
 
 
 class PidServo(ClassicalController[PidMemory]):
@@ -73,28 +69,19 @@ class PidServo(ClassicalController[PidMemory]):
         time = CONTROL_PERIOD * reading.step.astype(np.float64)
         wanted = motion_at(ramps, reading.move[:, 0], time, self._smooth)
         error, speed_error = motor_errors(reading, wanted, self.params)
-        torque = self._torque(wanted, error, speed_error, integral)
-        winding = (np.abs(torque) > self.params.torque_limit) & (torque * error > 0)
-        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), *ramps)
+        p, gains, inertia = self.params, self._gains, self._arm.inertia(wanted.angle)
+        push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
+        viscous = p.motor_viscous_friction * p.gear_ratio * wanted.speed
+        friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
+        torque = self._arm.torque(wanted) + viscous + friction + push
+        winding = (np.abs(torque) > p.torque_limit) & (torque * error > 0)
+        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), ramps)
 
     def _recall(self, memory: PidMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Ramps]:
         """Integral and plan at this sample: zero and a new one where an episode begins."""
         if memory is None:
             return np.zeros(len(begins)), self.plan(now.move)
-        ramps = Ramps(memory.onset, memory.time, memory.speed)
         if not begins.any():
-            return memory.integral, ramps
-        anew = zip(self.plan(now.move), ramps, strict=True)
-        return (
-            np.where(begins, 0.0, memory.integral),
-            Ramps(*(np.where(begins[:, None], fresh, old) for fresh, old in anew)),
-        )
-
-    def _torque(self, wanted: Motion, error: Floats, speed_error: Floats, integral: Floats) -> Floats:
-        """Torque before it is cut at the limit [N m]."""
-        p, gains = self.params, self._gains
-        inertia = self._arm.inertia(wanted.angle)
-        push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
-        viscous = p.motor_viscous_friction * p.gear_ratio * wanted.speed
-        friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
-        return self._arm.torque(wanted) + viscous + friction + push
+            return memory.integral, memory.ramps
+        ramps = Ramps(*(chosen(begins, *pair) for pair in zip(self.plan(now.move), memory.ramps, strict=True)))
+        return np.where(begins, 0.0, memory.integral), ramps

@@ -23,18 +23,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.friction import FrictionGains, commanded_direction
 from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from baselines.servo.paper import PaperMemory, TorsionSimulation
 from beltarm_env import ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Flags, Floats
 
 
 @dataclass(frozen=True)

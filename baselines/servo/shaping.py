@@ -32,15 +32,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.gains import tunable
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps
 from baselines.servo.pid import PidGains, PidServo
 from beltarm_env import ArmParams
+from beltarm_env.arrays import Floats
 
-Floats = NDArray[np.float64]
 Kind = Literal["zv", "zvd", "ei"]
 
 

@@ -20,15 +20,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.gains import tunable
 from baselines.models.modes import held_mode
 from baselines.models.ramps import Ramps
 from baselines.servo.pid import PidGains, PidServo
 from beltarm_env import ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,11 @@ class Failure:
             return words
         return " ".join([f"{type(self.error).__name__}: {words}", *getattr(self.error, "__notes__", [])[:1]])
 
+    @property
+    def resumable_message(self) -> str:
+        """The message, with a remedy for a task that saves its work and whose process died."""
+        return f"{self.message}; to go on, use --resume" if isinstance(self.error, BrokenOff) else self.message
+
 
 def attempt(task: Task[Result], channel: Channel) -> Result | Failure:
     """Run a task, and return its result or failure."""

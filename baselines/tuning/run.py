@@ -13,7 +13,7 @@ from rich.console import Console
 from baselines.gains import read_file, write_entry
 from baselines.registry import TUNABLE
 from baselines.tools.files import require_writable
-from baselines.tools.parallel import BrokenOff, Failure, Interrupted, StopRequest, run_side_by_side, stop_on_signals
+from baselines.tools.parallel import Interrupted, StopRequest, run_side_by_side, stop_on_signals
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
 from baselines.tuning.search import SearchProgress, SearchResult, search
@@ -78,17 +78,12 @@ def tune(
                     write_entry(name, TUNABLE[name].gains(**found.gains), _provenance(budget, seed, found), out)
                     rows.show(name, budget, _summary(found))
                 elif not isinstance(found.error, Interrupted):
-                    errors.append(f"{name}: {_explained(found)}")
+                    errors.append(f"{name}: {found.resumable_message}")
     if errors:
         raise ValueError("\n".join(errors))
     if stop.made:
         raise Interrupted
     console.print(f"written to {out}: {', '.join(names)}")
-
-
-def _explained(failure: Failure) -> str:
-    """Message of a failed search, with a remedy if its process died."""
-    return f"{failure.message}; to go on, use --resume" if isinstance(failure.error, BrokenOff) else failure.message
 
 
 def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object]:

@@ -32,13 +32,13 @@ from typing import NamedTuple
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.trial import FrozenTrial, TrialState
 
 from baselines.gains import Tunable
 from baselines.tools.parallel import Channel, Interrupted
 from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
+from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
@@ -53,8 +53,6 @@ MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
 """Steps for one trial and a choice."""
 WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
-
-Floats = NDArray[np.float64]
 
 
 class SearchProgress(NamedTuple):

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.lumped import driving_torque
@@ -42,8 +43,6 @@ from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
-
-Floats = NDArray[np.float64]
 
 _UNITS = np.array([100.0, 100.0, 0.01, 0.5])  # of the states in the program, to make them of order 1
 _SMOOTHING = ((10.0, 0.1), (3.0, 0.03), (1.0, 0.01))  # stage 1: of friction [rad/s], of the norms

@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.reading import read
 from baselines.tools.files import require_writable, write_text
 from baselines.tools.provenance import command_line
 from beltarm_env import EPISODE_STEPS, ArmParams, __version__
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import params_columns, params_table
+from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
 
@@ -62,29 +62,29 @@ class Scenario:
 class Replay:
     """Controller that plays recorded actions of shape (n, T), whatever it observes."""
 
-    def __init__(self, actions: NDArray[np.float32]) -> None:
+    def __init__(self, actions: Singles) -> None:
         self._actions = actions
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Singles,
         state: object = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Flags | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], None]:
+    ) -> tuple[Singles, None]:
         """Actions of the current step; see `Controller`."""
         step = read(observation, ArmParams()).step
         return self._actions[np.arange(len(step)), step, None], None
 
 
-def replay(scenarios: list[Scenario], actions: NDArray[np.float32]) -> Recording:
+def replay(scenarios: list[Scenario], actions: Singles) -> Recording:
     """Run actions of shape (n, T) in the environment, each row in its scenario."""
-    params = {name: [getattr(s.params, name) for s in scenarios] for name in FIELDS}
-    move = {name: [getattr(s.move, name) for s in scenarios] for name in MoveShape._fields}
+    params = params_columns(params_table([scenario.params for scenario in scenarios]))
+    move = dict(zip(MoveShape._fields, np.array([scenario.move for scenario in scenarios]).T, strict=True))
     return rollout(Replay(actions), len(scenarios), seed=0, options={"params": params, "move": move})
 
 
-def read_file(path: Path = FILE) -> tuple[dict[str, Any], list[Scenario], NDArray[np.float32]]:
+def read_file(path: Path = FILE) -> tuple[dict[str, Any], list[Scenario], Singles]:
     """Contents of a file: everything as written, and from it the scenarios and their actions of shape (n, T).
 
     Raises:

@@ -7,33 +7,23 @@ the environment's full observation (motor angle and speed by the encoder, torsio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.controller import ClassicalController
 from baselines.gains import tuned
 from baselines.models.friction import breakaway_direction
 from baselines.optimal.adaptive import AdaptiveGains
-from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
+from baselines.optimal.plan import Plans, planned_torque, replanned
 from baselines.optimal.preview import PreviewGains
-from baselines.reading import Flags, Reading
+from baselines.reading import Reading
 from beltarm_env import ArmParams
-from beltarm_env.arm import FIELDS, params_table
-
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PrivilegedMemory:
-    """Plans of n arms."""
-
-    plans: Plans
+from beltarm_env.arm import COLUMN, params_table
+from beltarm_env.arrays import Flags, Floats
 
 
-class PrivilegedController(ClassicalController[PrivilegedMemory]):
+class PrivilegedController(ClassicalController[Plans]):
     """Preview LQG that knows its arms, on observations with `sensors="full"`.
 
     Args:
@@ -47,10 +37,10 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         super().__init__(arms[0])
         self.gains = gains or PreviewGains()
         self._table = params_table(arms)
-        self._friction = self._table[:, FIELDS.index("coulomb_friction")]
-        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._friction = self._table[:, COLUMN.coulomb_friction]
+        self._weights = self.gains.weights()
 
-    def law(self, reading: Reading, begins: Flags, memory: PrivilegedMemory | None) -> tuple[Floats, PrivilegedMemory]:
+    def law(self, reading: Reading, begins: Flags, memory: Plans | None) -> tuple[Floats, Plans]:
         """Torque [N m] of one sample, see `ClassicalController`.
 
         Raises:
@@ -58,12 +48,12 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         """
         if len(begins) != len(self._table):
             raise ValueError(f"this yardstick knows {len(self._table)} arms, got observations of {len(begins)}")
-        plans = replanned(memory.plans if memory else None, begins, reading.move, self._table, self._weights)
+        plans = replanned(memory, begins, reading.move, self._table, self._weights)
         assert reading.torsion is not None, "decoded with the torsion, see `sensors`"
         x = np.column_stack([reading.motor_angle, reading.motor_speed, reading.torsion])
         torque = planned_torque(plans, reading.step, x)
         direction = breakaway_direction(reading.motor_speed, torque, self.gains.friction_speed)
-        return torque + self.gains.friction_share * self._friction * direction, PrivilegedMemory(plans)
+        return torque + self.gains.friction_share * self._friction * direction, plans
 
 
 def privileged_controller(

@@ -1,4 +1,4 @@
-"""Batches of full arms moved by MuJoCo instead of by the kernels."""
+"""Batches of full arms moved by MuJoCo instead of by the kernels, as the engine of an `ArmBatch`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env.arm import ArmParams, plant_of
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.mujoco.model import load_model, mujoco, read_state, write_state
 from beltarm_env.physics.models import FULL_ARM
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.timing import CONTROL_PERIOD
-
-Floats = NDArray[np.float64]
 
 STEPS = 2
 """MuJoCo steps for each step that the kernels would take; what is left of friction's softness shrinks with them."""
@@ -29,13 +27,13 @@ class _Arm:
 
 
 class MuJoCoArms:
-    """Engine of `num_arms` arms, each with a MuJoCo model and state of its own; see `batch.Engine`."""
+    """Engine of `num_arms` arms, each with a MuJoCo model and state of its own."""
 
     def __init__(self, num_arms: int) -> None:
         self._arms: dict[int, _Arm] = {}
         self._num_arms = num_arms
 
-    def begin(self, arms: NDArray[np.intp], table: Floats, states: Floats) -> None:
+    def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
         """Begin new episodes for arms with parameters (n, fields) from states (n, 4)."""
         for arm, row, state in zip(arms.tolist(), table, states, strict=True):
             params = ArmParams.from_row(row)

@@ -11,9 +11,9 @@ from importlib.resources import as_file, files
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.timing import CONTROL_PERIOD
 
 try:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     MjData = MjModel = MjSpec = Any
 
 mujoco: Any = compiled_mujoco  # its compiled modules have no type stubs
-Floats = NDArray[np.float64]
 
 # MuJoCo's integrators, and the rate of friction times the time step: a good part of what each is stable with.
 _INTEGRATORS = {

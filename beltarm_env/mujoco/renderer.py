@@ -9,6 +9,7 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.mujoco.model import load_model, mujoco, place_hand, write_state
 from beltarm_env.rendering.window import Window
 
@@ -37,9 +38,7 @@ class MuJoCoRenderer:
         self._data: Any = None
         self._renderer: Any = None
 
-    def draw(
-        self, params: ArmParams, state: NDArray[np.float64], reference_angle: float, time: float
-    ) -> NDArray[np.uint8] | None:
+    def draw(self, params: ArmParams, state: Floats, reference_angle: float, time: float) -> NDArray[np.uint8] | None:
         """Draw the arm; in a window only when the next 1/fps s of arm time has begun.
 
         Args:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN, FIELDS, Plant, plant_of
+from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.jit import inlined
 from beltarm_env.physics.models import Model, inverse_inertia
 from beltarm_env.timing import CONTROL_PERIOD
@@ -73,8 +73,8 @@ def fastest_arms(bounds: Floats) -> Floats:
     is a rod alone, S = 6 M2(0); in everything else at one known end.
     """
     fastest = bounds[0].copy()
-    for name in ("belt_stiffness", "belt_damping_ratio", "motor_viscous_friction"):
-        fastest[FIELDS.index(name)] = bounds[1, FIELDS.index(name)]
+    upper = [COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction]
+    fastest[upper] = bounds[1, upper]
     inertia, swing = COLUMN.arm_inertia, COLUMN.arm_inertia_swing
     inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))
     swings = np.append(bounds[:, swing], np.clip(6 * bounds[:, inertia], *bounds[:, swing]))

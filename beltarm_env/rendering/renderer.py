@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.rendering.window import Window, import_pygame
 
 if TYPE_CHECKING:
@@ -58,9 +59,7 @@ class Renderer:
         self._trace: list[tuple[float, Point]] = []
         self._window = Window("BeltArm-v0", (WIDTH, HEIGHT), fps) if render_mode == "human" else None
 
-    def draw(
-        self, params: ArmParams, state: NDArray[np.float64], reference_angle: float, time: float
-    ) -> NDArray[np.uint8] | None:
+    def draw(self, params: ArmParams, state: Floats, reference_angle: float, time: float) -> NDArray[np.uint8] | None:
         """Draw the arm; in a window only when the next 1/fps s of arm time has begun.
 
         Args:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beltarm_env.arm import ArmParams
+from beltarm_env.arm import NOMINAL
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import (
     QUINTIC,
@@ -17,8 +17,6 @@ from beltarm_env.task.reference import (
     SCURVE_PEAK_ACCELERATION,
     MoveShape,
 )
-
-Floats = NDArray[np.float64]
 
 MOVE_FIELDS = MoveShape._fields
 DRAWS = 5
@@ -38,15 +36,14 @@ _SLOWDOWN = 0.5  # durations are drawn up to this much longer than the quickest:
 _LEAST_RAMP_SHARE, _MOST_RAMP_SHARE = 0.15, 0.35  # of the duration
 _ROUNDING = 1e-9
 
-_NOMINAL = ArmParams()
 _INERTIA = (
-    _NOMINAL.motor_inertia + (_NOMINAL.arm_inertia + _NOMINAL.arm_inertia_swing) / _NOMINAL.gear_ratio**2
-) * _NOMINAL.gear_ratio
-_VISCOUS = _NOMINAL.motor_viscous_friction * _NOMINAL.gear_ratio
-_COULOMB = _NOMINAL.coulomb_friction
-_CENTRIFUGAL = 0.5 * _NOMINAL.arm_inertia_swing / _NOMINAL.gear_ratio
+    NOMINAL.motor_inertia + (NOMINAL.arm_inertia + NOMINAL.arm_inertia_swing) / NOMINAL.gear_ratio**2
+) * NOMINAL.gear_ratio
+_VISCOUS = NOMINAL.motor_viscous_friction * NOMINAL.gear_ratio
+_COULOMB = NOMINAL.coulomb_friction
+_CENTRIFUGAL = 0.5 * NOMINAL.arm_inertia_swing / NOMINAL.gear_ratio
 
-MOST_TORQUE = TORQUE_SHARE * _NOMINAL.torque_limit
+MOST_TORQUE = TORQUE_SHARE * NOMINAL.torque_limit
 """Most torque a move may ask of the nominal rigid arm [N m]."""
 
 
@@ -163,10 +160,7 @@ def draw_moves(profile: int, uniforms: Floats, given: Floats) -> Floats:
             ramp_share = _MOST_RAMP_SHARE
         if ramp_time != ramp_time:
             ramp_time = ramp_share * duration
-        table[i, 0] = start
-        table[i, 1] = goal
-        table[i, 2] = duration
-        table[i, 3] = ramp_time
+        table[i, 0], table[i, 1], table[i, 2], table[i, 3] = start, goal, duration, ramp_time
     return table
 
 
@@ -203,7 +197,7 @@ def check_moves(profile: int, table: Floats) -> None:
             )
 
 
-def _require(allowed: NDArray[np.bool_], table: Floats, rule: str) -> None:
+def _require(allowed: Flags, table: Floats, rule: str) -> None:
     if not allowed.all():
         raise ValueError(f"move: {rule}, got {_describe(*table[int(np.argmin(allowed))])}")
 

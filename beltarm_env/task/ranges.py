@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from beltarm_env.arm import FIELDS, NOMINAL, ArmParams, params_table
+from beltarm_env.arrays import Floats
 
-from beltarm_env.arm import FIELDS, NOMINAL, ArmParams
-
-Floats = NDArray[np.float64]
 Ranges = Mapping[str, tuple[float, float]]
 
 
@@ -66,7 +63,4 @@ def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str,
 
 def range_bounds(ranges: Ranges) -> Floats:
     """Return the lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
-    bounds = np.tile(NOMINAL.row(), (2, 1))
-    for name, pair in ranges.items():
-        bounds[:, FIELDS.index(name)] = pair
-    return bounds
+    return params_table([ArmParams(**{name: pair[end] for name, pair in ranges.items()}) for end in (0, 1)])

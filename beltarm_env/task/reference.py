@@ -13,9 +13,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 
 Profile = Literal["trapezoid", "scurve", "quintic"]
@@ -106,7 +104,7 @@ def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
 
 
 @compiled
-def sample_references(profile: int, moves: NDArray[np.float64], period: float, samples: NDArray[np.float64]) -> None:
+def sample_references(profile: int, moves: Floats, period: float, samples: Floats) -> None:
     """Sample the references of n moves, for controllers that know the whole move beforehand.
 
     Args:

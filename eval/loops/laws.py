@@ -115,7 +115,7 @@ def disturbance_law(controller: DisturbanceController, k: int) -> Law:
 
 def _filter(params: ArmParams, k: int, gain: Floats) -> Callable[[float, float, Floats], Floats]:
     """One sample of the steady-state Kalman filter of x, or of [x; d], with the motor sliding."""
-    arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
+    arm = LinearArms(*(part[k] for part in linear_arm(params)))
 
     def update(angle: float, last: float, estimate: Floats) -> Floats:
         predicted = arm.transition @ estimate[:4] + arm.by_torque * (last + estimate[4:].sum())
@@ -145,7 +145,7 @@ def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
     """Steady-state gain of the identification's filter for x with the constants held at the nominal, shape (4,)."""
-    arm = LinearArms(*(part[0, k] for part in linear_arm(params)))
+    arm = LinearArms(*(part[k] for part in linear_arm(params)))
     covariance = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
     covariance += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
     covariance[0, 0] += QUANTUM**2 / 120
