@@ -24,6 +24,7 @@ from eval import compare
 from eval.comparison import custom, pairs
 from eval.comparison.methods import classical_methods, learned_methods, shipped_policies
 from eval.comparison.pairs import LEFT, Pair, read_kept, run_and_keep
+from eval.comparison.results import Comparison
 from eval.comparison.schema import read_results
 from eval.comparison.splits import VERSION, load
 
@@ -140,15 +141,16 @@ def test_new_weights_and_fresh_runs_are_run(
     """Weights that are opened outside Python count as well, and results beside the controller do not."""
     (tmp_path / "mine.py").write_text(MINE)
     chosen = ("--add", "mine.py:Mine", "--methods", "paper", "Mine", "--splits", "nominal", "--episodes", "4")
+    found: list[Comparison] = []
+    monkeypatch.setattr(compare, "publish", lambda comparison, *_, **__: found.append(comparison) or comparison)
 
     def compared(weight: float, *options: str) -> tuple[float, int, str]:
         """Cost of the controller, how many pairs were not run, and what was printed."""
         save_file({"weight": np.array(weight)}, tmp_path / "weights.safetensors")
         code, errors = stopped(compare.main, (*chosen, "--jobs", "1", "--out", "out", *options), tmp_path)
         assert code == 0, errors
-        results = read_results(tmp_path / "out" / "results.json")
-        cost = results["rows"][1]["metrics"]["cost"]["iqm"]
-        return cost, results["provenance"]["pairs_kept_before"], capsys.readouterr().out
+        cost = found[-1].outcomes[1].metrics["cost"].mean()
+        return cost, found[-1].provenance["pairs_kept_before"], capsys.readouterr().out
 
     first, kept, output = compared(0.0)
     assert kept == 0 and "will not be used again" not in output
