@@ -94,11 +94,19 @@ class WorkerPool:
                     del self._waiting[message.name]
                     yield message.name, message.content
         finally:
+            before, threading.excepthook = threading.excepthook, _ignore_manager
             while dispatcher.is_alive():
                 get_reusable_executor(reuse=True).shutdown(kill_workers=True)  # pyright: ignore[reportArgumentType]
                 dispatcher.join(timeout=1)
+            threading.excepthook = before
         if dispatcher.error is not None:
             raise dispatcher.error
+
+
+def _ignore_manager(failure: threading.ExceptHookArgs) -> None:
+    """Report a thread's exception, but for loky's manager: it may trip over workers that are killed under it."""
+    if failure.thread is None or failure.thread.name != "ExecutorManagerThread":
+        threading.__excepthook__(failure)
 
 
 def _broken_off() -> BrokenOff:
