@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from beltarm_env.arm import ArmParams
     from beltarm_env.env import BeltArmEnv
     from beltarm_env.physics.linear import state_space
-    from beltarm_env.task.ranges import TRAIN_RANGES
+    from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, design_model
     from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
     from beltarm_env.vector_env import BeltArmVectorEnv
 
@@ -25,20 +25,24 @@ __version__ = "0.1.0"
 __all__ = [
     "CONTROL_PERIOD",
     "EPISODE_STEPS",
+    "IDEAL_RANGES",
     "TRAIN_RANGES",
     "ArmParams",
     "BeltArmEnv",
     "BeltArmVectorEnv",
+    "design_model",
     "state_space",
 ]
 
 _HOME = {
     "CONTROL_PERIOD": "timing",
     "EPISODE_STEPS": "timing",
+    "IDEAL_RANGES": "task.ranges",
     "TRAIN_RANGES": "task.ranges",
     "ArmParams": "arm",
     "BeltArmEnv": "env",
     "BeltArmVectorEnv": "vector_env",
+    "design_model": "task.ranges",
     "state_space": "physics.linear",
 }
 

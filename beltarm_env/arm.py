@@ -17,20 +17,42 @@ import numpy as np
 
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
+from beltarm_env.timing import MAX_LATENCY
 
 _LARGEST = 1e9  # beyond any arm, and far from overflowing
 _MAY_BE_ZERO = {
     *("motor_viscous_friction", "coulomb_friction", "hand_length", "arm_inertia_swing", "payload_mass"),
-    "belt_damping_ratio",
+    *("belt_damping_ratio", "torque_ripple"),
 }
+_PHASE = (0.0, 2 * math.pi)
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "current_loop_time_constant": (0.0, 0.01),
+    "command_latency": (0.0, MAX_LATENCY),
+    "torque_constant_error": (-0.5, 0.5),
+    "static_friction_excess": (0.0, 5.0),
+    "stribeck_speed": (0.1, 1000.0),
+    "friction_variation": (0.0, 0.9),
+    "friction_variation_phase": _PHASE,
+    "torque_ripple_order": (1.0, 100.0),
+    "torque_ripple_phase": _PHASE,
+    "kinematic_error": (0.0, 0.01),
+    "kinematic_error_phase": _PHASE,
+    "belt_stiffening": (0.0, 0.9),
+    "belt_stiffening_torsion": (1e-4, 1.0),
+    "friction_drift": (-0.5, 0.5),
+}
+"""Lowest and highest values of the fields that are not just positive."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmParams:
     """Physical constants of one arm, SI units. The defaults are the nominal arm: Table 1, and assumptions marked (a).
 
+    Below the torque limit, the drive as it is built (`beltarm_env.physics.drive`). All its effects are zero by default:
+    the paper's arm.
+
     Raises:
-        ValueError: If a value is not finite, is negative, or is zero where that makes no arm.
+        ValueError: If a value is not finite, or out of its bounds.
         TypeError: If a value is not a real number.
     """
 
@@ -46,6 +68,21 @@ class ArmParams:
     belt_stiffness: float = 33.0  # K_s      [N m/rad]     between theta_1 and phi
     belt_damping_ratio: float = 0.01  # zeta     [-]           at 90 degrees, unloaded (a); the paper has none
     torque_limit: float = 0.3  # [N m]    of the motor (a)
+    current_loop_time_constant: float = 0.0  # T_i      [s]           of the motor torque behind its command
+    command_latency: float = 0.0  # T_c      [s]           from a sample to the instant at which its command acts
+    torque_constant_error: float = 0.0  # k        [-]           torque over command, less 1
+    static_friction_excess: float = 0.0  # s        [-]           breakaway over Coulomb friction, less 1
+    stribeck_speed: float = 3.0  # omega_s  [rad/s]       of the motor, at which half of that excess is left
+    friction_variation: float = 0.0  # r        [-]           of friction, twice per turn of the motor
+    friction_variation_phase: float = 0.0  # phi_r    [rad]
+    torque_ripple: float = 0.0  # c        [N m]         amplitude at the motor
+    torque_ripple_order: float = 6.0  # n        [-]           periods per turn of the motor, a whole number
+    torque_ripple_phase: float = 0.0  # phi_c    [rad]
+    kinematic_error: float = 0.0  # e        [rad]         of the harmonic drive at joint 1, twice per turn of the motor
+    kinematic_error_phase: float = 0.0  # phi_e    [rad]
+    belt_stiffening: float = 0.0  # b        [-]           softer by b at small torsion, stiffer by b at large
+    belt_stiffening_torsion: float = 0.01  # theta_0  [rad]         at which the belt has its mean stiffness K_s
+    friction_drift: float = 0.0  # [-]           change of all friction from the episode's start to its end
 
     def __post_init__(self) -> None:
         """Convert every field to float and check it."""
@@ -54,12 +91,23 @@ class ArmParams:
             if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
             object.__setattr__(self, field.name, float(value))
+            if field.name in _BOUNDS:
+                self._check_bounds(field.name, float(value))
+                continue
             may_be_zero = field.name in _MAY_BE_ZERO
             if not (value > 0 or (may_be_zero and value == 0)) or value > _LARGEST:
                 allowed = "not negative" if may_be_zero else "positive"
                 raise ValueError(
                     f"ArmParams.{field.name} must be finite, {allowed} and at most {_LARGEST:.0e}, got {value!r}"
                 )
+
+    @staticmethod
+    def _check_bounds(name: str, value: float) -> None:
+        low, high = _BOUNDS[name]
+        if not low <= value <= high:
+            raise ValueError(f"ArmParams.{name} must lie within {low:g} and {high:g}, got {value!r}")
+        if name in WHOLE and value != int(value):
+            raise ValueError(f"ArmParams.{name} must be a whole number, got {value!r}")
 
     @classmethod
     def from_row(cls, row: Floats) -> ArmParams:
@@ -79,6 +127,14 @@ FIELDS = tuple(field.name for field in fields(ArmParams))
 """Names of the constants: the columns of a table of arms."""
 COLUMN: Any = namedtuple("COLUMN", FIELDS)(*range(len(FIELDS)))
 """Place of each constant in a row, by name: `row[COLUMN.gear_ratio]`; in kernels too."""
+WHOLE = ("torque_ripple_order",)
+"""Fields that are whole numbers."""
+DRIVE_EFFECTS = (
+    *("current_loop_time_constant", "command_latency", "torque_constant_error"),
+    *("static_friction_excess", "friction_variation", "torque_ripple"),
+    *("kinematic_error", "belt_stiffening", "friction_drift"),
+)
+"""Fields of which each is an effect of the drive as it is built; an arm in which all are zero has the ideal drive."""
 NOMINAL = ArmParams()
 
 

@@ -20,7 +20,7 @@ from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
 from beltarm_env.task.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
-from beltarm_env.task.ranges import Ranges, range_bounds, resolve_ranges
+from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -34,6 +34,7 @@ _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial 
 
 DRAWS = len(FIELDS) + MOVE_DRAWS
 """Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
+_BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, then the drive
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -87,7 +88,7 @@ class ArmBatch:
         sensors: str,
         profile: str,
         model: str,
-        randomization: Literal["off", "train"] | Ranges,
+        randomization: Randomization,
         encoder_counts: int,
         delay: int,
     ) -> None:
@@ -98,7 +99,6 @@ class ArmBatch:
         self.model_name = model
         self.model = MODELS[model]
         self._bounds = range_bounds(resolve_ranges(randomization))
-        self._spans = self._bounds[1] - self._bounds[0]
         check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
@@ -128,7 +128,8 @@ class ArmBatch:
         given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 
-        table = self._bounds[0] + uniforms[:, : len(FIELDS)] * self._spans
+        of_move = slice(_BEFORE_MOVE, _BEFORE_MOVE + MOVE_DRAWS)
+        table = draw_table(self._bounds, np.delete(uniforms, of_move, axis=1))
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for extreme in (column.min(), column.max()):
@@ -142,7 +143,7 @@ class ArmBatch:
             given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
             if not np.isfinite(column).all():
                 raise ValueError(f"move[{name!r}] must be finite, got {value!r}")
-        moves = draw_moves(self.profile, uniforms[:, len(FIELDS) :], given)
+        moves = draw_moves(self.profile, uniforms[:, of_move], given)
         if given_move:
             check_moves(self.profile, moves)
 

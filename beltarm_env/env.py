@@ -17,7 +17,7 @@ from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.moves import MOVE_FIELDS
-from beltarm_env.task.ranges import Ranges
+from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
@@ -114,7 +114,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         sensors: Sensors = "encoder",
         profile: Profile = "trapezoid",
         model: ModelName = "lumped",
-        randomization: Literal["off", "train"] | Ranges = "off",
+        randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,
         render_mode: Literal["human", "rgb_array"] | None = None,
@@ -126,7 +126,8 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
             model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
                 full arm moved and drawn by MuJoCo (extra `mujoco`).
-            randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from `ArmParams` field to (low, high).
+            randomization: "off", the paper's arm; "ideal", arms that vary behind an ideal drive (`IDEAL_RANGES`);
+                "train", arms and drives that vary (`TRAIN_RANGES`); or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
             delay: Samples by which encoder and tachometer lag, 0 to 2.
             render_mode: "human" for a window, "rgb_array" for frames, None for neither.

@@ -8,3 +8,6 @@ EPISODE_STEPS = 1200
 """Steps per episode: 1.8 s."""
 EPISODE_TIME = EPISODE_STEPS * CONTROL_PERIOD
 """[s]"""
+LATENCY_SAMPLES = 3
+MAX_LATENCY = LATENCY_SAMPLES * CONTROL_PERIOD
+"""Longest latency between a sample and the instant at which its command acts [s]."""

@@ -20,7 +20,7 @@ from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.step import step_arms
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
-from beltarm_env.task.ranges import Ranges
+from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
@@ -52,7 +52,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         sensors: Sensors = "encoder",
         profile: Profile = "trapezoid",
         model: ModelName = "lumped",
-        randomization: Literal["off", "train"] | Ranges = "off",
+        randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: int = 0,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,

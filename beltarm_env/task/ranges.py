@@ -1,14 +1,19 @@
-"""Ranges that the constants of an arm are drawn from, episode by episode."""
+"""Ranges that the constants of an arm are drawn from, episode by episode, and the design model in their middle."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
-from beltarm_env.arm import FIELDS, NOMINAL, ArmParams, params_table
+import numpy as np
+
+from beltarm_env.arm import FIELDS, NOMINAL, WHOLE, ArmParams, params_table
 from beltarm_env.arrays import Floats
+from beltarm_env.timing import CONTROL_PERIOD
 
 Ranges = Mapping[str, tuple[float, float]]
+Randomization = Literal["off", "ideal", "train"] | Ranges
 
 
 def _around(name: str, share: float) -> tuple[float, float]:
@@ -16,7 +21,7 @@ def _around(name: str, share: float) -> tuple[float, float]:
     return (1 - share) * nominal, (1 + share) * nominal
 
 
-TRAIN_RANGES: Ranges = {
+IDEAL_RANGES: Ranges = {
     "motor_inertia": _around("motor_inertia", 0.10),
     "motor_viscous_friction": _around("motor_viscous_friction", 0.30),
     "coulomb_friction": _around("coulomb_friction", 0.30),
@@ -26,25 +31,65 @@ TRAIN_RANGES: Ranges = {
     "belt_damping_ratio": (0.002, 0.018),
     "payload_mass": (0.0, 0.2),
 }
-"""Ranges of the arms that training, tuning and the `randomized` split draw from, uniformly and independently."""
+"""Ranges of arms with an ideal drive, each drawn uniformly and independently."""
+
+_TURN = (0.0, 2 * math.pi)
+DRIVE_RANGES: Ranges = {
+    "current_loop_time_constant": (0.0002, 0.001),
+    "command_latency": (0.0, 1.5 * CONTROL_PERIOD),
+    "torque_constant_error": (-0.08, 0.08),
+    "static_friction_excess": (0.0, 0.5),
+    "stribeck_speed": (1.0, 10.0),
+    "friction_variation": (0.0, 0.25),
+    "friction_variation_phase": _TURN,
+    "torque_ripple": (0.0, 0.02 * NOMINAL.torque_limit),
+    "torque_ripple_order": (4.0, 12.0),
+    "torque_ripple_phase": _TURN,
+    "kinematic_error": (0.0, 0.0005),
+    "kinematic_error_phase": _TURN,
+    "belt_stiffening": (0.0, 0.25),
+    "friction_drift": (-0.15, 0.15),
+}
+"""Ranges of the drive as it is built, each drawn uniformly and independently; sources in docs/physics.md."""
+
+TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
+"""Ranges of the arms that training, tuning and the `randomized` split draw from: arm and drive."""
+
+RANGES: dict[str, Ranges] = {"off": {}, "ideal": IDEAL_RANGES, "train": TRAIN_RANGES}
+"""By the word that users give as `randomization`."""
+
+_OF_UNKNOWN_PHASE = ("friction_variation", "torque_ripple", "kinematic_error")
 
 
-def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str, tuple[float, float]]:
+def design_model() -> ArmParams:
+    """Return the arm that every controller may know before it moves: the middle of the training ranges, a data sheet.
+
+    Ripple, kinematic error and variation of friction are zero in it: their phases differ from arm to arm, and over all
+    phases their mean is zero.
+    """
+    middle = {name: 0.5 * (low + high) for name, (low, high) in TRAIN_RANGES.items() if not name.endswith("_phase")}
+    return ArmParams(**{**middle, **dict.fromkeys(_OF_UNKNOWN_PHASE, 0.0)})
+
+
+def resolve_ranges(randomization: Randomization) -> dict[str, tuple[float, float]]:
     """Resolve the ranges of the fields that vary.
 
     Args:
-        randomization: "off", "train" (`TRAIN_RANGES`), or a mapping from field name to (low, high).
+        randomization: "off", "ideal" (`IDEAL_RANGES`), "train" (`TRAIN_RANGES`), or a mapping from field name to
+            (low, high).
 
     Raises:
         ValueError: On an unknown word or field, on low > high, or where an end of the range makes no arm.
         TypeError: If it is neither a word nor a mapping of pairs.
     """
     if isinstance(randomization, str):
-        if randomization not in ("off", "train"):
-            raise ValueError(f"randomization must be 'off', 'train' or a mapping of ranges, got {randomization!r}")
-        return {} if randomization == "off" else dict(TRAIN_RANGES)
+        if randomization not in RANGES:
+            raise ValueError(
+                f"randomization must be 'off', 'ideal', 'train' or a mapping of ranges, got {randomization!r}"
+            )
+        return dict(RANGES[randomization])
     if not isinstance(randomization, Mapping):
-        raise TypeError(f"randomization must be 'off', 'train' or a mapping of ranges, got {randomization!r}")
+        raise TypeError(f"randomization must be 'off', 'ideal', 'train' or a mapping of ranges, got {randomization!r}")
     ranges = {}
     for name, pair in randomization.items():
         if name not in FIELDS:
@@ -64,3 +109,16 @@ def resolve_ranges(randomization: Literal["off", "train"] | Ranges) -> dict[str,
 def range_bounds(ranges: Ranges) -> Floats:
     """Return the lowest and highest value of every field, shape (2, len(FIELDS)); equal where a field does not vary."""
     return params_table([ArmParams(**{name: pair[end] for name, pair in ranges.items()}) for end in (0, 1)])
+
+
+def draw_table(bounds: Floats, uniforms: Floats) -> Floats:
+    """Draw n arms within bounds, shape (2, len(FIELDS)), from numbers in [0, 1); both of shape (n, len(FIELDS)).
+
+    Each field is uniform over its range, and one of whole numbers over the whole numbers in it.
+    """
+    table = bounds[0] + uniforms * (bounds[1] - bounds[0])
+    for name in WHOLE:
+        k = FIELDS.index(name)
+        low, high = np.ceil(bounds[0, k]), np.floor(bounds[1, k])
+        table[:, k] = np.minimum(low + np.floor(uniforms[:, k] * (high - low + 1)), high)
+    return table
