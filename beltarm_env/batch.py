@@ -13,8 +13,10 @@ from beltarm_env.arm import COLUMN, FIELDS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, tip_errors
+from beltarm_env.kernels.layout import BUILT, IDEAL
 from beltarm_env.kernels.observe import observe_arms
 from beltarm_env.kernels.step import new_scratch
+from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
@@ -102,6 +104,7 @@ class ArmBatch:
         check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
+        self.driven: at.Driven = IDEAL
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
         self.engine = _engine(model, num_arms)
@@ -151,6 +154,7 @@ class ArmBatch:
         if options.get("state") is not None:
             states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
+        self.driven = BUILT if np.any(self.table[:, DRIVE_COLUMNS]) else IDEAL
         begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
@@ -204,7 +208,7 @@ class ArmBatch:
     def tip_errors(self) -> Floats:
         """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""
         errors = np.empty((self.num_arms, 4))
-        tip_errors(self.blocks, errors, self.profile)
+        tip_errors(self.blocks, errors, self.profile, self.driven)
         return errors
 
     def params(self, arm: int) -> ArmParams:

@@ -215,6 +215,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             self._profile,
             self._tier,
             batch.model,
+            batch.driven,
             batch.engine is None,
         )
         info: dict[str, Any] = {

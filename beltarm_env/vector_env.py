@@ -175,6 +175,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             batch.profile,
             batch.tier,
             batch.model,
+            batch.driven,
             batch.engine is None,
         )
         stepped = np.ones(count, np.bool_)

@@ -27,7 +27,7 @@ from beltarm_env.physics.models import (
 )
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import fastest_arms, fastest_rate, integration_substeps
-from beltarm_env.task.ranges import TRAIN_RANGES, range_bounds
+from beltarm_env.task.ranges import IDEAL_RANGES, range_bounds
 from eval.verification.convergence import measure_convergence
 from eval.verification.event_located import EventLocatedArm, tip
 from eval.verification.symbolic_arm import derive
@@ -43,7 +43,7 @@ UNEVEN = [
     {"arm_inertia": 0.012, "arm_inertia_swing": 0.048, "gear_ratio": 60.0, "link_length": 0.3},  # a pulley beside it
 ]
 
-arms = st.fixed_dictionaries({name: st.floats(*pair) for name, pair in TRAIN_RANGES.items()})
+arms = st.fixed_dictionaries({name: st.floats(*pair) for name, pair in IDEAL_RANGES.items()})
 states = st.tuples(st.floats(0, GEAR * 1.5), st.floats(-200, 200), st.floats(-0.1, 0.1), st.floats(-5, 5))
 
 

@@ -37,8 +37,7 @@ from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.physics.integrator import rk4_step
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
-from beltarm_env.physics.lumped import driving_torque
-from beltarm_env.physics.models import LUMPED
+from beltarm_env.physics.models import LUMPED, driving_torque
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
@@ -198,7 +197,7 @@ def _tip_cost(plant: Plant) -> Any:
 def _drive(plant: Plant) -> Any:
     """Torque on a motor at rest over tau_c."""
     x, action = (casadi.SX.sym("symbol", rows) for rows in (4, 1))
-    drive = plain(driving_torque)(_state(x), action * plant.torque_limit, plant) / plant.coulomb_friction
+    drive = plain(driving_torque)(_state(x), action * plant.torque_limit, plant, LUMPED) / plant.coulomb_friction
     return casadi.Function("drive", [x, action], [drive])
 
 

@@ -10,8 +10,19 @@ from numpy.typing import NDArray
 from beltarm_env.arm import plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, load_move, load_plant, load_state, store_plant, store_state
+from beltarm_env.kernels.advance_driven import begin_drive
+from beltarm_env.kernels.layout import (
+    LANES,
+    Driven,
+    load_drive,
+    load_move,
+    load_plant,
+    load_state,
+    store_plant,
+    store_state,
+)
 from beltarm_env.kernels.sense import begin_sensing
+from beltarm_env.physics.drive import angles_of, drive_of, transmission
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
@@ -54,11 +65,15 @@ def begin_episodes(
             block[row * LANES + j] = 0.0
         x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
         if x.motor_angle != x.motor_angle:
-            x = ArmState(moves[i, 0] * plant.gear, 0.0, 0.0, 0.0)
+            angle = moves[i, 0] * plant.gear
+            x, drive = ArmState(angle, 0.0, 0.0, 0.0), drive_of(table[i])
+            error = transmission(angles_of(x, plant, drive), plant, drive).error
+            x = ArmState(angle, 0.0, 0.0 - error, 0.0)  # with the belt at rest
         store_state(block, at.STATE, j, x)
         for k in range(4):
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
         store_plant(block, j, plant)
+        begin_drive(block, j, table[i])
         begin_sensing(block, j, x, plant, resolution, delay)
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
 
@@ -87,11 +102,11 @@ def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, to
 
 
 @compiled
-def tip_errors(blocks: Floats, errors: Floats, profile: int) -> None:
+def tip_errors(blocks: Floats, errors: Floats, profile: int, driven: Driven) -> None:
     """Write tip minus reference tip, position [m] and velocity [m/s], x and y each, into `errors`, shape (N, 4)."""
     for i in range(len(errors)):
         block, j = blocks[i // LANES], i % LANES
         plant = load_plant(block, j)
-        tip = tip_motion(load_state(block, at.STATE, j), plant)
+        tip = tip_motion(load_state(block, at.STATE, j), plant, load_drive(block, j, driven))
         reference = reference_at(profile, load_move(block, j), block[at.STEP * LANES + j] * CONTROL_PERIOD)
         errors[i, 0], errors[i, 1], errors[i, 2], errors[i, 3] = tip_error(tip, reference.angle, reference.speed, plant)

@@ -7,20 +7,27 @@ dozens of them; it also keeps a block's working set together in the cache. A sin
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
+from beltarm_env.physics.drive import Drive
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import MoveShape
+from beltarm_env.timing import LATENCY_SAMPLES
 
 LANES = 136
 
 STATE = 0
 PLANT = STATE + len(ArmState._fields)
 KINEMATICS = PLANT + Plant._fields.index("double_link")  # the rest of the plant: not in the equations of motion
-MOVE = PLANT + len(Plant._fields)
+DRIVE = PLANT + len(Plant._fields)
+LAG_TIME = DRIVE + len(Drive._fields)  # T_i [s]
+LAG_RATE = LAG_TIME + 1  # 1 / T_i [1/s], 0 for a motor that follows at once
+MOVE = LAG_RATE + 1
 SUBSTEPS = MOVE + len(MoveShape._fields)  # integration steps per sample
 RESOLUTION = SUBSTEPS + 1  # encoder [rad per count]
 DELAY = RESOLUTION + 1  # of the measurements [samples]
@@ -31,7 +38,21 @@ COUNT_HISTORY = 4
 TIP_SPEEDS = COUNTS + COUNT_HISTORY  # tachometer now, 1 and 2 samples ago [m/s]
 TIP_HISTORY = 3
 TOTALS = TIP_SPEEDS + TIP_HISTORY  # over the episode: the three cost terms, squared tip error, largest tip error
-ROWS = TOTALS + 5
+DRIVEN = TOTALS + 5  # whether the drive is one as it is built: 1, or 0 where it is ideal
+SPLIT = DRIVEN + 1  # when a command arrives within a sample [s]
+LATE = SPLIT + 1  # whole samples by which it is late
+GAIN = LATE + 1  # torque over command, 1 + k
+VISCOUS = GAIN + 1  # friction at the episode's start [N m s/rad], [N m]
+COULOMB = VISCOUS + 1
+DRIFT = COULOMB + 1  # of friction, per sample
+TORQUE = DRIFT + 1  # of the motor now [N m]
+TARGETS = TORQUE + 1  # torques commanded in this sample, 1, 2 and 3 ago [N m]
+ROWS = TARGETS + LATENCY_SAMPLES + 1
+
+Driven = bool | None
+IDEAL: Final = None
+BUILT: Final = True
+"""Whether drives as they are built are among the arms: a kernel compiled for IDEAL has none of their equations."""
 
 MAX_DELAY = 2
 
@@ -93,6 +114,27 @@ def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
 
 
 @inlined
+def load_drive(block: NDArray[np.float64], lane: int, driven: Driven) -> Drive | None:
+    """Load the coefficients of one lane's drive; None among ideal ones."""
+    if driven is IDEAL:
+        return None
+    at = DRIVE * LANES + lane
+    return Drive(
+        block[at],
+        block[at + LANES],
+        block[at + 2 * LANES],
+        block[at + 3 * LANES],
+        block[at + 4 * LANES],
+        block[at + 5 * LANES],
+        block[at + 6 * LANES],
+        block[at + 7 * LANES],
+        block[at + 8 * LANES],
+        block[at + 9 * LANES],
+        block[at + 10 * LANES],
+    )
+
+
+@inlined
 def load_move(block: NDArray[np.float64], lane: int) -> MoveShape:
     """Load the move of one lane."""
     at = MOVE * LANES + lane
@@ -116,3 +158,20 @@ def store_plant(block: NDArray[np.float64], lane: int, plant: Plant) -> None:
     block[at + 10 * LANES] = plant.double_link
     block[at + 11 * LANES] = plant.hand
     block[at + 12 * LANES] = plant.torque_limit
+
+
+@inlined
+def store_drive(block: NDArray[np.float64], lane: int, drive: Drive) -> None:
+    """Write a lane's drive coefficients."""
+    at = DRIVE * LANES + lane
+    block[at] = drive.static_excess
+    block[at + LANES] = drive.inverse_stribeck_speed
+    block[at + 2 * LANES] = drive.friction_sin
+    block[at + 3 * LANES] = drive.friction_cos
+    block[at + 4 * LANES] = drive.ripple
+    block[at + 5 * LANES] = drive.ripple_order
+    block[at + 6 * LANES] = drive.ripple_phase
+    block[at + 7 * LANES] = drive.error_sin
+    block[at + 8 * LANES] = drive.error_cos
+    block[at + 9 * LANES] = drive.softening
+    block[at + 10 * LANES] = drive.knee

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance import WORK_ROWS, advance_block
-from beltarm_env.kernels.layout import LANES, load_move, load_plant, load_state
+from beltarm_env.kernels.advance import advance_block
+from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
+from beltarm_env.kernels.layout import IDEAL, LANES, Driven, load_drive, load_move, load_plant, load_state
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.sense import sense_block
 from beltarm_env.kernels.tile import TILE_ROWS
@@ -34,7 +35,7 @@ REWARD = TERMS + 4
 TERMINATED = REWARD + 1
 TRUNCATED = TERMINATED + 1
 _WORK = TRUNCATED + 1  # rows of `advance`
-_SCRATCH_ROWS = _WORK + WORK_ROWS
+_SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
 
 
 def new_scratch() -> tuple[Floats, Singles]:
@@ -43,7 +44,7 @@ def new_scratch() -> tuple[Floats, Singles]:
 
 
 @inlined
-def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int) -> None:
+def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
     """Charge the cost of the step, add to the episode's totals, and find whether it is over."""
     for j in range(count):
         x = load_state(block, at.STATE, j)
@@ -51,9 +52,8 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int) ->
         action = scratch[ACTION * LANES + j]
         step = block[at.STEP * LANES + j] + 1.0
         reference = reference_at(profile, load_move(block, j), step * CONTROL_PERIOD)
-        cost = step_cost(
-            tip_motion(x, plant), reference.angle, reference.speed, action, block[at.ACTION * LANES + j], plant
-        )
+        tip = tip_motion(x, plant, load_drive(block, j, driven))
+        cost = step_cost(tip, reference.angle, reference.speed, action, block[at.ACTION * LANES + j], plant)
         block[at.STEP * LANES + j] = step
         block[at.ACTION * LANES + j] = action
         scratch[TERMS * LANES + j] = cost.tip_error
@@ -74,11 +74,11 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int) ->
 
 
 @compiled
-def _charge(block: Floats, scratch: Floats, count: int, profile: int) -> None:
+def _charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
     if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
-        _charge_profile(block, scratch, count, TRAPEZOID)
+        _charge_profile(block, scratch, count, TRAPEZOID, driven)
     else:
-        _charge_profile(block, scratch, count, profile)
+        _charge_profile(block, scratch, count, profile, driven)
 
 
 @compiled
@@ -90,14 +90,19 @@ def _step_block(
     profile: int,
     tier: int,
     model: Model,
+    driven: Driven,
     integrate: bool,
 ) -> None:
     """Step the arms of one block by one control period; actions are in scratch, results go to scratch."""
     count = len(observations)
     if integrate:
-        advance_block(block, scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES], count, model)
+        work, actions = scratch[_WORK * LANES :], scratch[ACTION * LANES : (ACTION + 1) * LANES]
+        if driven is IDEAL:
+            advance_block(block, work, actions, count, model)
+        else:
+            advance_driven_block(block, work, actions, count, model)
     sense_block(block, count, tier)
-    _charge(block, scratch, count, profile)
+    _charge(block, scratch, count, profile, driven)
     observe_block(block, tile, observations, profile, tier)
 
 
@@ -115,6 +120,7 @@ def step_arms(
     profile: int,
     tier: int,
     model: Model,
+    driven: Driven,
     integrate: bool,
 ) -> None:
     """Step N arms by one control period, results written in place.
@@ -132,13 +138,14 @@ def step_arms(
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
         model: Whose equations of motion.
+        driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
     """
     for k in range(len(blocks)):
         low = k * LANES
         high = min(low + LANES, len(actions))
         _take_actions(actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, integrate)
+        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, driven, integrate)
         _give_flags(scratch, TERMINATED, terminated[low:high])
         _give_flags(scratch, TRUNCATED, truncated[low:high])
         _give(scratch, REWARD, rewards[low:high])
@@ -176,6 +183,7 @@ def step_arm(
     profile: int,
     tier: int,
     model: Model,
+    driven: Driven,
     integrate: bool,
 ) -> tuple[float, bool, bool, float, float, float, float]:
     """Step a single arm, lane 0 of the first block, by one control period.
@@ -189,13 +197,14 @@ def step_arm(
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
         model: Whose equations of motion.
+        driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
 
     Returns:
         Reward, terminated, truncated, tip error [m], and the three cost terms.
     """
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
-    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, integrate)
+    _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, driven, integrate)
     return (
         float(scratch[REWARD * LANES]),
         bool(scratch[TERMINATED * LANES] != 0.0),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics import friction
+from beltarm_env.physics.drive import angles_of
 from beltarm_env.physics.models import Model, accelerations, driving_torque, driving_torque_rate, sliding_direction
 from beltarm_env.physics.state import ArmState
 
@@ -18,7 +19,8 @@ _ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
 
 
 @inlined
-def _moved(x: ArmState, dt: float, slope: ArmState) -> ArmState:
+def moved(x: ArmState, dt: float, slope: ArmState) -> ArmState:
+    """Return a state `dt` seconds on along a slope."""
     return ArmState(
         x.motor_angle + dt * slope.motor_angle,
         x.motor_speed + dt * slope.motor_speed,
@@ -37,28 +39,35 @@ def _slope(x: ArmState, torque: float, direction: float, plant: Plant, model: Mo
 def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Plant, model: Model) -> ArmState:
     """Take a classical fourth-order Runge-Kutta step of `dt` seconds within one friction mode, torque held."""
     k1 = _slope(x, torque, direction, plant, model)
-    k2 = _slope(_moved(x, 0.5 * dt, k1), torque, direction, plant, model)
-    k3 = _slope(_moved(x, 0.5 * dt, k2), torque, direction, plant, model)
-    k4 = _slope(_moved(x, dt, k3), torque, direction, plant, model)
-    weighted = ArmState(
+    k2 = _slope(moved(x, 0.5 * dt, k1), torque, direction, plant, model)
+    k3 = _slope(moved(x, 0.5 * dt, k2), torque, direction, plant, model)
+    k4 = _slope(moved(x, dt, k3), torque, direction, plant, model)
+    return moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
+
+
+@inlined
+def weighted(k1: ArmState, k2: ArmState, k3: ArmState, k4: ArmState) -> ArmState:
+    """Return six times the mean slope of a Runge-Kutta step from its four slopes."""
+    return ArmState(
         k1.motor_angle + 2 * (k2.motor_angle + k3.motor_angle) + k4.motor_angle,
         k1.motor_speed + 2 * (k2.motor_speed + k3.motor_speed) + k4.motor_speed,
         k1.torsion + 2 * (k2.torsion + k3.torsion) + k4.torsion,
         k1.torsion_speed + 2 * (k2.torsion_speed + k3.torsion_speed) + k4.torsion_speed,
     )
-    return _moved(x, dt * (1 / 6), weighted)
 
 
 @inlined
 def mode_margin(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> float:
     """Return how far the state is inside its friction mode: negative once the mode has been left."""
-    return friction.mode_margin(x.motor_speed, driving_torque(x, torque, plant, model), direction, plant)
+    most = friction.breakaway_torque(angles_of(x, plant, None), plant, None)
+    return friction.mode_margin(x.motor_speed, driving_torque(x, torque, plant, model), direction, most)
 
 
 @inlined
 def _exit_margin(x: ArmState, torque: float, direction: float, exit_side: float, plant: Plant, model: Model) -> float:
-    drive = driving_torque(x, torque, plant, model)
-    return friction.exit_margin(x.motor_speed, drive, direction, exit_side, plant)
+    most = friction.breakaway_torque(angles_of(x, plant, None), plant, None)
+    pull = driving_torque(x, torque, plant, model)
+    return friction.exit_margin(x.motor_speed, pull, direction, exit_side, most)
 
 
 @inlined

@@ -5,6 +5,8 @@ axis; belt torsion theta_s turns the whole line from joint 1 to the tip:
 
     p = (2 l cos(phi) + l_3) (cos(theta_s), sin(theta_s)),     phi = theta_a / G - theta_s
 
+Behind a harmonic drive with a kinematic error, the belt's torsion theta_1 - phi takes the place of theta_s.
+
 The paper's end position is r = 2 l + l_3 - x.
 """
 
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import compiled, inlined
+from beltarm_env.physics.drive import Drive, angles_of, belt_torsion, transmission
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import sin_cos
 
@@ -33,15 +36,18 @@ class TipMotion(NamedTuple):
 
 
 @inlined
-def tip_motion(state: ArmState, plant: Plant) -> TipMotion:
+def tip_motion(state: ArmState, plant: Plant, drive: Drive | None = None) -> TipMotion:
     """Return position and velocity of the tip for a state of the arm."""
     phi = state.motor_angle * plant.inverse_gear - state.torsion
     phi_dot = state.motor_speed * plant.inverse_gear - state.torsion_speed
     sin_phi, cos_phi = sin_cos(phi)
-    sin_torsion, cos_torsion = sin_cos(state.torsion)
+    torsion, torsion_speed = state.torsion, state.torsion_speed
+    if drive is not None:
+        torsion, torsion_speed = belt_torsion(state, transmission(angles_of(state, plant, drive), plant, drive), plant)
+    sin_torsion, cos_torsion = sin_cos(torsion)
     reach = plant.double_link * cos_phi + plant.hand
     reach_speed = -plant.double_link * sin_phi * phi_dot
-    turning = reach * state.torsion_speed
+    turning = reach * torsion_speed
     return TipMotion(
         reach * cos_torsion,
         reach * sin_torsion,

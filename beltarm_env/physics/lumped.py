@@ -8,16 +8,17 @@ The state is x = [theta_a, omega_a, theta_s, omega_s] of eq. (6c). With phi = th
     M2(phi) = M2(0) + S sin^2(phi)
 
 The term with M2' is missing in the paper; without it the unforced, frictionless arm would not conserve energy. Coulomb
-friction tau_f is that of `friction`.
+friction tau_f is that of `friction`. Behind a drive as it is built (`drive`), tau_m has ripple on it, and 1 / G before
+tau_b becomes g.
 """
 
 from __future__ import annotations
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
+from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling
 from beltarm_env.physics.friction import friction_torque
-from beltarm_env.physics.state import ArmState, belt_torque
-from beltarm_env.physics.trigonometry import sin_cos
+from beltarm_env.physics.state import ArmState
 
 
 @inlined
@@ -28,28 +29,31 @@ def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
 
 
 @inlined
-def accelerations(x: ArmState, torque: float, direction: float, plant: Plant) -> tuple[float, float]:
+def accelerations(
+    x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, drive: Drive | None
+) -> tuple[float, float]:
     """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2]; arguments as in `models`."""
-    phi = x.motor_angle * plant.inverse_gear - x.torsion
     phi_dot = x.motor_speed * plant.inverse_gear - x.torsion_speed
-    sin_phi, cos_phi = sin_cos(phi)
-    m2 = plant.inertia + plant.inertia_swing * sin_phi * sin_phi
-    half_m2_slope = plant.inertia_swing * sin_phi * cos_phi
-    tau_b = belt_torque(x, plant)
-    tau_f = friction_torque(direction, plant)
-    net = torque - plant.viscous_friction * x.motor_speed - tau_f - tau_b * plant.inverse_gear
+    m2 = plant.inertia + plant.inertia_swing * at.sin_phi * at.sin_phi
+    half_m2_slope = plant.inertia_swing * at.sin_phi * at.cos_phi
+    on = coupling(x, at, plant, drive)
+    tau_f = friction_torque(direction, on.friction, plant, drive)
+    tau_m = torque if drive is None else torque + on.ripple
+    net = tau_m - plant.viscous_friction * x.motor_speed - tau_f - on.belt * on.ratio
     motor = direction * direction * plant.inverse_motor_inertia * net
-    arm = (tau_b - half_m2_slope * phi_dot * phi_dot) / m2
+    arm = (on.belt - half_m2_slope * phi_dot * phi_dot) / m2
     return motor, motor * plant.inverse_gear - arm
 
 
 @inlined
-def driving_torque(x: ArmState, torque: float, plant: Plant) -> float:
+def driving_torque(x: ArmState, at: Angles, torque: float, plant: Plant, drive: Drive | None) -> float:
     """Return the torque that pulls at the motor at standstill, tau_m - tau_b / G [N m]."""
-    return torque - belt_torque(x, plant) * plant.inverse_gear
+    on = coupling(x, at, plant, drive)
+    tau_m = torque if drive is None else torque + on.ripple
+    return tau_m - on.belt * on.ratio
 
 
 @inlined
-def driving_torque_rate(x: ArmState, torsional: float, plant: Plant) -> float:
+def driving_torque_rate(x: ArmState, at: Angles, torsional: float, plant: Plant, drive: Drive | None) -> float:
     """Return the time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
-    return -(plant.stiffness * x.torsion_speed + plant.damping * torsional) * plant.inverse_gear
+    return -belt_torque_rate(x, at, torsional, plant, drive) * coupling(x, at, plant, drive).ratio

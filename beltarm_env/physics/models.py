@@ -12,6 +12,7 @@ from typing import Final, Literal
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics import friction, full_arm, lumped
+from beltarm_env.physics.drive import Angles, Drive, angles_of
 from beltarm_env.physics.state import ArmState
 
 Model = bool | None
@@ -23,7 +24,9 @@ MODELS: dict[str, Model] = {"lumped": LUMPED, "lagrangian": FULL_ARM, "mujoco": 
 
 
 @inlined
-def accelerations(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> tuple[float, float]:
+def accelerations(
+    x: ArmState, torque: float, direction: float, plant: Plant, model: Model, drive: Drive | None = None
+) -> tuple[float, float]:
     """Return motor and torsional acceleration (domega_a/dt, domega_s/dt) [rad/s^2].
 
     Args:
@@ -32,10 +35,19 @@ def accelerations(x: ArmState, torque: float, direction: float, plant: Plant, mo
         direction: Friction mode: -1 or +1 while the motor slides that way, 0 while it sticks.
         plant: Coefficients of the arm.
         model: Whose equations of motion.
+        drive: Coefficients of the drive as it is built; None for an ideal one.
     """
+    return accelerations_at(x, angles_of(x, plant, drive), torque, direction, plant, model, drive)
+
+
+@inlined
+def accelerations_at(
+    x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, model: Model, drive: Drive | None
+) -> tuple[float, float]:
+    """Return motor and torsional acceleration [rad/s^2] of a state whose sines and cosines are known."""
     if model is LUMPED:
-        return lumped.accelerations(x, torque, direction, plant)
-    return full_arm.accelerations(x, torque, direction, plant)
+        return lumped.accelerations(x, at, torque, direction, plant, drive)
+    return full_arm.accelerations(x, at, torque, direction, plant, drive)
 
 
 @inlined
@@ -47,22 +59,45 @@ def inverse_inertia(cos_phi: float, plant: Plant, model: Model) -> tuple[float, 
 
 
 @inlined
-def driving_torque(x: ArmState, torque: float, plant: Plant, model: Model) -> float:
+def driving_torque(x: ArmState, torque: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
     """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick."""
-    if model is LUMPED:
-        return lumped.driving_torque(x, torque, plant)
-    return full_arm.driving_torque(x, torque, plant)
+    return driving_torque_at(x, angles_of(x, plant, drive), torque, plant, model, drive)
 
 
 @inlined
-def driving_torque_rate(x: ArmState, torsional: float, plant: Plant, model: Model) -> float:
+def driving_torque_at(x: ArmState, at: Angles, torque: float, plant: Plant, model: Model, drive: Drive | None) -> float:
+    """Return `driving_torque` of a state whose sines and cosines are known."""
+    if model is LUMPED:
+        return lumped.driving_torque(x, at, torque, plant, drive)
+    return full_arm.driving_torque(x, at, torque, plant, drive)
+
+
+@inlined
+def driving_torque_rate(x: ArmState, torsional: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
     """Return the time derivative of `driving_torque` [N m/s] at a torsional acceleration [rad/s^2], torque held."""
-    if model is LUMPED:
-        return lumped.driving_torque_rate(x, torsional, plant)
-    return full_arm.driving_torque_rate(x, torsional, plant)
+    return driving_torque_rate_at(x, angles_of(x, plant, drive), torsional, plant, model, drive)
 
 
 @inlined
-def sliding_direction(x: ArmState, torque: float, plant: Plant, model: Model) -> float:
+def driving_torque_rate_at(
+    x: ArmState, at: Angles, torsional: float, plant: Plant, model: Model, drive: Drive | None
+) -> float:
+    """Return `driving_torque_rate` of a state whose sines and cosines are known."""
+    if model is LUMPED:
+        return lumped.driving_torque_rate(x, at, torsional, plant, drive)
+    return full_arm.driving_torque_rate(x, at, torsional, plant, drive)
+
+
+@inlined
+def sliding_direction(x: ArmState, torque: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
     """Return the friction mode of a state under a torque [N m]: -1 or +1 if the motor slides, 0 if it sticks."""
-    return friction.sliding_direction(x.motor_speed, driving_torque(x, torque, plant, model), plant)
+    return sliding_direction_at(x, angles_of(x, plant, drive), torque, plant, model, drive)
+
+
+@inlined
+def sliding_direction_at(
+    x: ArmState, at: Angles, torque: float, plant: Plant, model: Model, drive: Drive | None
+) -> float:
+    """Return `sliding_direction` of a state whose sines and cosines are known."""
+    pull = driving_torque_at(x, at, torque, plant, model, drive)
+    return friction.sliding_direction(x.motor_speed, pull, friction.breakaway_torque(at, plant, drive))

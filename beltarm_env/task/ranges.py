@@ -35,17 +35,17 @@ IDEAL_RANGES: Ranges = {
 
 _TURN = (0.0, 2 * math.pi)
 DRIVE_RANGES: Ranges = {
-    "current_loop_time_constant": (0.0002, 0.001),
+    "current_loop_time_constant": (0.0001, 0.001),
     "command_latency": (0.0, 1.5 * CONTROL_PERIOD),
-    "torque_constant_error": (-0.08, 0.08),
+    "torque_constant_error": (-0.10, 0.10),
     "static_friction_excess": (0.0, 0.5),
     "stribeck_speed": (1.0, 10.0),
     "friction_variation": (0.0, 0.25),
     "friction_variation_phase": _TURN,
     "torque_ripple": (0.0, 0.02 * NOMINAL.torque_limit),
-    "torque_ripple_order": (4.0, 12.0),
+    "torque_ripple_order": (4.0, 24.0),
     "torque_ripple_phase": _TURN,
-    "kinematic_error": (0.0, 0.0005),
+    "kinematic_error": (0.0, 0.0003),
     "kinematic_error_phase": _TURN,
     "belt_stiffening": (0.0, 0.25),
     "friction_drift": (-0.15, 0.15),

@@ -1,0 +1,217 @@
+"""The drive as it is built: what a motor, its amplifier and a harmonic drive do beyond the paper's equations.
+
+    T_i dtau/dt = (1 + k) u - tau                                 current loop and torque constant; u acts T_c late
+    tau_r = c sin(n theta_a + phi_c)                              torque ripple
+    theta_1 = theta_a / G + e sin(2 theta_a + phi_e)              kinematic error: twice per turn of the wave generator
+    tau_b = K_s (1 - b + 2 b th^2 / (th^2 + theta_0^2)) th + D_s dth/dt,   th = theta_1 - phi        stiffening belt
+
+and friction as `friction` has it. The motor feels the belt through g = dtheta_1 / dtheta_a, which is not 1 / G: with
+any other factor the kinematic error would create energy. Sources and magnitudes are in docs/physics.md.
+
+`Drive` holds the coefficients. An arm whose drive is ideal has None in its place, and kernels compiled for None have
+nothing of all this in their loops.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
+from beltarm_env.jit import inlined
+from beltarm_env.physics.state import ArmState, belt_torque
+from beltarm_env.physics.trigonometry import sin_cos
+
+_TURN = 2 * math.pi
+_ROUNDER = 1.5 * 2.0**52  # adding it pushes the fraction out of a float64
+
+DRIVE_COLUMNS = tuple(FIELDS.index(name) for name in DRIVE_EFFECTS)
+"""Columns of a table of arms that are all zero where the drive is ideal."""
+
+
+class Drive(NamedTuple):
+    """Coefficients of a drive as it is built, derived once from `ArmParams`."""
+
+    static_excess: float  # s
+    inverse_stribeck_speed: float  # 1 / omega_s  [s/rad]
+    friction_sin: float  # r cos(phi_r): of sin(2 theta_a)
+    friction_cos: float  # r sin(phi_r): of cos(2 theta_a)
+    ripple: float  # c  [N m]
+    ripple_order: float  # n
+    ripple_phase: float  # phi_c  [rad]
+    error_sin: float  # e cos(phi_e)  [rad]
+    error_cos: float  # e sin(phi_e)  [rad]
+    softening: float  # b K_s: what the belt lacks at small torsion  [N m/rad]
+    knee: float  # theta_0^2  [rad^2]
+
+
+class Transmission(NamedTuple):
+    """Angle of joint 1 beyond theta_a / G, and its derivatives by the motor's angle."""
+
+    error: float  # eps  [rad]
+    ratio: float  # g = dtheta_1 / dtheta_a
+    curvature: float  # dg / dtheta_a  [1/rad]
+    friction: float  # 1 + r sin(2 theta_a + phi_r): what friction is multiplied by
+
+
+@inlined
+def drive_of(row: Any) -> Drive:
+    """Derive the coefficients of a drive from a row of constants, shape (len(FIELDS),); in kernels too."""
+    variation, variation_phase = row[COLUMN.friction_variation], row[COLUMN.friction_variation_phase]
+    error, error_phase = row[COLUMN.kinematic_error], row[COLUMN.kinematic_error_phase]
+    knee = row[COLUMN.belt_stiffening_torsion]
+    return Drive(
+        static_excess=row[COLUMN.static_friction_excess],
+        inverse_stribeck_speed=1 / row[COLUMN.stribeck_speed],
+        friction_sin=variation * math.cos(variation_phase),
+        friction_cos=variation * math.sin(variation_phase),
+        ripple=row[COLUMN.torque_ripple],
+        ripple_order=row[COLUMN.torque_ripple_order],
+        ripple_phase=row[COLUMN.torque_ripple_phase],
+        error_sin=error * math.cos(error_phase),
+        error_cos=error * math.sin(error_phase),
+        softening=row[COLUMN.belt_stiffening] * row[COLUMN.belt_stiffness],
+        knee=knee * knee,
+    )
+
+
+@inlined
+def wrapped(angle: float) -> float:
+    """Return the angle less whole turns, within -pi and pi [rad]."""
+    turns = angle * (1 / _TURN)
+    return angle - _TURN * ((turns + _ROUNDER) - _ROUNDER)
+
+
+class Angles(NamedTuple):
+    """Sines and cosines of one state: of phi, of twice the motor's angle, and of the ripple."""
+
+    sin_phi: float
+    cos_phi: float
+    sin_double: float  # of 2 theta_a; it and what follows is 0 where the drive is ideal
+    cos_double: float
+    sin_ripple: float  # of n theta_a + phi_c
+    cos_ripple: float
+
+
+@inlined
+def angles_of(x: ArmState, plant: Plant, drive: Drive | None) -> Angles:
+    """Return sines and cosines of a state."""
+    sin_phi, cos_phi = sin_cos(x.motor_angle * plant.inverse_gear - x.torsion)
+    if drive is None:
+        return Angles(sin_phi, cos_phi, 0.0, 0.0, 0.0, 0.0)
+    sin_double, cos_double = sin_cos(wrapped(2 * x.motor_angle))
+    sin_ripple, cos_ripple = sin_cos(wrapped(drive.ripple_order * x.motor_angle + drive.ripple_phase))
+    return Angles(sin_phi, cos_phi, sin_double, cos_double, sin_ripple, cos_ripple)
+
+
+@inlined
+def turned(at: Angles, turn: float, drive: Drive) -> Angles:
+    """Return the angles after a turn of the motor of less than 2 rad of twice its angle and of the ripple [rad]."""
+    s, c = sin_cos(2 * turn)
+    sine, cosine = sin_cos(drive.ripple_order * turn)
+    return Angles(
+        at.sin_phi,
+        at.cos_phi,
+        at.sin_double * c + at.cos_double * s,
+        at.cos_double * c - at.sin_double * s,
+        at.sin_ripple * cosine + at.cos_ripple * sine,
+        at.cos_ripple * cosine - at.sin_ripple * sine,
+    )
+
+
+@inlined
+def _near(sine: float, cosine: float, d: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle plus a small d [rad], by their series; error d^4 / 24."""
+    half = 0.5 * d * d
+    along, across = 1 - half, d - half * d * (1 / 3)
+    return sine * along + cosine * across, cosine * along - sine * across
+
+
+@inlined
+def angles_near(at: Angles, phi: float, motor: float, drive: Drive) -> Angles:
+    """Return the angles at a small distance in phi and in the motor's angle [rad]."""
+    sin_phi, cos_phi = _near(at.sin_phi, at.cos_phi, phi)
+    sin_double, cos_double = _near(at.sin_double, at.cos_double, 2 * motor)
+    sin_ripple, cos_ripple = _near(at.sin_ripple, at.cos_ripple, drive.ripple_order * motor)
+    return Angles(sin_phi, cos_phi, sin_double, cos_double, sin_ripple, cos_ripple)
+
+
+@inlined
+def transmission(at: Angles, plant: Plant, drive: Drive) -> Transmission:
+    """Return what depends on twice the motor's angle: kinematic error, its derivatives, variation of friction."""
+    error = drive.error_sin * at.sin_double + drive.error_cos * at.cos_double
+    slope = drive.error_sin * at.cos_double - drive.error_cos * at.sin_double
+    variation = drive.friction_sin * at.sin_double + drive.friction_cos * at.cos_double
+    return Transmission(error, plant.inverse_gear + 2 * slope, -4 * error, 1 + variation)
+
+
+@inlined
+def belt_torsion(x: ArmState, gear: Transmission, plant: Plant) -> tuple[float, float]:
+    """Return the torsion of the belt theta_1 - phi [rad] and its rate [rad/s]."""
+    return x.torsion + gear.error, x.torsion_speed + (gear.ratio - plant.inverse_gear) * x.motor_speed
+
+
+@inlined
+def belt_stiffness(share: float, plant: Plant, drive: Drive) -> tuple[float, float]:
+    """Return the belt's secant stiffness and its tangent [N m/rad], at a share th^2 / (th^2 + theta_0^2)."""
+    secant = plant.stiffness - drive.softening + 2 * drive.softening * share
+    return secant, secant + 4 * drive.softening * share * (1 - share)
+
+
+class Coupling(NamedTuple):
+    """Torques between motor and arm in one state."""
+
+    ripple: float  # tau_r  [N m]
+    belt: float  # tau_b  [N m]
+    torsion_speed: float  # dth/dt  [rad/s]
+    ratio: float  # g
+    curvature: float  # dg / dtheta_a  [1/rad]
+    friction: float  # of the sliding motor over tau_c: v (1 + s / (1 + (omega_a / omega_s)^2))
+
+
+@inlined
+def coupling(x: ArmState, at: Angles, plant: Plant, drive: Drive | None) -> Coupling:
+    """Return what couples motor and arm; of an ideal drive, the belt alone."""
+    if drive is None:
+        return Coupling(0.0, belt_torque(x, plant), x.torsion_speed, plant.inverse_gear, 0.0, 1.0)
+    gear = transmission(at, plant, drive)
+    torsion, torsion_speed = belt_torsion(x, gear, plant)
+    square, u = torsion * torsion, x.motor_speed * drive.inverse_stribeck_speed
+    sum_of_squares, falling = square + drive.knee, 1 + u * u
+    inverse = 1 / (sum_of_squares * falling)  # of both at once: a division takes as long as ten products
+    secant, _ = belt_stiffness(square * inverse * falling, plant, drive)
+    belt = secant * torsion + plant.damping * torsion_speed
+    sliding = gear.friction * (1 + drive.static_excess * inverse * sum_of_squares)
+    return Coupling(drive.ripple * at.sin_ripple, belt, torsion_speed, gear.ratio, gear.curvature, sliding)
+
+
+@inlined
+def belt_torque_rate(x: ArmState, at: Angles, torsional: float, plant: Plant, drive: Drive | None) -> float:
+    """Return dtau_b/dt [N m/s] behind a motor at rest, at a torsional acceleration [rad/s^2]."""
+    if drive is None:
+        return plant.stiffness * x.torsion_speed + plant.damping * torsional
+    torsion, _ = belt_torsion(x, transmission(at, plant, drive), plant)
+    square = torsion * torsion
+    _, tangent = belt_stiffness(square / (square + drive.knee), plant, drive)
+    return tangent * x.torsion_speed + plant.damping * torsional
+
+
+@inlined
+def decay(ratio: float) -> float:
+    """Return exp(-ratio) for ratio >= 0: a power series, squared six times, so that loops over arms vectorise.
+
+    Relative error below 1e-14 up to a ratio of 8; beyond 40, where nothing is left, the value at 40.
+    """
+    z = (ratio if ratio < 40.0 else 40.0) * (1 / 64)
+    z2 = z * z
+    z4 = z2 * z2
+    e0 = (1 - z) + z2 * (1 / 2 - z * (1 / 6))
+    e1 = (1 / 24 - z * (1 / 120)) + z2 * (1 / 720 - z * (1 / 5040))
+    e2 = (1 / 40320 - z * (1 / 362880)) + z2 * (1 / 3628800 - z * (1 / 39916800))
+    e = e0 + z4 * (e1 + z4 * e2)
+    e *= e
+    e *= e
+    e *= e
+    e *= e
+    e *= e
+    return e * e
