@@ -24,7 +24,7 @@ from beltarm_env.physics.models import (
     accelerations,
 )
 from beltarm_env.physics.state import ArmState
-from beltarm_env.task.ranges import TRAIN_RANGES
+from beltarm_env.task.ranges import IDEAL_RANGES
 from eval.verification.event_located import EventLocatedArm, tip
 
 Floats = NDArray[np.float64]
@@ -34,11 +34,11 @@ GEAR = 88.0
 LIMIT = 0.3
 DEG_45, DEG_90 = math.pi / 4, math.pi / 2
 LOSSLESS = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0}
-FASTEST_TRAINED = {name: pair[0] for name, pair in TRAIN_RANGES.items()} | {
-    "belt_stiffness": TRAIN_RANGES["belt_stiffness"][1]
+FASTEST_TRAINED = {name: pair[0] for name, pair in IDEAL_RANGES.items()} | {
+    "belt_stiffness": IDEAL_RANGES["belt_stiffness"][1]
 }
-SLOWEST_TRAINED = {name: pair[1] for name, pair in TRAIN_RANGES.items()} | {
-    "belt_stiffness": TRAIN_RANGES["belt_stiffness"][0]
+SLOWEST_TRAINED = {name: pair[1] for name, pair in IDEAL_RANGES.items()} | {
+    "belt_stiffness": IDEAL_RANGES["belt_stiffness"][0]
 }
 
 
