@@ -23,6 +23,17 @@ def push(sample: int) -> float:
     return 0.06 * math.sin(6 * math.pi * time) + math.copysign(0.03, math.sin(3.4 * math.pi * (time + 1e-9)))
 
 
+def swing(sample: int, arm: EventLocatedArm) -> float:
+    """Command [N m] of a servo that swings the joint from 0.2 to 1.35 rad and back, half a second each way."""
+    time = sample * CONTROL_PERIOD - 0.1
+    way = 1.15 * 0.5 * (1 - math.cos(2 * math.pi * min(max(time, 0.0), 1.0)))
+    rate = 1.15 * math.pi * math.sin(2 * math.pi * time) if 0 < time < 1 else 0.0
+    gear, (angle, speed, _, _) = arm.params.gear_ratio, arm.state.tolist()
+    demand = 400 * (gear * (0.2 + way) - angle) + 40 * (gear * rate - speed)
+    limit = arm.params.torque_limit
+    return min(max(7e-5 * demand, -limit), limit)
+
+
 def drawn_arms(count: int, seed: int) -> list[dict[str, Any]]:
     """Arms of the training ranges behind drives at the upper ends, with phases and orders of their own.
 
