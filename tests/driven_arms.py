@@ -24,10 +24,11 @@ def push(sample: int) -> float:
 
 
 def swing(sample: int, arm: EventLocatedArm) -> float:
-    """Command [N m] of a servo that swings the joint from 0.2 to 1.35 rad and back, half a second each way."""
+    """Command [N m] of a servo that swings the joint from 0.2 to 1.35 rad and back, 0.4 s each way."""
     time = sample * CONTROL_PERIOD - 0.1
-    way = 1.15 * 0.5 * (1 - math.cos(2 * math.pi * min(max(time, 0.0), 1.0)))
-    rate = 1.15 * math.pi * math.sin(2 * math.pi * time) if 0 < time < 1 else 0.0
+    turn = 2 * math.pi / 0.8
+    way = 1.15 * 0.5 * (1 - math.cos(turn * min(max(time, 0.0), 0.8)))
+    rate = 1.15 * 0.5 * turn * math.sin(turn * time) if 0 < time < 0.8 else 0.0
     gear, (angle, speed, _, _) = arm.params.gear_ratio, arm.state.tolist()
     demand = 400 * (gear * (0.2 + way) - angle) + 40 * (gear * rate - speed)
     limit = arm.params.torque_limit
