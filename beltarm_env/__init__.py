@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from beltarm_env.arm import ArmParams
     from beltarm_env.env import BeltArmEnv
     from beltarm_env.physics.linear import state_space
+    from beltarm_env.physics.sampled import sampled_state_space
     from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, design_model
     from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
     from beltarm_env.vector_env import BeltArmVectorEnv
@@ -31,6 +32,7 @@ __all__ = [
     "BeltArmEnv",
     "BeltArmVectorEnv",
     "design_model",
+    "sampled_state_space",
     "state_space",
 ]
 
@@ -43,6 +45,7 @@ _HOME = {
     "BeltArmEnv": "env",
     "BeltArmVectorEnv": "vector_env",
     "design_model": "task.ranges",
+    "sampled_state_space": "physics.sampled",
     "state_space": "physics.linear",
 }
 

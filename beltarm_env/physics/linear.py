@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import ArmParams, Plant, plant_of
+from beltarm_env.arm import COLUMN, ArmParams, Plant, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
 
@@ -17,10 +18,10 @@ _TERMS = 9  # of the exponential's series: at 100 rad/s and 1.5 ms the next one 
 
 
 @compiled
-def _fill(held: Floats, plant: Plant, cos_phi: float, model: Model) -> None:
+def _fill(held: Floats, plant: Plant, stiffness: float, cos_phi: float, model: Model) -> None:
     """Write A into rows and columns 0 to 3, b into column 4 and a torsional acceleration into column 5."""
     w11, w12, w22 = inverse_inertia(cos_phi, plant, model)
-    g, v, k, d = plant.gear, plant.viscous_friction, plant.stiffness, plant.damping
+    g, v, k, d = plant.gear, plant.viscous_friction, stiffness, plant.damping
     by_motor, mutual, by_belt = w11 * g * g, (w11 - w12) * g, w11 - 2 * w12 + w22
     held[0, 1] = held[2, 3] = held[3, 5] = 1.0
     held[1, 1], held[1, 2], held[1, 3], held[1, 4] = -v * by_motor, -k * mutual, -d * mutual, by_motor
@@ -28,7 +29,13 @@ def _fill(held: Floats, plant: Plant, cos_phi: float, model: Model) -> None:
 
 
 @compiled
-def _exponential(matrix: Floats, scale: float) -> Floats:
+def _slack_stiffness(row: Any) -> float:
+    """Return the belt's stiffness about zero torsion, K_s (1 - b) [N m/rad], of an arm's row."""
+    return row[COLUMN.belt_stiffness] * (1 - row[COLUMN.belt_stiffening])
+
+
+@compiled
+def exponential(matrix: Floats, scale: float) -> Floats:
     """Compute exp(scale * matrix) by its Taylor series, for small arguments."""
     size = len(matrix)
     total, term = np.eye(size), np.eye(size)
@@ -45,13 +52,13 @@ def _exponential(matrix: Floats, scale: float) -> Floats:
 
 @compiled
 def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats, Floats, Floats]:
-    """Compute linear models of n lumped arms from one sample to the next, at m joint angles.
+    """Compute linear models of n lumped arms behind an ideal drive from one sample to the next, at m joint angles.
 
     x[k+1] = A x[k] + b tau_m + e alpha with the torque tau_m [N m] and a torsional acceleration alpha [rad/s^2] held
     over `period`: blocks of the exponential of eq. (6) with the held inputs as further states.
 
     Args:
-        table: Constants of the arms, columns as `ArmParams`, shape (n, 12).
+        table: Constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS)).
         angles: theta_1 [rad], shape (m,).
         period: Between samples [s]; the arm's fastest rate times it has to stay below about 0.2.
 
@@ -64,31 +71,41 @@ def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats,
         plant = plant_of(table[i])
         for k in range(size):
             held = np.zeros((6, 6))
-            _fill(held, plant, math.cos(angles[k]), LUMPED)
-            stepped = _exponential(held, period)
+            _fill(held, plant, _slack_stiffness(table[i]), math.cos(angles[k]), LUMPED)
+            stepped = exponential(held, period)
             a[i, k], b[i, k], e[i, k] = stepped[:4, :4], stepped[:4, 4], stepped[:4, 5]
     return a, b, e
 
 
-def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tuple[Floats, Floats, Floats]:
-    """Compute the linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at a joint angle, Coulomb friction left out.
+def state_space(
+    params: ArmParams, theta_1: float, model: str = "lumped", actuator: bool = False
+) -> tuple[Floats, Floats, Floats]:
+    """Compute the linear model A (4, 4), b (4, 1), c (2, 4) of eq. (6) at a joint angle.
 
-    With W the inverse mass matrix for (theta_1, phi), and tau_b = K_s theta_s + D_s omega_s:
+    With W the inverse mass matrix for (theta_1, phi), and tau_b = K_s (1 - b) theta_s + D_s omega_s:
 
-        domega_a/dt = W11 G^2 (tau_m - V_a1 omega_a) - (W11 - W12) G tau_b
-        domega_s/dt = (W11 - W12) G (tau_m - V_a1 omega_a) - (W11 - 2 W12 + W22) tau_b
+        domega_a/dt = W11 G^2 (tau - V_a1 omega_a) - (W11 - W12) G tau_b
+        domega_s/dt = (W11 - W12) G (tau - V_a1 omega_a) - (W11 - 2 W12 + W22) tau_b
 
     For the lumped arm W11 = 1 / (M_a1 G^2), W12 = 0 and W22 = 1 / M2. Two differences from the print: the last entry of
     b in (6e) is printed -1/(M_a1 G), but (5a) with (6g) gives +1/(M_a1 G); and the belt's damping D_s, absent from the
     paper, appears beside K_s (zero `belt_damping_ratio` gives the paper's A).
 
+    The belt has its stiffness about zero torsion. Dry friction is left out with all that it depends on; so are ripple
+    and kinematic error, whose mean over a turn of the motor is zero, and the drift of friction.
+
+    With `actuator`, the input is the command u in place of the torque tau, which is a fifth state:
+    dtau/dt = ((1 + k) u - tau) / T_i, and A is (5, 5), b (5, 1), c (2, 5). The latency, a pure delay in front of this
+    model, is left out: `sampled_state_space` has it.
+
     Args:
         params: The arm.
         theta_1: Joint angle about which the model is linear [rad].
         model: "lumped", or "lagrangian" (of which "mujoco" is another implementation).
+        actuator: Whether the current loop is part of the model.
 
     Raises:
-        ValueError: If theta_1 lies outside 0 to pi/2, or the model is unknown.
+        ValueError: If theta_1 lies outside 0 to pi/2, the model is unknown, or there is no current loop to be a part.
         TypeError: If theta_1 is not a number.
     """
     if isinstance(theta_1, bool) or not isinstance(theta_1, int | float | np.integer | np.floating):
@@ -97,6 +114,16 @@ def state_space(params: ArmParams, theta_1: float, model: str = "lumped") -> tup
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
     if not isinstance(model, str) or model not in MODELS:
         raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
+    if actuator and params.current_loop_time_constant == 0:
+        raise ValueError(
+            "actuator=True needs current_loop_time_constant > 0, got 0.0: the torque is the command times 1 + k, use "
+            "actuator=False or sampled_state_space"
+        )
     held = np.zeros((6, 6))
-    _fill(held, params.plant(), math.cos(theta_1), MODELS[model])
-    return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
+    _fill(held, params.plant(), _slack_stiffness(params.row()), math.cos(theta_1), MODELS[model])
+    if not actuator:
+        return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
+    rate = 1 / params.current_loop_time_constant
+    a, b = held[:5, :5].copy(), np.zeros((5, 1))
+    a[4], b[4] = [0, 0, 0, 0, -rate], (1 + params.torque_constant_error) * rate
+    return a, b, np.eye(2, 5)

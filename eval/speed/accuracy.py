@@ -28,7 +28,7 @@ def accuracy_row() -> Row:
             action, memory = controller.predict(observation[None], memory)
             observation, _, terminated, over, _ = env.step(action[0])
             assert not terminated
-            reference.advance(float(action[0, 0]) * arm.params.torque_limit, beltarm_env.CONTROL_PERIOD)
+            reference.sample(float(np.clip(action[0, 0], -1, 1)) * arm.params.torque_limit)
             distance = np.linalg.norm(tip(arm.params, arm.state) - tip(reference.params, reference.state))
             worst = max(worst, float(distance))
         changes += len(reference.mode_changes)
