@@ -16,7 +16,7 @@ from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
-from beltarm_env.kernels.layout import BUILT, LANES, load_drive, load_plant, load_state, store_drive, store_state
+from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_drive, store_state
 from beltarm_env.physics.drive import DRIVE_COLUMNS, angles_of, drive_of
 from beltarm_env.physics.driven import (
     driven_step,
@@ -150,7 +150,7 @@ def _begin_piece(block: Floats, work: Floats, count: int, piece: int, model: Mod
         work[_TARGET * LANES + j] = target
         work[_REMAINING * LANES + j] = split if piece == 0 else CONTROL_PERIOD - split
         work[_DIRECTION * LANES + j] = sliding_direction(
-            x, torque, load_plant(block, j), model, load_drive(block, j, BUILT)
+            x, torque, load_plant(block, j), model, load_drive(block, j)
         )
         work[_LANE * LANES + j] = j
 
@@ -163,7 +163,7 @@ def _step(arms: Floats, work: Floats, count: int, model: Model) -> None:
     """
     for j in range(count):
         x = load_state(work, at.STATE, j)
-        plant, drive = load_plant(arms, j), load_drive(arms, j, BUILT)
+        plant, drive = load_plant(arms, j), load_drive(arms, j)
         torque, direction = work[_TORQUE * LANES + j], work[_DIRECTION * LANES + j]
         remaining = work[_REMAINING * LANES + j]
         time, rate = arms[at.LAG_TIME * LANES + j], arms[at.LAG_RATE * LANES + j]
@@ -200,7 +200,7 @@ def _change_modes(arms: Floats, work: Floats, count: int, model: Model) -> None:
     for j in range(count):
         if work[_LEAVES * LANES + j] != 0.0:
             x = load_state(work, at.STATE, j)
-            plant, drive = load_plant(arms, j), load_drive(arms, j, BUILT)
+            plant, drive = load_plant(arms, j), load_drive(arms, j)
             torque, direction = work[_TORQUE * LANES + j], work[_DIRECTION * LANES + j]
             time, rate = arms[at.LAG_TIME * LANES + j], arms[at.LAG_RATE * LANES + j]
             target, dt = work[_TARGET * LANES + j], work[_DT * LANES + j]

@@ -14,7 +14,7 @@ from beltarm_env.kernels.advance_driven import begin_drive
 from beltarm_env.kernels.layout import (
     LANES,
     Driven,
-    load_drive,
+    drive_among,
     load_move,
     load_plant,
     load_state,
@@ -107,6 +107,6 @@ def tip_errors(blocks: Floats, errors: Floats, profile: int, driven: Driven) -> 
     for i in range(len(errors)):
         block, j = blocks[i // LANES], i % LANES
         plant = load_plant(block, j)
-        tip = tip_motion(load_state(block, at.STATE, j), plant, load_drive(block, j, driven))
+        tip = tip_motion(load_state(block, at.STATE, j), plant, drive_among(block, j, driven))
         reference = reference_at(profile, load_move(block, j), block[at.STEP * LANES + j] * CONTROL_PERIOD)
         errors[i, 0], errors[i, 1], errors[i, 2], errors[i, 3] = tip_error(tip, reference.angle, reference.speed, plant)

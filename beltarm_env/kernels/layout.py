@@ -114,10 +114,16 @@ def load_plant(block: NDArray[np.float64], lane: int) -> Plant:
 
 
 @inlined
-def load_drive(block: NDArray[np.float64], lane: int, driven: Driven) -> Drive | None:
+def drive_among(block: NDArray[np.float64], lane: int, driven: Driven) -> Drive | None:
     """Load the coefficients of one lane's drive; None among ideal ones."""
     if driven is IDEAL:
         return None
+    return load_drive(block, lane)
+
+
+@inlined
+def load_drive(block: NDArray[np.float64], lane: int) -> Drive:
+    """Load the coefficients of one lane's drive as it is built."""
     at = DRIVE * LANES + lane
     return Drive(
         block[at],

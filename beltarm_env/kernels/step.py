@@ -14,7 +14,7 @@ from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
-from beltarm_env.kernels.layout import IDEAL, LANES, Driven, load_drive, load_move, load_plant, load_state
+from beltarm_env.kernels.layout import IDEAL, LANES, Driven, drive_among, load_move, load_plant, load_state
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.sense import sense_block
 from beltarm_env.kernels.tile import TILE_ROWS
@@ -52,7 +52,7 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, dr
         action = scratch[ACTION * LANES + j]
         step = block[at.STEP * LANES + j] + 1.0
         reference = reference_at(profile, load_move(block, j), step * CONTROL_PERIOD)
-        tip = tip_motion(x, plant, load_drive(block, j, driven))
+        tip = tip_motion(x, plant, drive_among(block, j, driven))
         cost = step_cost(tip, reference.angle, reference.speed, action, block[at.ACTION * LANES + j], plant)
         block[at.STEP * LANES + j] = step
         block[at.ACTION * LANES + j] = action
