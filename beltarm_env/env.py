@@ -62,18 +62,20 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
     | 0 | motor angle error, reference minus encoder | 1.5 | 200 | rad |
     | 1 | motor speed error | 8 | 2000 | rad/s |
     | 2 | motor speed, by differencing the encoder | 100 | 2000 | rad/s |
-    | 3 | reference joint angle | 1 | 2 | rad |
-    | 4 | reference joint speed | 1 | 20 | rad/s |
-    | 5 | reference joint acceleration | 10 | 200 | rad/s² |
-    | 6–10 | reference speed 30, 60, 120, 200, 400 ms ahead | 1 | 20 | rad/s |
-    | 11–15 | reference acceleration 30, 60, 120, 200, 400 ms ahead | 10 | 200 | rad/s² |
-    | 16, 17 | start and goal of the move | 1 | 2 | rad |
-    | 18 | duration of the move | 1 | 2 | s |
-    | 19 | ramp time of the move | 0.2 | 2 | s |
-    | 20 | time since the move's start | 1 | 2 | s |
-    | 21 | torque applied in the last step, over its limit | 1 | 1 | - |
-    | 22 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
-    | 22, 23 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
+    | 3 | motor angle by the encoder | 100 | 200 | rad |
+    | 4, 5 | sine and cosine of twice that angle | 1 | 1 | - |
+    | 6 | reference joint angle | 1 | 2 | rad |
+    | 7 | reference joint speed | 1 | 20 | rad/s |
+    | 8 | reference joint acceleration | 10 | 200 | rad/s² |
+    | 9–13 | reference speed 30, 60, 120, 200, 400 ms ahead | 1 | 20 | rad/s |
+    | 14–18 | reference acceleration 30, 60, 120, 200, 400 ms ahead | 10 | 200 | rad/s² |
+    | 19, 20 | start and goal of the move | 1 | 2 | rad |
+    | 21 | duration of the move | 1 | 2 | s |
+    | 22 | ramp time of the move | 0.2 | 2 | s |
+    | 23 | time since the move's start | 1 | 2 | s |
+    | 24 | torque commanded in the last step, over its limit | 1 | 1 | - |
+    | 25 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
+    | 25, 26 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
 
     ## Rewards
 

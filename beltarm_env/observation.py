@@ -5,8 +5,10 @@ a documented scale so that it is of order 1, and clipped at a documented bound. 
 wanted, not by their range: 1.5 rad at the motor is 1 degree at the joint.
 
 Measured quantities come from the motor's encoder: the angle in whole counts, the speed as the difference of two samples
-over the control period. The reference ahead is given at `LOOKAHEADS`, and the move itself by start, goal, duration,
-ramp time and elapsed time, enough to rebuild the reference at any time.
+over the control period. Its index pulse makes the angle within the motor's turn absolute; sine and cosine of twice that
+angle are what torque ripple, friction and errors of the gear repeat with. The reference ahead is given at `LOOKAHEADS`,
+and the move itself by start, goal, duration, ramp time and elapsed time, enough to rebuild the reference at any time.
+Of the torque there is what was commanded: what a drive makes of a command, it does not report.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import numpy as np
 
 from beltarm_env.arrays import Floats, Singles
 
+LAYOUT = 2
+"""Version of what the entries mean; raise it where that changes but their names, units, scales and bounds do not."""
 LOOKAHEADS = (0.03, 0.06, 0.12, 0.20, 0.40)
 """How far ahead of the current sample the reference is shown [s]."""
 
@@ -34,6 +38,9 @@ _MEASURED = (
     Entry("motor_angle_error", "rad", 1.5, 200.0),
     Entry("motor_speed_error", "rad/s", 8.0, 2000.0),
     Entry("motor_speed", "rad/s", 100.0, 2000.0),
+    Entry("motor_angle", "rad", 100.0, 200.0),
+    Entry("sin_2_motor_angle", "-", 1.0, 1.0),
+    Entry("cos_2_motor_angle", "-", 1.0, 1.0),
 )
 _REFERENCE = (
     Entry("reference_angle", "rad", 1.0, 2.0),
@@ -48,7 +55,7 @@ _MOVE = (
     Entry("duration", "s", 1.0, 2.0),
     Entry("ramp_time", "s", 0.2, 2.0),
     Entry("elapsed_time", "s", 1.0, 2.0),
-    Entry("last_torque", "of limit", 1.0, 1.0),
+    Entry("last_command", "of limit", 1.0, 1.0),
 )
 _ENCODER = (*_MEASURED, *_REFERENCE, *_MOVE)
 

@@ -462,7 +462,7 @@ def test_observation_decodes_to_what_the_accessors_say(profile: str):
             assert told[f"reference_acceleration_ahead_{1000 * ahead:.0f}ms"] == close(then.acceleration)
         assert {name: told[name] for name in env.move} == {name: close(value) for name, value in env.move.items()}
         assert told["elapsed_time"] == close(env.time)
-        assert told["last_torque"] == close(last)
+        assert told["last_command"] == close(last)
         observation, _, terminated, truncated, _ = env.step(2 * action)
         last = float(np.clip(2 * action[0], -1, 1))
         if terminated or truncated:
@@ -485,6 +485,9 @@ def test_encoder_entries_are_those_of_a_quantised_and_late_encoder(encoder_count
         assert told["motor_angle_error"] == close(reference.angle * gear - now * resolution)
         assert told["motor_speed_error"] == close(reference.speed * gear - speed)
         assert told["motor_speed"] == close(speed)
+        assert told["motor_angle"] == close(now * resolution)
+        assert told["sin_2_motor_angle"] == close(np.sin(2 * now * resolution))
+        assert told["cos_2_motor_angle"] == close(np.cos(2 * now * resolution))
         observation, *_ = env.step(action)
         angles.append(env.state[0])
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
-from beltarm_env.task.sensors import ENCODER_COUNTS, speed_from_counts, to_counts
+from beltarm_env.task.sensors import ENCODER_COUNTS, around_half_a_turn, speed_from_counts, to_counts
 
 Floats = NDArray[np.float64]
 
@@ -55,6 +55,20 @@ class TestCounting:
         assert speed_from_counts(8.0, 7.0, RESOLUTION) == pytest.approx(1.0472, abs=1e-4)
 
 
+class TestIndexPulse:
+    @examples(200)
+    @given(st.floats(-1000, 1000))
+    def test_sine_and_cosine_of_twice_the_angle(self, angle: float):
+        expected = math.sin(2 * angle), math.cos(2 * angle)
+        assert around_half_a_turn(angle) == pytest.approx(expected, rel=0, abs=1e-12)
+
+    @examples(100)
+    @given(st.floats(-200, 200), st.integers(-50, 50))
+    def test_half_turns_do_not_show(self, angle: float, half_turns: int):
+        turned = around_half_a_turn(angle + math.pi * half_turns)
+        assert turned == pytest.approx(around_half_a_turn(angle), rel=0, abs=1e-12)
+
+
 def torque(k: int) -> float:
     """Over its limit: pushes the arm to and fro."""
     return 0.5 * math.sin(0.02 * k) + 0.3 * math.sin(0.11 * k)
@@ -78,8 +92,9 @@ class Record:
         self.reference = np.array([env.reference(k * CONTROL_PERIOD) for k in range(STEPS + 1)])
 
     def counts(self, resolution: float = RESOLUTION) -> Floats:
-        """Encoder counts recovered from the tracking error."""
+        """Encoder counts recovered from the tracking error, and equal to those of the angle."""
         counts = (GEAR * self.reference[:, 0] - self.seen["motor_angle_error"]) / resolution
+        np.testing.assert_allclose(self.seen["motor_angle"] / resolution, counts, atol=0.02)
         # float32 keeps 6e-8 of an error of up to 80 rad: 0.003 of 4000 counts per turn
         np.testing.assert_allclose(counts, np.rint(counts), atol=0.01)
         return np.rint(counts)
@@ -136,8 +151,9 @@ class TestThroughTheEnvironment:
         np.testing.assert_array_equal(fresh.states, late.states)
         shown = len(fresh.states) - delay
         np.testing.assert_array_equal(late.counts()[delay:], fresh.counts()[:shown])
-        np.testing.assert_array_equal(late.seen["motor_speed"][delay:], fresh.seen["motor_speed"][:shown])
-        for name in ("reference_angle", "reference_speed", "elapsed_time", "last_torque"):
+        for name in ("motor_speed", "motor_angle", "sin_2_motor_angle", "cos_2_motor_angle"):
+            np.testing.assert_array_equal(late.seen[name][delay:], fresh.seen[name][:shown])
+        for name in ("reference_angle", "reference_speed", "elapsed_time", "last_command"):
             np.testing.assert_array_equal(late.seen[name], fresh.seen[name], "what is known is not late")
 
     @pytest.mark.parametrize("delay", [1, 2])

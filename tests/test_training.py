@@ -401,7 +401,7 @@ def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
 
 
 def test_no_base_is_no_torque():
-    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 22), np.float32))
+    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 25), np.float32))
     assert action.tolist() == [[0.0]] * 3 and action.dtype == np.float32 and memory is None
 
 
