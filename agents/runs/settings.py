@@ -9,10 +9,11 @@ from typing import Any, ClassVar, Literal
 
 import torch
 
-from agents.policy.bundle import LAYOUT, BundleSpec
+from agents.policy.bundle import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
+from beltarm_env.observation import LAYOUT
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
 
 MAY_CHANGE = (
