@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike
 
 from beltarm_env import observation
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
@@ -78,6 +79,25 @@ def _whole(name: str, value: object, low: int, high: int) -> int:
     return int(value)
 
 
+def _delays(given: object, count: int) -> Floats:
+    """Check delays [samples], one number or one per arm, and return them in shape (count,)."""
+    bound = f"from 0 to {at.MAX_DELAY}"
+    try:
+        array = np.asarray(given)
+    except ValueError:
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"delay must be a number of samples {bound}, got {given!r}")
+    if array.shape not in ((), (count,)):
+        raise ValueError(f"delay must be one number or have shape ({count},), got shape {array.shape}")
+    delays = np.broadcast_to(array, (count,)).astype(np.float64)  # a copy: of the caller's too
+    if not (inside := (delays >= 0) & (delays <= at.MAX_DELAY)).all():
+        arm = int(np.argmin(inside))
+        of_arm = f" for arm {arm}" if array.ndim else ""
+        raise ValueError(f"delay must be a number of samples {bound}, got {delays[arm]:g}{of_arm}")
+    return delays
+
+
 class ArmBatch:
     """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
 
@@ -90,7 +110,7 @@ class ArmBatch:
         model: str,
         randomization: Randomization,
         encoder_counts: int,
-        delay: int,
+        delay: ArrayLike,
     ) -> None:
         self.num_arms = num_arms
         self.tier = _choice("sensors", sensors, observation.SENSORS)
@@ -101,7 +121,7 @@ class ArmBatch:
         self._bounds = range_bounds(resolve_ranges(randomization))
         check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
-        self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
+        self.delays = _delays(delay, num_arms)
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
         self.engine = _engine(model, num_arms)
@@ -151,7 +171,7 @@ class ArmBatch:
         if options.get("state") is not None:
             states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
-        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
+        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delays, self.model)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 

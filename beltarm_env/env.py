@@ -118,7 +118,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         model: ModelName = "lumped",
         randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
-        delay: int = 0,
+        delay: float = 0,
         render_mode: Literal["human", "rgb_array"] | None = None,
     ) -> None:
         """Create the environment.
@@ -131,7 +131,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             randomization: "off", the paper's arm; "ideal", arms that vary behind an ideal drive (`IDEAL_RANGES`);
                 "train", arms and drives that vary (`TRAIN_RANGES`); or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
-            delay: Samples by which encoder and tachometer lag, 0 to 2.
+            delay: Samples by which encoder, tachometer and accelerometer lag, 0 to 2; it need not be whole.
             render_mode: "human" for a window, "rgb_array" for frames, None for neither.
 
         Raises:

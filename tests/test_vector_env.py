@@ -112,6 +112,32 @@ def test_batch_is_bit_for_bit_as_many_single_environments(count: int, mode: Auto
     assert differing[aspect] == []
 
 
+@pytest.mark.parametrize("sensors", ["encoder", "tip"])
+def test_every_arm_has_its_own_delay(sensors: str):
+    delays = [0, 0.25, 1, 1.5, 2]
+    case: dict[str, Any] = {"sensors": sensors, "randomization": "train"}
+    envs, singles = make(5, delay=delays, **case), [BeltArmEnv(delay=delay, **case) for delay in delays]
+    start, _ = envs.reset(seed=20)
+    assert np.array_equal(start, [single.reset(seed=20 + i)[0] for i, single in enumerate(singles)])
+    for action in random_actions(120, 5):
+        observations = [single.step(action[i])[0] for i, single in enumerate(singles)]
+        assert envs.step(action)[0].tobytes() == np.array(observations).tobytes()
+
+
+def test_delays_are_copied_and_outlast_the_episode():
+    delays = np.array([0.0, 1.5])
+    envs, single = make(2, delay=delays, autoreset_mode="SameStep"), BeltArmEnv(delay=1.5)
+    delays[:] = 0.0
+    envs.reset(seed=3)
+    single.reset(seed=4)
+    for k in range(EPISODE_STEPS + 100):
+        action = np.array([0.3 * np.sin(0.05 * k)], np.float32)
+        observation, _, _, over, _ = single.step(action)
+        if over:
+            observation, _ = single.reset()
+        assert envs.step(np.stack([action, action]))[0][1].tobytes() == observation.tobytes()
+
+
 @pytest.mark.parametrize("num_envs", [3, 64, 65])
 def test_how_many_arms_there_are_makes_no_difference(num_envs: int):
     few, many = make(2, randomization="train"), make(num_envs, randomization="train")

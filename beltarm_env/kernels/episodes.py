@@ -32,7 +32,7 @@ def begin_episodes(
     moves: Floats,
     states: Floats,
     resolution: float,
-    delay: int,
+    delays: Floats,
     model: Model,
 ) -> None:
     """Begin a new episode in n arms.
@@ -44,7 +44,7 @@ def begin_episodes(
         moves: Their moves, shape (n, 4).
         states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
-        delay: Of the measurements [samples].
+        delays: Of the measurements of all arms [samples], shape (N,).
         model: Whose equations of motion.
     """
     for i in range(len(arms)):
@@ -59,7 +59,7 @@ def begin_episodes(
         for k in range(4):
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
         store_plant(block, j, plant)
-        begin_sensing(block, j, x, plant, resolution, delay)
+        begin_sensing(block, j, x, plant, resolution, float(delays[arms[i]]))
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
 
 
