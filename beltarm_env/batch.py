@@ -19,6 +19,7 @@ from beltarm_env.kernels.step import new_scratch
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
+from beltarm_env.task.accelerometer import DRAWS as SENSOR_DRAWS
 from beltarm_env.task.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
 
 _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
-DRAWS = len(FIELDS) + MOVE_DRAWS
+DRAWS = len(FIELDS) + MOVE_DRAWS + SENSOR_DRAWS
 """Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
-_BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, then the drive
+_BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, the drive, the sensors
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -149,7 +150,8 @@ class ArmBatch:
         count = len(arms)
 
         of_move = slice(_BEFORE_MOVE, _BEFORE_MOVE + MOVE_DRAWS)
-        table = draw_table(self._bounds, np.delete(uniforms, of_move, axis=1))
+        of_sensors = uniforms[:, -SENSOR_DRAWS:]
+        table = draw_table(self._bounds, np.delete(uniforms[:, :-SENSOR_DRAWS], of_move, axis=1))
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for extreme in (column.min(), column.max()):
@@ -171,7 +173,8 @@ class ArmBatch:
         if options.get("state") is not None:
             states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
-        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delays, self.model)
+        sensing = self.resolution, self.delays, of_sensors
+        begin_episodes(self.blocks, arms, table, moves, states, *sensing, self.model)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 

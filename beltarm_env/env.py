@@ -76,6 +76,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
     | 24 | torque commanded in the last step, over its limit | 1 | 1 | - |
     | 25 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
     | 25, 26 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
+    | 25, 26 | `sensors="accelerometer"`: acceleration of the tip along and across the hand | 10 | 80 | m/s² |
 
     ## Rewards
 
@@ -124,7 +125,8 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         """Create the environment.
 
         Args:
-            sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion.
+            sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion;
+                "accelerometer" adds the tip's acceleration as a MEMS part measures it (`task.accelerometer`).
             profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
             model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
                 full arm moved and drawn by MuJoCo (extra `mujoco`).

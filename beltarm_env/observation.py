@@ -57,15 +57,20 @@ _MOVE = (
     Entry("elapsed_time", "s", 1.0, 2.0),
     Entry("last_command", "of limit", 1.0, 1.0),
 )
+_ACCELERATIONS = (
+    Entry("tip_acceleration_along", "m/s^2", 10.0, 80.0),
+    Entry("tip_acceleration_across", "m/s^2", 10.0, 80.0),
+)
 _ENCODER = (*_MEASURED, *_REFERENCE, *_MOVE)
 
-Sensors = Literal["encoder", "tip", "full"]
+Sensors = Literal["encoder", "tip", "full", "accelerometer"]
 SENSORS: tuple[Sensors, ...] = get_args(Sensors)
-ENCODER, TIP, FULL = range(3)
+ENCODER, TIP, FULL, ACCELEROMETER = range(4)
 ENTRIES: dict[str, tuple[Entry, ...]] = {
     "encoder": _ENCODER,
     "tip": (*_ENCODER, Entry("tip_speed", "m/s", 0.2, 20.0)),
     "full": (*_ENCODER, Entry("torsion", "rad", 0.05, 2.0), Entry("torsion_speed", "rad/s", 1.0, 200.0)),
+    "accelerometer": (*_ENCODER, *_ACCELERATIONS),
 }
 """The entries of each sensor tier, in the order of the vector."""
 

@@ -19,7 +19,7 @@ from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
 from beltarm_env.task.cost import MAX_COST
 from eval.verification.event_located import tip
 
-SENSORS = ("encoder", "tip", "full")
+SENSORS = ("encoder", "tip", "full", "accelerometer")
 PROFILES = ("trapezoid", "scurve", "quintic")
 TERMS = ("cost_position", "cost_velocity", "cost_torque_rate")
 STEP_INFO = {"tip_error", *TERMS}
@@ -548,7 +548,7 @@ def test_full_tier_adds_the_true_torsion(delay: int):
         observation, *_ = env.step(action)
 
 
-@pytest.mark.parametrize("sensors", ["tip", "full"])
+@pytest.mark.parametrize("sensors", SENSORS[1:])
 def test_tiers_differ_only_by_what_they_add(sensors: str):
     plain, more = make(randomization="train"), make(sensors=sensors, randomization="train")
     expected, told = plain.reset(seed=1)[0], more.reset(seed=1)[0]

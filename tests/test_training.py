@@ -392,7 +392,9 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
     assert best.provenance["run"]["steps"] == 128
 
 
-@pytest.mark.parametrize(("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full")])
+@pytest.mark.parametrize(
+    ("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full"), ("paper", "accelerometer")]
+)
 def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
     config = tiny("ppo", tmp_path, base=base, sensors=sensors, knowledge="none", total_steps=64)
     run(config)

@@ -33,6 +33,7 @@ def begin_episodes(
     states: Floats,
     resolution: float,
     delays: Floats,
+    draws: Floats,
     model: Model,
 ) -> None:
     """Begin a new episode in n arms.
@@ -45,6 +46,7 @@ def begin_episodes(
         states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
         delays: Of the measurements of all arms [samples], shape (N,).
+        draws: Uniform random numbers for the sensors, shape (n, accelerometer.DRAWS).
         model: Whose equations of motion.
     """
     for i in range(len(arms)):
@@ -59,7 +61,7 @@ def begin_episodes(
         for k in range(4):
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
         store_plant(block, j, plant)
-        begin_sensing(block, j, x, plant, resolution, float(delays[arms[i]]))
+        begin_sensing(block, j, x, plant, resolution, float(delays[arms[i]]), draws[i])
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
 
 

@@ -32,7 +32,13 @@ TIP_SPEEDS = COUNTS + COUNT_HISTORY  # tachometer now, 1 and 2 samples ago [m/s]
 TIP_HISTORY = 3
 FRACTION = TIP_SPEEDS + TIP_HISTORY  # rest of the delay: the sensors are read so much of a sample before it
 BEFORE = FRACTION + 1  # state one sample ago; kept only where there is such a rest
-TOTALS = BEFORE + len(ArmState._fields)  # over the episode: the three cost terms, squared tip error, largest tip error
+TIP_VELOCITY = BEFORE + len(ArmState._fields)  # of the accelerometer's last reading: x, y [m/s]
+TIP_ACCELERATION = TIP_VELOCITY + 2  # low-passed: x, y [m/s^2]
+ALONG = TIP_ACCELERATION + 2  # accelerometer along the hand now, 1 and 2 samples ago [m/s^2]
+ACROSS = ALONG + 3  # and across it
+BIASES = ACROSS + 3  # of both [m/s^2]
+NOISE_SEED = BIASES + 2
+TOTALS = NOISE_SEED + 1  # over the episode: the three cost terms, squared tip error, largest tip error
 ROWS = TOTALS + 5
 
 MAX_DELAY = 2
