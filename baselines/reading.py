@@ -23,7 +23,7 @@ class Reading(NamedTuple):
     reference_acceleration: Floats  # [rad/s^2]
     move: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
     step: Integers  # control periods since the move's start
-    last_torque: Floats  # held over the last period [N m]
+    last_command: Floats  # torque commanded over the last period [N m]
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
 
 
@@ -32,7 +32,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
 
     Args:
         observations: Of `sensors` or of a tier with more entries, which are ignored.
-        params: Arm with the gear ratio and the torque limit that angles and torques are scaled by.
+        params: Arm with the torque limit that commands are scaled by.
         sensors: "encoder", or "full" for the torsion as well.
 
     Raises:
@@ -47,14 +47,14 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     return Reading(
         angle_error=seen["motor_angle_error"],
         speed_error=seen["motor_speed_error"],
-        motor_angle=params.gear_ratio * seen["reference_angle"] - seen["motor_angle_error"],
+        motor_angle=seen["motor_angle"],
         motor_speed=seen["motor_speed"],
         reference_angle=seen["reference_angle"],
         reference_speed=seen["reference_speed"],
         reference_acceleration=seen["reference_acceleration"],
         move=np.stack([seen[name] for name in MOVE_FIELDS], axis=1),
         step=np.rint(seen["elapsed_time"] / CONTROL_PERIOD).astype(np.intp),
-        last_torque=seen["last_torque"] * params.torque_limit,
+        last_command=seen["last_command"] * params.torque_limit,
         torsion=np.stack([seen["torsion"], seen["torsion_speed"]], axis=1) if sensors == "full" else None,
     )
 

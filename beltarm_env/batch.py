@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike
 
 from beltarm_env import observation
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
@@ -20,6 +21,7 @@ from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
+from beltarm_env.task.accelerometer import DRAWS as SENSOR_DRAWS
 from beltarm_env.task.moves import DRAWS as MOVE_DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
@@ -34,9 +36,9 @@ if TYPE_CHECKING:
 
 _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
-DRAWS = len(FIELDS) + MOVE_DRAWS
+DRAWS = len(FIELDS) + MOVE_DRAWS + SENSOR_DRAWS
 """Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
-_BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, then the drive
+_BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, the drive, the sensors
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -80,6 +82,25 @@ def _whole(name: str, value: object, low: int, high: int) -> int:
     return int(value)
 
 
+def _delays(given: object, count: int) -> Floats:
+    """Check delays [samples], one number or one per arm, and return them in shape (count,)."""
+    bound = f"from 0 to {at.MAX_DELAY}"
+    try:
+        array = np.asarray(given)
+    except ValueError:
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"delay must be a number of samples {bound}, got {given!r}")
+    if array.shape not in ((), (count,)):
+        raise ValueError(f"delay must be one number or have shape ({count},), got shape {array.shape}")
+    delays = np.broadcast_to(array, (count,)).astype(np.float64)  # a copy: of the caller's too
+    if not (inside := (delays >= 0) & (delays <= at.MAX_DELAY)).all():
+        arm = int(np.argmin(inside))
+        of_arm = f" for arm {arm}" if array.ndim else ""
+        raise ValueError(f"delay must be a number of samples {bound}, got {delays[arm]:g}{of_arm}")
+    return delays
+
+
 class ArmBatch:
     """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
 
@@ -92,7 +113,7 @@ class ArmBatch:
         model: str,
         randomization: Randomization,
         encoder_counts: int,
-        delay: int,
+        delay: ArrayLike,
     ) -> None:
         self.num_arms = num_arms
         self.tier = _choice("sensors", sensors, observation.SENSORS)
@@ -103,8 +124,8 @@ class ArmBatch:
         self._bounds = range_bounds(resolve_ranges(randomization))
         check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
-        self.delay = _whole("delay", delay, 0, at.MAX_DELAY)
         self.driven: at.Driven = IDEAL
+        self.delays = _delays(delay, num_arms)
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
         self.engine = _engine(model, num_arms)
@@ -132,7 +153,8 @@ class ArmBatch:
         count = len(arms)
 
         of_move = slice(_BEFORE_MOVE, _BEFORE_MOVE + MOVE_DRAWS)
-        table = draw_table(self._bounds, np.delete(uniforms, of_move, axis=1))
+        of_sensors = uniforms[:, -SENSOR_DRAWS:]
+        table = draw_table(self._bounds, np.delete(uniforms[:, :-SENSOR_DRAWS], of_move, axis=1))
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for extreme in (column.min(), column.max()):
@@ -155,7 +177,8 @@ class ArmBatch:
             states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
         self.driven = BUILT if np.any(self.table[:, DRIVE_COLUMNS]) else IDEAL
-        begin_episodes(self.blocks, arms, table, moves, states, self.resolution, self.delay, self.model)
+        sensing = self.resolution, self.delays, of_sensors
+        begin_episodes(self.blocks, arms, table, moves, states, *sensing, self.model)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 
@@ -183,7 +206,7 @@ class ArmBatch:
         """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""
         chosen = np.zeros(len(self.blocks), dtype=np.bool_)
         chosen[arms // at.LANES] = True
-        observe_arms(self.blocks, self.tile, observations, chosen, self.profile, self.tier)
+        observe_arms(self.blocks, self.tile, observations, chosen, self.profile, self.tier, self.driven)
 
     @property
     def all_arms(self) -> Integers:

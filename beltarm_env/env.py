@@ -62,18 +62,21 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
     | 0 | motor angle error, reference minus encoder | 1.5 | 200 | rad |
     | 1 | motor speed error | 8 | 2000 | rad/s |
     | 2 | motor speed, by differencing the encoder | 100 | 2000 | rad/s |
-    | 3 | reference joint angle | 1 | 2 | rad |
-    | 4 | reference joint speed | 1 | 20 | rad/s |
-    | 5 | reference joint acceleration | 10 | 200 | rad/s² |
-    | 6–10 | reference speed 30, 60, 120, 200, 400 ms ahead | 1 | 20 | rad/s |
-    | 11–15 | reference acceleration 30, 60, 120, 200, 400 ms ahead | 10 | 200 | rad/s² |
-    | 16, 17 | start and goal of the move | 1 | 2 | rad |
-    | 18 | duration of the move | 1 | 2 | s |
-    | 19 | ramp time of the move | 0.2 | 2 | s |
-    | 20 | time since the move's start | 1 | 2 | s |
-    | 21 | torque applied in the last step, over its limit | 1 | 1 | - |
-    | 22 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
-    | 22, 23 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
+    | 3 | motor angle by the encoder | 100 | 200 | rad |
+    | 4, 5 | sine and cosine of twice that angle | 1 | 1 | - |
+    | 6 | reference joint angle | 1 | 2 | rad |
+    | 7 | reference joint speed | 1 | 20 | rad/s |
+    | 8 | reference joint acceleration | 10 | 200 | rad/s² |
+    | 9–13 | reference speed 30, 60, 120, 200, 400 ms ahead | 1 | 20 | rad/s |
+    | 14–18 | reference acceleration 30, 60, 120, 200, 400 ms ahead | 10 | 200 | rad/s² |
+    | 19, 20 | start and goal of the move | 1 | 2 | rad |
+    | 21 | duration of the move | 1 | 2 | s |
+    | 22 | ramp time of the move | 0.2 | 2 | s |
+    | 23 | time since the move's start | 1 | 2 | s |
+    | 24 | torque commanded in the last step, over its limit | 1 | 1 | - |
+    | 25 | `sensors="tip"`: speed of the tip along x | 0.2 | 20 | m/s |
+    | 25, 26 | `sensors="full"`: belt torsion; its rate | 0.05; 1 | 2; 200 | rad; rad/s |
+    | 25, 26 | `sensors="accelerometer"`: acceleration of the tip along and across the hand | 10 | 80 | m/s² |
 
     ## Rewards
 
@@ -116,20 +119,21 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         model: ModelName = "lumped",
         randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
-        delay: int = 0,
+        delay: float = 0,
         render_mode: Literal["human", "rgb_array"] | None = None,
     ) -> None:
         """Create the environment.
 
         Args:
-            sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion.
+            sensors: "encoder" as in the paper's drive; "tip" adds the tip's speed; "full" adds the true torsion;
+                "accelerometer" adds the tip's acceleration as a MEMS part measures it (`task.accelerometer`).
             profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
             model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
                 full arm moved and drawn by MuJoCo (extra `mujoco`).
             randomization: "off", the paper's arm; "ideal", arms that vary behind an ideal drive (`IDEAL_RANGES`);
                 "train", arms and drives that vary (`TRAIN_RANGES`); or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.
-            delay: Samples by which encoder and tachometer lag, 0 to 2.
+            delay: Samples by which encoder, tachometer and accelerometer lag, 0 to 2; it need not be whole.
             render_mode: "human" for a window, "rgb_array" for frames, None for neither.
 
         Raises:

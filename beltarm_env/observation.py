@@ -5,8 +5,10 @@ a documented scale so that it is of order 1, and clipped at a documented bound. 
 wanted, not by their range: 1.5 rad at the motor is 1 degree at the joint.
 
 Measured quantities come from the motor's encoder: the angle in whole counts, the speed as the difference of two samples
-over the control period. The reference ahead is given at `LOOKAHEADS`, and the move itself by start, goal, duration,
-ramp time and elapsed time, enough to rebuild the reference at any time.
+over the control period. Its index pulse makes the angle within the motor's turn absolute; sine and cosine of twice that
+angle are what torque ripple, friction and errors of the gear repeat with. The reference ahead is given at `LOOKAHEADS`,
+and the move itself by start, goal, duration, ramp time and elapsed time, enough to rebuild the reference at any time.
+Of the torque there is what was commanded: what a drive makes of a command, it does not report.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import numpy as np
 
 from beltarm_env.arrays import Floats, Singles
 
+LAYOUT = 2
+"""Version of what the entries mean; raise it where that changes but their names, units, scales and bounds do not."""
 LOOKAHEADS = (0.03, 0.06, 0.12, 0.20, 0.40)
 """How far ahead of the current sample the reference is shown [s]."""
 
@@ -34,6 +38,9 @@ _MEASURED = (
     Entry("motor_angle_error", "rad", 1.5, 200.0),
     Entry("motor_speed_error", "rad/s", 8.0, 2000.0),
     Entry("motor_speed", "rad/s", 100.0, 2000.0),
+    Entry("motor_angle", "rad", 100.0, 200.0),
+    Entry("sin_2_motor_angle", "-", 1.0, 1.0),
+    Entry("cos_2_motor_angle", "-", 1.0, 1.0),
 )
 _REFERENCE = (
     Entry("reference_angle", "rad", 1.0, 2.0),
@@ -48,17 +55,22 @@ _MOVE = (
     Entry("duration", "s", 1.0, 2.0),
     Entry("ramp_time", "s", 0.2, 2.0),
     Entry("elapsed_time", "s", 1.0, 2.0),
-    Entry("last_torque", "of limit", 1.0, 1.0),
+    Entry("last_command", "of limit", 1.0, 1.0),
+)
+_ACCELERATIONS = (
+    Entry("tip_acceleration_along", "m/s^2", 10.0, 80.0),
+    Entry("tip_acceleration_across", "m/s^2", 10.0, 80.0),
 )
 _ENCODER = (*_MEASURED, *_REFERENCE, *_MOVE)
 
-Sensors = Literal["encoder", "tip", "full"]
+Sensors = Literal["encoder", "tip", "full", "accelerometer"]
 SENSORS: tuple[Sensors, ...] = get_args(Sensors)
-ENCODER, TIP, FULL = range(3)
+ENCODER, TIP, FULL, ACCELEROMETER = range(4)
 ENTRIES: dict[str, tuple[Entry, ...]] = {
     "encoder": _ENCODER,
     "tip": (*_ENCODER, Entry("tip_speed", "m/s", 0.2, 20.0)),
     "full": (*_ENCODER, Entry("torsion", "rad", 0.05, 2.0), Entry("torsion_speed", "rad/s", 1.0, 200.0)),
+    "accelerometer": (*_ENCODER, *_ACCELERATIONS),
 }
 """The entries of each sensor tier, in the order of the vector."""
 

@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from beltarm_env import observation
 from beltarm_env.arm import ArmParams
@@ -54,7 +54,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         model: ModelName = "lumped",
         randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
-        delay: int = 0,
+        delay: ArrayLike = 0,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: Literal["rgb_array"] | None = None,
     ) -> None:
@@ -67,7 +67,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             model: As in `BeltArmEnv`.
             randomization: As in `BeltArmEnv`; every arm draws its own parameters.
             encoder_counts: As in `BeltArmEnv`.
-            delay: As in `BeltArmEnv`.
+            delay: As in `BeltArmEnv`, for all arms or one each, shape (num_envs,).
             autoreset_mode: What happens to an arm whose episode is over.
             render_mode: "rgb_array" or None.
 

@@ -49,10 +49,14 @@ SETTINGS: list[Refusal] = [
     ({"encoder_counts": "4000"}, ValueError, ("encoder_counts", "'4000'", "whole")),
     ({"encoder_counts": 10**12}, ValueError, ("encoder_counts", "1000000000000", "to 10000000")),
     ({"delay": -1}, ValueError, ("delay", "-1", "from 0 to 2")),
-    ({"delay": 3}, ValueError, ("delay", "3", "from 0 to 2")),
-    ({"delay": 1.0}, ValueError, ("delay", "1.0", "whole")),
-    ({"delay": True}, ValueError, ("delay", "True", "whole")),
-    ({"delay": NAN}, ValueError, ("delay", "nan", "whole")),
+    ({"delay": -1e-9}, ValueError, ("delay", "-1e-09", "from 0 to 2")),
+    ({"delay": 2.5}, ValueError, ("delay", "2.5", "from 0 to 2")),
+    ({"delay": True}, ValueError, ("delay", "True", "number")),
+    ({"delay": NAN}, ValueError, ("delay", "nan", "from 0 to 2")),
+    ({"delay": "one"}, ValueError, ("delay", "'one'", "number")),
+    ({"delay": None}, ValueError, ("delay", "None", "number")),
+    ({"delay": [[1.0]]}, ValueError, ("delay", "(1,)", "(1, 1)")),
+    ({"delay": [1.0, [2.0]]}, ValueError, ("delay", "number")),
     ({"render_mode": "ansi"}, ValueError, ("render_mode", "'ansi'", "rgb_array")),
 ]
 
@@ -61,6 +65,20 @@ SETTINGS: list[Refusal] = [
 @pytest.mark.parametrize(("arguments", "error", "words"), SETTINGS, ids=str)
 def test_arguments(make: Callable[..., Any], arguments: dict[str, Any], error: type[Exception], words: tuple[str, ...]):
     refused(error, words, lambda: make(**arguments))
+
+
+@pytest.mark.parametrize(
+    ("delay", "words"),
+    [
+        ([0.0, 1.0], ("one number", "(3,)", "(2,)")),
+        ([0.0, 1.0, 2.1], ("from 0 to 2", "2.1", "arm 2")),
+        ([0.0, NAN, 2.0], ("from 0 to 2", "nan", "arm 1")),
+        (np.zeros((3, 1)), ("one number", "(3,)", "(3, 1)")),
+    ],
+    ids=str,
+)
+def test_delays_of_a_batch(delay: Any, words: tuple[str, ...]):
+    refused(ValueError, ("delay", *words), lambda: BeltArmVectorEnv(3, delay=delay))
 
 
 def test_arguments_through_make():

@@ -9,7 +9,7 @@ import math
 import os
 import pickle
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualEnv, ResidualVecEnv
 from baselines import CONTROLLERS
 from beltarm_env import BeltArmEnv, BeltArmVectorEnv, observation
+from beltarm_env.observation import ENTRIES
 
 NAN, INF = math.nan, math.inf
 
@@ -189,10 +190,15 @@ def other_doubts(bundle: Path) -> None:
     edit(bundle, rehash=True, base_settings=settings, base_hash=settings_hash(settings))
 
 
-def rescaled(bundle: Path) -> None:
+def change_entry(bundle: Path, field: int, value: object) -> None:
     entries = json.loads((bundle / MANIFEST).read_text())["entries"]
-    entries[0][2] *= 2
+    entries[0][field] = value
     edit(bundle, rehash=True, entries=entries)
+
+
+def add_entry(bundle: Path, entry: Sequence[Any]) -> None:
+    entries = json.loads((bundle / MANIFEST).read_text())["entries"]
+    edit(bundle, rehash=True, entries=[*entries, list(entry)])
 
 
 DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
@@ -222,11 +228,18 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "another base": (lambda b: edit(b, rehash=True, base="lqr"), (MANIFEST, "does not fit")),
     "base of a wrong type": (lambda b: edit(b, rehash=True, base=["paper"]), (MANIFEST, "does not fit")),
     "another activation": (lambda b: edit(b, rehash=True, activation="gelu"), (MANIFEST, "does not fit")),
-    "other sensors": (lambda b: edit(b, rehash=True, sensors="tip"), (MANIFEST, "does not fit")),
+    "other sensors": (lambda b: add_entry(b, ENTRIES["tip"][-1]), (MANIFEST, "does not fit", "no", "'tip_speed'")),
     "unknown sensors": (lambda b: edit(b, rehash=True, sensors="sonar"), (MANIFEST, "does not fit", "sonar")),
-    "another layout": (lambda b: edit(b, rehash=True, entries=["speed"]), (MANIFEST, "does not fit")),
-    "another layout version": (lambda b: edit(b, rehash=True, layout=99), (MANIFEST, "does not fit", "layout")),
-    "inputs of another scale": (rescaled, (MANIFEST, "does not fit", "layout")),
+    "entries that are words": (lambda b: edit(b, rehash=True, entries=["speed"]), (MANIFEST, "does not fit", "speed")),
+    "no entries": (lambda b: edit(b, rehash=True, entries=[]), (MANIFEST, "does not fit", "at least one")),
+    "an entry without a name": (lambda b: add_entry(b, [[], "-", 1.0, 1.0]), (MANIFEST, "does not fit", "[]")),
+    "another layout version": (lambda b: edit(b, rehash=True, layout=99), (MANIFEST, "does not fit", "layout 99", "2")),
+    "inputs of another scale": (
+        lambda b: change_entry(b, 2, 3.0),
+        (MANIFEST, "does not fit", "motor_angle_error", "3.0", "1.5"),
+    ),
+    "inputs of another unit": (lambda b: change_entry(b, 1, "deg"), (MANIFEST, "motor_angle_error", "deg", "rad")),
+    "inputs of another bound": (lambda b: change_entry(b, 3, 5.0), (MANIFEST, "motor_angle_error", "5.0", "200.0")),
     "gains of the base": (other_gains, (MANIFEST, "'paper'", "gains.angle", "train it again")),
     "doubts of the identification": (other_doubts, (MANIFEST, "doubts.swing was 0.5", "train it again")),
     "no settings of the base": (lambda b: edit(b, rehash=True, base_settings=3, base_hash=""), ("unknown gains",)),

@@ -19,7 +19,7 @@ from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
 from beltarm_env.task.cost import MAX_COST
 from eval.verification.event_located import tip
 
-SENSORS = ("encoder", "tip", "full")
+SENSORS = ("encoder", "tip", "full", "accelerometer")
 PROFILES = ("trapezoid", "scurve", "quintic")
 TERMS = ("cost_position", "cost_velocity", "cost_torque_rate")
 STEP_INFO = {"tip_error", *TERMS}
@@ -462,7 +462,7 @@ def test_observation_decodes_to_what_the_accessors_say(profile: str):
             assert told[f"reference_acceleration_ahead_{1000 * ahead:.0f}ms"] == close(then.acceleration)
         assert {name: told[name] for name in env.move} == {name: close(value) for name, value in env.move.items()}
         assert told["elapsed_time"] == close(env.time)
-        assert told["last_torque"] == close(last)
+        assert told["last_command"] == close(last)
         observation, _, terminated, truncated, _ = env.step(2 * action)
         last = float(np.clip(2 * action[0], -1, 1))
         if terminated or truncated:
@@ -485,6 +485,9 @@ def test_encoder_entries_are_those_of_a_quantised_and_late_encoder(encoder_count
         assert told["motor_angle_error"] == close(reference.angle * gear - now * resolution)
         assert told["motor_speed_error"] == close(reference.speed * gear - speed)
         assert told["motor_speed"] == close(speed)
+        assert told["motor_angle"] == close(now * resolution)
+        assert told["sin_2_motor_angle"] == close(np.sin(2 * now * resolution))
+        assert told["cos_2_motor_angle"] == close(np.cos(2 * now * resolution))
         observation, *_ = env.step(action)
         angles.append(env.state[0])
 
@@ -545,7 +548,7 @@ def test_full_tier_adds_the_true_torsion(delay: int):
         observation, *_ = env.step(action)
 
 
-@pytest.mark.parametrize("sensors", ["tip", "full"])
+@pytest.mark.parametrize("sensors", SENSORS[1:])
 def test_tiers_differ_only_by_what_they_add(sensors: str):
     plain, more = make(randomization="train"), make(sensors=sensors, randomization="train")
     expected, told = plain.reset(seed=1)[0], more.reset(seed=1)[0]

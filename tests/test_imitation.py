@@ -92,7 +92,7 @@ def test_labels_are_what_the_teacher_would_add(hold: int, lesson: Lesson):
         advice.append(np.where(lesson.law.holds[:, k], (wanted - done)[:, 0], 0.0) / 0.2)
     held = [np.mean(advice[k : k + hold], axis=0).clip(-1, 1) for k in range(0, EPISODE_STEPS, hold)]
     np.testing.assert_allclose(pairs.labels.numpy()[:, 0], np.concatenate(held), atol=2e-5)
-    assert pairs.inputs.shape == (len(held) * ARMS, 38)
+    assert pairs.inputs.shape == (len(held) * ARMS, 41)
     assert 0.05 < np.mean(pairs.labels.numpy() == 0) < 0.9, "where the motor sticks, and only there"
 
 

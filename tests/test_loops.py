@@ -64,14 +64,16 @@ def frictionless(name: str) -> Any:
     return make(tuned(name, TUNABLE[name].gains), params=FRICTIONLESS)
 
 
-def resting_observation(joint: float, state: Floats, before: float, last_torque: float, **at: float) -> Any:
-    """What the environment shows of an arm near rest at an angle, the encoder's resolution left out; shape (1, 22)."""
+def resting_observation(joint: float, state: Floats, before: float, last_command: float, **at: float) -> Any:
+    """What the environment shows of an arm near rest at an angle, the encoder's resolution and float32 left out."""
     values = dict.fromkeys((entry.name for entry in observation.ENTRIES["encoder"]), 0.0)
     speed = (state[0] - before) / CONTROL_PERIOD
     values |= {"motor_angle_error": 88 * joint - state[0], "motor_speed_error": -speed, "motor_speed": speed}
+    values |= {"motor_angle": state[0], "sin_2_motor_angle": math.sin(2 * state[0])}
+    values |= {"cos_2_motor_angle": math.cos(2 * state[0])}
     values |= {"reference_angle": joint, "start": joint + (0.5 if joint < 0.8 else -0.5), "goal": joint}
-    values |= {"duration": 0.5, "ramp_time": 0.2, "elapsed_time": 0.9, "last_torque": last_torque / 0.3} | at
-    return (np.array([list(values.values())]) / observation.scales()).astype(np.float32)
+    values |= {"duration": 0.5, "ramp_time": 0.2, "elapsed_time": 0.9, "last_command": last_command / 0.3} | at
+    return np.array([list(values.values())]) / observation.scales()
 
 
 def at_work(
@@ -116,14 +118,15 @@ def check_pulse(name: str, k: int, **changed: Any) -> None:
 def test_observations_are_those_of_the_environment():
     env = BeltArmVectorEnv(1, encoder_counts=10_000_000)
     env.reset(options={"move": {"start": 0.3, "goal": 0.9, "duration": 0.5, "ramp_time": 0.2}})
-    seen, before = np.empty((1, 22), np.float32), 0.0
+    seen, before = np.empty((1, observation.size()), np.float32), 0.0
     for _ in range(600):
         before = env.state[0, 0]
         seen, *_ = env.step(np.array([[0.01]], np.float32))
     mine = resting_observation(0.9, env.state[0], before, 0.003, start=0.3)
     count = 2 * math.pi / 10_000_000
-    tolerance = np.full(22, 1e-6)
-    tolerance[:3] = 1e-5 + np.array([1.0, 1 / CONTROL_PERIOD, 1 / CONTROL_PERIOD]) * count / observation.scales()[:3]
+    tolerance = np.full(observation.size(), 1e-6)
+    of_count = np.array([1.0, 1 / CONTROL_PERIOD, 1 / CONTROL_PERIOD, 1.0, 2.0, 2.0])  # of the measured entries
+    tolerance[:6] = 1e-5 + of_count * count / observation.scales()[:6]
     assert np.all(np.abs(mine - seen)[0] < tolerance)
 
 

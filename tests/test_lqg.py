@@ -283,5 +283,5 @@ class TestController:
             LqgGains(spread=bad)
         with pytest.raises(TypeError, match=r"LqgGains.velocity_weight must be a number, got '1'"):
             LqgGains(velocity_weight="1")  # type: ignore[arg-type]
-        with pytest.raises(ValueError, match=r"observations must have shape \(n, 22\) or wider, got \(2, 7\)"):
+        with pytest.raises(ValueError, match=r"observations must have shape \(n, 25\) or wider, got \(2, 7\)"):
             LqgController().predict(np.zeros((2, 7), np.float32))

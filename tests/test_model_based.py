@@ -273,7 +273,7 @@ class TestControllers:
         yardstick = PrivilegedController(env.params)
         cost = rollout(yardstick, 30, seed=SEED, randomization="train", sensors="full").cost.mean()
         assert cost < rollout(AdaptiveController(), 30, seed=SEED, randomization="train").cost.mean()
-        with pytest.raises(ValueError, match=r"shape \(n, 24\) or wider, got \(30, 22\): use .* sensors='full'"):
+        with pytest.raises(ValueError, match=r"shape \(n, 27\) or wider, got \(30, 25\): use .* sensors='full'"):
             yardstick.predict(np.zeros((30, observation.size()), np.float32))
         with pytest.raises(ValueError, match="this yardstick knows 30 arms, got observations of 4"):
             yardstick.predict(np.zeros((4, observation.size("full")), np.float32))
@@ -298,5 +298,5 @@ class TestGains:
 
     def test_observation_of_another_shape_is_refused(self):
         for make in CONTROLLERS:
-            with pytest.raises(ValueError, match=r"observations must have shape \(n, 22\) or wider, got \(2, 7\)"):
+            with pytest.raises(ValueError, match=r"observations must have shape \(n, 25\) or wider, got \(2, 7\)"):
                 make().predict(np.zeros((2, 7), np.float32))

@@ -188,7 +188,7 @@ def test_installed_wheel_runs_an_episode_elsewhere(installed: Path, tmp_path: Pa
     # Without site, whose .pth files would bring in the checkout of an editable install.
     path = f"{installed}{os.pathsep}{sysconfig.get_path('purelib')}"
     output = python(EPISODE, tmp_path, path, "-S", NUMBA_DISABLE_JIT="1").splitlines()
-    assert output == [str(installed / "beltarm_env" / "__init__.py"), "[]", "1200 True True", "(2, 22)"]
+    assert output == [str(installed / "beltarm_env" / "__init__.py"), "[]", "1200 True True", "(2, 25)"]
 
 
 def test_version_is_that_of_the_distribution(installed: Path, tmp_path: Path):

@@ -23,6 +23,7 @@ from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import index, size
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
+from eval.comparison.methods import shipped_policies
 
 BASES = ("paper", "rigid")
 SETTINGS = ResidualSettings()
@@ -520,3 +521,38 @@ def test_no_pickle_in_a_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for name in ("pickle.load", "pickle.loads", "pickle.Unpickler", "torch.load"):
         monkeypatch.setattr(name, refuse)
     load_controller(tmp_path)
+
+
+class Picks:
+    """Takes entries of an agent's observation out by their place, and asks another policy."""
+
+    def __init__(self, policy: Actor, places: list[int]) -> None:
+        self.policy, self.places = policy, places
+
+    def predict(self, observation: Singles, state: Any = None, episode_start: Any = None, deterministic: bool = True):
+        return self.policy.predict(observation[:, self.places].copy(), state, episode_start)
+
+
+def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
+    names = ("base_torque", "motor_speed", "believed_torsion", "motor_angle_error")
+    spec = BundleSpec("ppo", "paper", SETTINGS, (16,), inputs=names)
+    policy = lively_policy(spec)
+    save_bundle(tmp_path, spec, policy)
+    loaded, told = load_controller(tmp_path)
+    assert told == spec
+    places = [[entry.name for entry in spec.offered()].index(name) for name in names]
+    expected = rollout(ResidualController(CONTROLLERS["paper"](), Picks(policy, places), SETTINGS), 3, seed=1, **ARMS)
+    assert rollout(loaded, 3, seed=1, **ARMS).torque.tobytes() == expected.torque.tobytes()
+    with pytest.raises(
+        ValueError, match=rf"chooses from {len(spec.offered())} entries, got shape \(2, 3\): .*--sensors"
+    ):
+        loaded.policy.predict(np.ones((2, 3), np.float32))
+
+
+def test_shipped_policies_go_on_with_the_entries_that_they_were_trained_on():
+    later = {"motor_angle", "sin_2_motor_angle", "cos_2_motor_angle"}
+    folders = shipped_policies()
+    assert len(folders) == 10
+    for folder in folders:
+        spec, _ = read_spec(folder)
+        assert spec.inputs == tuple(entry.name for entry in spec.offered() if entry.name not in later)

@@ -387,7 +387,7 @@ class LoadedBy:
 
     def predict(self, observed, state=None, episode_start=None, deterministic=True):
         told = observed.copy()
-        told[:, observation.index("last_torque")] += self._share * (told[:, observation.index("elapsed_time")] > 0)
+        told[:, observation.index("last_command")] += self._share * (told[:, observation.index("elapsed_time")] > 0)
         action, state = self._controller.predict(told, state, episode_start, deterministic)
         return action - np.float32(self._share), state
 
@@ -418,7 +418,7 @@ class TestDisturbanceObserver:
         loads = []
         for k in range(101):
             held = 0.0 if memory is None else memory.known[0] + 0.1
-            seen[:, observation.index("last_torque")] = held / 0.3
+            seen[:, observation.index("last_command")] = held / 0.3
             _, memory = controller.predict(seen, memory, np.array([k == 0]))
             loads.append((memory.load[0], memory.fast_load[0]))
         time = CONTROL_PERIOD * np.arange(101)[:, None]
@@ -429,7 +429,7 @@ class TestDisturbanceObserver:
         seen = np.zeros((1, observation.size()), np.float32)
         seen[:, [observation.index("duration"), observation.index("ramp_time")]] = 1.0
         _, memory = controller.predict(seen)
-        seen[:, observation.index("last_torque")] = 0.05
+        seen[:, observation.index("last_command")] = 0.05
         _, after = controller.predict(seen, memory)
         assert after.load[0] == memory.load[0] == 0.0
 

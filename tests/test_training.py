@@ -392,7 +392,9 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
     assert best.provenance["run"]["steps"] == 128
 
 
-@pytest.mark.parametrize(("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full")])
+@pytest.mark.parametrize(
+    ("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full"), ("paper", "accelerometer")]
+)
 def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
     config = tiny("ppo", tmp_path, base=base, sensors=sensors, knowledge="none", total_steps=64)
     run(config)
@@ -401,7 +403,7 @@ def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
 
 
 def test_no_base_is_no_torque():
-    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 22), np.float32))
+    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 25), np.float32))
     assert action.tolist() == [[0.0]] * 3 and action.dtype == np.float32 and memory is None
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.observation import bounds
+from beltarm_env.observation import bounds, index
 from beltarm_env.task.cost import MAX_COST
 
 ROOT = Path(__file__).parents[1]
@@ -112,6 +112,32 @@ def test_batch_is_bit_for_bit_as_many_single_environments(count: int, mode: Auto
     assert differing[aspect] == []
 
 
+@pytest.mark.parametrize("sensors", ["encoder", "tip", "accelerometer"])
+def test_every_arm_has_its_own_delay(sensors: str):
+    delays = [0, 0.25, 1, 1.5, 2]
+    case: dict[str, Any] = {"sensors": sensors, "randomization": "train"}
+    envs, singles = make(5, delay=delays, **case), [BeltArmEnv(delay=delay, **case) for delay in delays]
+    start, _ = envs.reset(seed=20)
+    assert np.array_equal(start, [single.reset(seed=20 + i)[0] for i, single in enumerate(singles)])
+    for action in random_actions(120, 5):
+        observations = [single.step(action[i])[0] for i, single in enumerate(singles)]
+        assert envs.step(action)[0].tobytes() == np.array(observations).tobytes()
+
+
+def test_delays_are_copied_and_outlast_the_episode():
+    delays = np.array([0.0, 1.5])
+    envs, single = make(2, delay=delays, autoreset_mode="SameStep"), BeltArmEnv(delay=1.5)
+    delays[:] = 0.0
+    envs.reset(seed=3)
+    single.reset(seed=4)
+    for k in range(EPISODE_STEPS + 100):
+        action = np.array([0.3 * np.sin(0.05 * k)], np.float32)
+        observation, _, _, over, _ = single.step(action)
+        if over:
+            observation, _ = single.reset()
+        assert envs.step(np.stack([action, action]))[0][1].tobytes() == observation.tobytes()
+
+
 @pytest.mark.parametrize("num_envs", [3, 64, 65])
 def test_how_many_arms_there_are_makes_no_difference(num_envs: int):
     few, many = make(2, randomization="train"), make(num_envs, randomization="train")
@@ -121,7 +147,7 @@ def test_how_many_arms_there_are_makes_no_difference(num_envs: int):
         assert np.array_equal(few.step(action)[0], many.step(everywhere)[0][:2])
 
 
-@pytest.mark.parametrize("sensors", ["encoder", "tip", "full"])
+@pytest.mark.parametrize("sensors", ["encoder", "tip", "full", "accelerometer"])
 @pytest.mark.parametrize("profile", ["trapezoid", "scurve", "quintic"])
 def test_every_tier_and_profile_agrees_with_single_arms(sensors: str, profile: str):
     case: dict[str, Any] = {"sensors": sensors, "profile": profile, "randomization": "train", "delay": 2}
@@ -385,7 +411,7 @@ def test_same_step_gives_the_last_and_the_first_observation():
     terminated = np.zeros(3, np.bool_)
     while not terminated.any():
         observations, _, terminated, _, info = envs.step(np.array([[0], [1], [0]], np.float32))
-    elapsed = 20
+    elapsed = index("elapsed_time")
     final = info["final_obs"]
     assert (final[0], final[2]) == (None, None)
     assert final[1] in envs.single_observation_space and final[1][elapsed] > 0
@@ -436,7 +462,8 @@ MOVES = st.just({}) | st.fixed_dictionaries(
     motion=st.none() | STATES,
     move=MOVES,
     torques=st.lists(st.floats(-3, 3), min_size=1, max_size=8),
-    sensors=st.sampled_from(["encoder", "tip", "full"]),
+    sensors=st.sampled_from(["encoder", "tip", "full", "accelerometer"]),
+    delay=st.floats(0, 2),
     profile=st.sampled_from(["trapezoid", "scurve", "quintic"]),
     seed=st.integers(0, 2**31),
 )
@@ -446,10 +473,11 @@ def test_never_a_nan_and_always_within_bounds(
     move: dict[str, float],
     torques: list[float],
     sensors: Any,
+    delay: float,
     profile: Any,
     seed: int,
 ):
-    envs = BeltArmVectorEnv(len(arms), sensors=sensors, profile=profile)
+    envs = BeltArmVectorEnv(len(arms), sensors=sensors, delay=delay, profile=profile)
     columns = {name: [arm[name] for arm in arms] for name in ArmParams.__slots__}
     options: dict[str, Any] = {"params": columns, "move": move}
     if motion is not None:
@@ -545,14 +573,16 @@ from beltarm_env import BeltArmEnv, BeltArmVectorEnv
 
 torques = np.repeat([0.25, -0.3, 0.12, 0.0, 0.4], 10)[:, None]
 single = BeltArmEnv(sensors="full", delay=1)
-batch = BeltArmVectorEnv(3, sensors="tip", profile="scurve", randomization="train")
+batch = BeltArmVectorEnv(3, sensors="tip", profile="scurve", randomization="train", delay=[0.0, 1.0, 1.4])
+felt = BeltArmVectorEnv(2, sensors="accelerometer", randomization="train", delay=[0.0, 0.3])
 options = {"move": {"start": 0.7, "goal": 1.4}, "params": {"belt_stiffness": 60.0}}
-returned = [single.reset(seed=1, options=options)[0], batch.reset(seed=2)[0]]
+returned = [single.reset(seed=1, options=options)[0], batch.reset(seed=2)[0], felt.reset(seed=3)[0]]
 speeds = []
 for torque in torques:
     observation, reward, *_ = single.step(torque)
     observations, rewards, *_ = batch.step(torque * [[1.0], [0.7], [-1.0]])
     returned += [observation, np.array(reward), observations, rewards, batch.tip_errors()]
+    returned.append(felt.step(torque * [[1.0], [-0.5]])[0])
     speeds.append(single.state[1])
 """
 

@@ -7,6 +7,9 @@
 `policy.json` carries a hash of its own content, so that a bundle is either what was saved or refused. Weights are
 written first, under a name of their own; replacing `policy.json` is the instant at which a bundle is replaced.
 
+`entries` in it names the policy's inputs, in order: they are picked by name from what the environment shows and the
+agent is told, which may be more than when the policy was trained. What they mean goes with `observation.LAYOUT`.
+
 A residual is worth something only on the base, and with the knowledge, that it was trained with: gains of the base and
 doubts of the identification are part of a bundle, and where the checkout has others, it is refused.
 """
@@ -16,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +30,15 @@ from safetensors.torch import save as save_weights
 
 from agents.policy.actor import Actor, ActorShape
 from agents.policy.card import card
+from agents.policy.inputs import SelectedInputs, chosen_names
 from agents.residual.bases import BASES, base_settings, changed_settings, make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
 from baselines.tools.files import write_atomically, write_text
-from beltarm_env.observation import ENTRIES
+from beltarm_env.observation import ENTRIES, LAYOUT, Entry
 
 FORMAT = "beltarm-policy"
 VERSION = 2
-LAYOUT = 1
-"""Version of what the policy's inputs mean; raise it where that changes but their names, scales and bounds do not."""
 MANIFEST = "policy.json"
 CARD = "README.md"
 MAX_BYTES = 1_000_000
@@ -61,10 +63,16 @@ class BundleSpec:
     sensors: str = "encoder"
     lstm: int = 0  # width of the LSTM, 0 for none
     provenance: dict[str, Any] = field(default_factory=dict)  # how it was trained
+    inputs: tuple[str, ...] | None = None  # names of the entries that the policy is given, in order; None for all
+
+    def offered(self) -> tuple[Entry, ...]:
+        """All entries that a policy with these sensors and this knowledge can be given."""
+        return (*ENTRIES[self.sensors], *TOLD[self.residual.knowledge])
 
     def entries(self) -> list[list[Any]]:
         """Name, unit, scale and bound of the policy's inputs, in order."""
-        return [list(entry) for entry in (*ENTRIES[self.sensors], *TOLD[self.residual.knowledge])]
+        by_name = {entry.name: list(entry) for entry in self.offered()}
+        return [by_name[name] for name in (by_name if self.inputs is None else self.inputs)]
 
     def shape(self) -> ActorShape:
         """Layers of the policy's actor.
@@ -99,7 +107,7 @@ def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
         "format": FORMAT,
         "version": VERSION,
         "layout": LAYOUT,
-        **asdict(spec),
+        **{name: value for name, value in asdict(spec).items() if name != "inputs"},  # which `entries` says
         "hidden": list(spec.hidden),
         "base_settings": settings,
         "base_hash": settings_hash(settings),
@@ -177,13 +185,15 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
 
 def _spec_of(content: dict[str, Any]) -> BundleSpec:
     """Read the description in a manifest's content; raises errors of any kind if this release cannot."""
-    known = {name: content[name] for name in BundleSpec.__slots__}
+    known = {name: content[name] for name in BundleSpec.__slots__ if name != "inputs"}
     known |= {"residual": ResidualSettings(**content["residual"]), "hidden": tuple(content["hidden"])}
     spec = BundleSpec(**known)
     if spec.algorithm not in ALGORITHMS or spec.base not in BASES:
         raise ValueError(f"it has no algorithm {spec.algorithm!r} or no base controller {spec.base!r}")
-    if (content["layout"], content["entries"]) != (LAYOUT, spec.entries()):
-        raise ValueError("it was made for another observation layout")
+    if content["layout"] != LAYOUT:
+        raise ValueError(f"it was made for observation layout {content['layout']!r}, this release has {LAYOUT}")
+    if content["entries"] != spec.entries():
+        spec = replace(spec, inputs=chosen_names(content["entries"], spec.offered()))
     if not isinstance(spec.provenance, dict):
         raise ValueError("its provenance is no mapping")
     spec.shape()
@@ -213,7 +223,8 @@ def load_controller(folder: Path) -> tuple[ResidualController, BundleSpec]:
     except (SafetensorError, RuntimeError) as error:
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {error}") from None
     _require_finite(actor, str(path))
-    return ResidualController(make_base(spec.base), actor, spec.residual), spec
+    policy = actor if spec.inputs is None else SelectedInputs(actor, spec.inputs, spec.offered())
+    return ResidualController(make_base(spec.base), policy, spec.residual), spec
 
 
 def _read(path: Path) -> bytes:

@@ -9,10 +9,11 @@ from typing import Any, ClassVar, Literal
 
 import torch
 
-from agents.policy.bundle import LAYOUT, BundleSpec
+from agents.policy.bundle import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
+from beltarm_env.observation import LAYOUT, Sensors
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
 
 MAY_CHANGE = (
@@ -40,7 +41,7 @@ class RunConfig:
     """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
     knowledge: Knowledge = "belief"
     """Inputs of the agent besides the observation: the belief of the identification, or none."""
-    sensors: Literal["encoder", "tip", "full"] = "encoder"
+    sensors: Sensors = "encoder"
     """Sensors of the arm; "full" measures the true torsion: an upper bound, not comparable with the others."""
     arms: int = 512
     """Arms simulated side by side."""

@@ -162,7 +162,7 @@ class ArmIdentifier:
         if belief is None:
             return self._prior(angle)
         count = common_count(belief.count, np.abs(angle - belief.angle))
-        torques = np.column_stack([reading.last_torque, belief.torques[:, :-1]])
+        torques = np.column_stack([reading.last_command, belief.torques[:, :-1]])
         filters = self._step(belief, angle, np.where(count > 0, np.maximum(count, QUANTUM), COARSEST), torques)
         best = filters.best()
         delay, tracks = filters.delay[best], filters.tracks

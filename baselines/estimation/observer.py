@@ -102,7 +102,7 @@ class StickSlipObserver:
 
     def _corrected(self, estimate: Estimate, reading: Reading) -> tuple[Floats, Floats]:
         moving = estimate.state[:, 1] != 0
-        torque = reading.last_torque + np.where(moving, estimate.disturbance, 0.0)
+        torque = reading.last_command + np.where(moving, estimate.disturbance, 0.0)
         predicted = estimate.simulation.advance(estimate.state, torque)
         innovation = reading.motor_angle - predicted[:, 0]
         gains = at_angle(self._gains, predicted[:, 0] / self.params.gear_ratio)

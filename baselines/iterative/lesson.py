@@ -41,7 +41,7 @@ class Lesson:
         if self.law is None:
             return planned
         arms, k = np.arange(len(planned)), np.minimum(reading.step, EPISODE_STEPS - 1)
-        z = np.column_stack([belief.state, reading.last_torque]) - self.law.path[arms, k]
+        z = np.column_stack([belief.state, reading.last_command]) - self.law.path[arms, k]
         torque = self.law.torque[arms, k]
         for feedback in (self.law.gain[arms, k] * z).T:
             torque = torque - feedback

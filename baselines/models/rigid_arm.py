@@ -34,9 +34,14 @@ def task_motion(now: Reading) -> Motion:
 
 
 def motor_errors(now: Reading, wanted: Motion, params: ArmParams) -> tuple[Floats, Floats]:
-    """Errors of the motor's angle [rad] and speed [rad/s]: those of a motion of the joint minus the measured ones."""
+    """Errors of the motor's angle [rad] and speed [rad/s]: those of a motion of the joint minus the measured ones.
+
+    The angle's is the observed one, to which the motion's distance from the task's reference is added: small numbers,
+    whose last digits float32 keeps.
+    """
     gear = params.gear_ratio
-    return gear * wanted.angle - now.motor_angle, gear * wanted.speed - now.motor_speed
+    error = now.angle_error + gear * (wanted.angle - now.reference_angle)
+    return error, gear * wanted.speed - now.motor_speed
 
 
 class RigidArm:

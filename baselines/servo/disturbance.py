@@ -101,7 +101,7 @@ class DisturbanceController(ClassicalController[DisturbanceMemory]):
         if memory is None:
             return np.zeros(len(begins)), np.zeros(len(begins))
         accelerating = self.params.motor_inertia * (now.motor_speed - memory.motor_speed) / CONTROL_PERIOD
-        latest = now.last_torque - memory.known - accelerating
+        latest = now.last_command - memory.known - accelerating
         stuck = memory.held & (now.motor_speed == 0.0)
         load = np.where(stuck, memory.load, memory.load + self._share * (latest - memory.load))
         fast_load = np.where(stuck, load, memory.fast_load + self._fast_share * (latest - memory.fast_load))

@@ -43,7 +43,8 @@ def begin_episodes(
     moves: Floats,
     states: Floats,
     resolution: float,
-    delay: int,
+    delays: Floats,
+    draws: Floats,
     model: Model,
 ) -> None:
     """Begin a new episode in n arms.
@@ -55,7 +56,8 @@ def begin_episodes(
         moves: Their moves, shape (n, 4).
         states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
-        delay: Of the measurements [samples].
+        delays: Of the measurements of all arms [samples], shape (N,).
+        draws: Uniform random numbers for the sensors, shape (n, accelerometer.DRAWS).
         model: Whose equations of motion.
     """
     for i in range(len(arms)):
@@ -74,7 +76,7 @@ def begin_episodes(
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
         store_plant(block, j, plant)
         begin_drive(block, j, table[i])
-        begin_sensing(block, j, x, plant, resolution, delay)
+        begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, float(delays[arms[i]]), draws[i])
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
 
 

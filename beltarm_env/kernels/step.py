@@ -101,9 +101,9 @@ def _step_block(
             advance_block(block, work, actions, count, model)
         else:
             advance_driven_block(block, work, actions, count, model)
-    sense_block(block, count, tier)
+    sense_block(block, count, tier, driven)
     _charge(block, scratch, count, profile, driven)
-    observe_block(block, tile, observations, profile, tier)
+    observe_block(block, tile, observations, profile, tier, driven)
 
 
 @compiled

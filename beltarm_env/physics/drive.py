@@ -158,6 +158,14 @@ def belt_stiffness(share: float, plant: Plant, drive: Drive) -> tuple[float, flo
     return secant, secant + 4 * drive.softening * share * (1 - share)
 
 
+@inlined
+def belt_motion(x: ArmState, plant: Plant, drive: Drive | None) -> tuple[float, float]:
+    """Return torsion of the belt [rad] and its rate [rad/s], whatever the drive."""
+    if drive is None:
+        return x.torsion, x.torsion_speed
+    return belt_torsion(x, transmission(angles_of(x, plant, drive), plant, drive), plant)
+
+
 class Coupling(NamedTuple):
     """Torques between motor and arm in one state."""
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.drive import Drive, angles_of, belt_torsion, transmission
+from beltarm_env.physics.drive import Drive, belt_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import sin_cos
 
@@ -41,9 +41,7 @@ def tip_motion(state: ArmState, plant: Plant, drive: Drive | None = None) -> Tip
     phi = state.motor_angle * plant.inverse_gear - state.torsion
     phi_dot = state.motor_speed * plant.inverse_gear - state.torsion_speed
     sin_phi, cos_phi = sin_cos(phi)
-    torsion, torsion_speed = state.torsion, state.torsion_speed
-    if drive is not None:
-        torsion, torsion_speed = belt_torsion(state, transmission(angles_of(state, plant, drive), plant, drive), plant)
+    torsion, torsion_speed = belt_motion(state, plant, drive)
     sin_torsion, cos_torsion = sin_cos(torsion)
     reach = plant.double_link * cos_phi + plant.hand
     reach_speed = -plant.double_link * sin_phi * phi_dot
