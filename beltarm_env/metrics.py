@@ -78,8 +78,8 @@ def episode_metrics(
     Returns:
         For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);
         peak-to-peak residual vibration, its radial and lateral part, and both together (mm); RMS error of the tip's
-        acceleration (m/s^2); settling time (s); failure (0 or 1); RMS torque (N m) and torque rate (N m/s); reversals of
-        the torque per second; share of samples at the torque limit; cost.
+        acceleration (m/s^2); settling time (s); failure (0 or 1); RMS torque (N m) and torque rate (N m/s); reversals
+        of the torque per second; share of samples at the torque limit; cost.
     """
     distance = np.linalg.norm(tip_error, axis=2)
     acceleration_error = np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD
