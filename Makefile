@@ -58,7 +58,7 @@ clean:  ## Remove .venv, results and caches
 
 ##@ Regenerate, or check, what is committed
 
-scenarios: $(READY)  ## Check the test scenarios and that the physics is still theirs; ARGS=--write draws them
+scenarios: $(READY)  ## Check the scenarios and that the physics is still theirs; ARGS=--write keeps those of a changed physics
 	$(BIN)/python eval/scenarios.py $(ARGS)
 
 physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in docs/crosscheck

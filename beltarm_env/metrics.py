@@ -14,6 +14,8 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 SETTLING_BAND = 0.001
 """Both coordinates of the tip error must stay within +- this for the arm to have settled [m]."""
+REVERSAL_SWING = 0.1
+"""Swing of the torque through zero that counts as a reversal, over the torque limit."""
 
 
 class Metric(NamedTuple):
@@ -37,11 +39,14 @@ METRICS = {
     "failure_share": Metric("not settled", "%", digits=0, share=True),
     "torque_rms": Metric("torque RMS", "N m", digits=3),
     "torque_rate_rms": Metric("torque rate", "N m/s"),
+    "torque_reversals_hz": Metric("reversals", "1/s"),
     "saturated_share": Metric("saturated", "%", digits=0, share=True),
     "cost": Metric("cost", digits=0),
 }
 """All metrics of an episode, by name, in the order in which they are shown; lower is better in every one."""
 SHOWN = tuple(name for name, metric in METRICS.items() if not metric.detail)
+TORQUES = ("torque_rms", "torque_rate_rms", "torque_reversals_hz", "saturated_share")
+"""What a motor has to follow."""
 
 
 def heading(name: str) -> str:
@@ -73,8 +78,8 @@ def episode_metrics(
     Returns:
         For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);
         peak-to-peak residual vibration, its radial and lateral part, and both together (mm); RMS error of the tip's
-        acceleration (m/s^2); settling time (s); failure (0 or 1); RMS torque (N m) and torque rate (N m/s); share of
-        samples at the torque limit; cost.
+        acceleration (m/s^2); settling time (s); failure (0 or 1); RMS torque (N m) and torque rate (N m/s); reversals
+        of the torque per second; share of samples at the torque limit; cost.
     """
     distance = np.linalg.norm(tip_error, axis=2)
     acceleration_error = np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD
@@ -93,6 +98,7 @@ def episode_metrics(
         "failure_share": failed.astype(np.float64),
         "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),
         "torque_rate_rms": np.sqrt(np.mean(torque_rate**2, axis=0)),
+        "torque_reversals_hz": torque_reversals(torque, REVERSAL_SWING * torque_limit) / (len(torque) * CONTROL_PERIOD),
         "saturated_share": np.mean(np.abs(torque) >= torque_limit * (1 - 1e-6), axis=0),
         "cost": cost,
     }
@@ -131,3 +137,27 @@ def settling_time(tip_error: Floats) -> Floats:
     steps = len(outside)
     last_outside = np.where(outside.any(axis=0), steps - 1 - np.argmax(outside[::-1], axis=0), -1)
     return np.where(last_outside == steps - 1, np.inf, (last_outside + 2) * CONTROL_PERIOD)
+
+
+def torque_reversals(torque: Floats, swing: Floats) -> Floats:
+    """Count the reversals of a torque: successive extremes on opposite sides of zero that differ by more than `swing`.
+
+    With hysteresis: between two extremes the torque has no swing through zero of more than `swing`. So a torque that
+    chatters about zero has no reversals, nor has one that comes back to zero, and a large swing counts once.
+
+    Args:
+        torque: Shape (T, n) [N m].
+        swing: Shape (n,) [N m].
+
+    Returns:
+        Shape (n,).
+    """
+    high, low, side, count = np.zeros((4, len(swing)))  # largest and smallest torque, and its side, since the last one
+    for now in torque:
+        high, low = np.maximum(high, now), np.minimum(low, now)
+        down = (side >= 0) & (now < 0) & (high > 0) & (high - now > swing)
+        up = (side <= 0) & (now > 0) & (low < 0) & (now - low > swing)
+        count += down | up
+        side = np.where(down, -1.0, np.where(up, 1.0, side))
+        high, low = np.where(down, 0.0, np.where(up, now, high)), np.where(up, 0.0, np.where(down, now, low))
+    return count

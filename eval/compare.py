@@ -11,7 +11,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process per core; read as numpy is imported, in all of them
@@ -28,7 +28,8 @@ from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare
-from eval.comparison.splits import EPISODES, QUICK_EPISODES, load
+from eval.comparison.scenarios import choose_set
+from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.views.publish import publish
 
 
@@ -50,9 +51,14 @@ class Config:
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
     episodes: int | None = None
-    """Scenarios per split; 200 by default."""
+    """Scenarios per split, at most 500; 200 by default."""
     quick: bool = False
     """A first look: 24 scenarios per split."""
+    scenarios: Literal["development", "test"] | None = None
+    """Set of scenarios: "development", on which controllers and agents may be chosen, or "test". Default: the test set
+    as soon as it is drawn."""
+    scenario_seed: int | None = None
+    """Draw a fresh set of scenarios instead, by the same rules, from seeds that nothing else uses: 0, 1, 2, ..."""
     maps: bool = False
     """Also sweep stiffness by payload and friction by delay for the report: the best learned method against every
     classical controller that runs, which --methods chooses. Takes about a minute for all of them."""
@@ -62,9 +68,9 @@ class Config:
     """Number of processes; by default one per core."""
 
     @property
-    def scenarios(self) -> int:
+    def count(self) -> int:
         """Scenarios per split."""
-        return self.episodes or (QUICK_EPISODES if self.quick else EPISODES)
+        return self.episodes or (QUICK_EPISODES if self.quick else DEFAULT_EPISODES)
 
 
 def run(config: Config) -> None:
@@ -72,25 +78,25 @@ def run(config: Config) -> None:
     console = Console()
     require_bounds(config, episodes=(4, EPISODES), jobs=(1, 256))
     torch.set_num_threads(1)  # the networks are too small for more
+    known = choose_set(config.scenarios, config.scenario_seed)
+    scenarios = known.only(chosen("split", config.splits, known.splits))
     methods = choose_methods(config.methods, config.policy, config.add, config.out)
     for method in methods:
         if method.identity is None:
             why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
             console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
-    known = load()
-    splits = {name: known[name] for name in chosen("split", config.splits, known)}
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pairs of method and split", total=None)
         comparison = compare(
             methods,
-            splits,
-            config.scenarios,
+            scenarios,
+            config.count,
             config.out,
             config.jobs or default_jobs(),
             fresh=config.fresh,
             done=lambda done, total: progress.update(task, completed=done, total=total),
         )
-    failures = publish(comparison, splits, config.out, console, maps=config.maps).failures
+    failures = publish(comparison, scenarios.splits, config.out, console, maps=config.maps).failures
     for failure in failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
     sys.exit(1 if failures else 0)

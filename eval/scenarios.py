@@ -1,6 +1,8 @@
-"""Draw the test scenarios and write them to `eval/comparison/scenarios.json`: `python eval/scenarios.py --write`.
+"""Check the comparison's scenarios, and that the arms still move as when they were drawn: `python eval/scenarios.py`.
 
-Without `--write` the file is checked, and that the arms still move as they did when it was written.
+`--write` keeps seeds, hashes and a few motions of the development set in `eval/comparison/development.json`.
+`--freeze-test` draws the test set into `eval/comparison/scenarios.json`: once, after all controllers and agents are
+frozen.
 """
 
 from __future__ import annotations
@@ -12,26 +14,35 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from baselines.tools.command import run_command
-from eval.comparison.scenarios import require_same_physics, write
-from eval.comparison.splits import SPLITS, load
+from eval.comparison import scenarios
+from eval.comparison.sets import development_set
+from eval.comparison.splits import SPLITS
 
 
 @dataclass(frozen=True)
 class Config:
-    """Check the test scenarios, or draw them."""
+    """Check the comparison's scenarios, or write what is kept of them."""
 
     write: bool = False
-    """Draw all splits from their seeds and write eval/comparison/scenarios.json."""
+    """Write eval/comparison/development.json anew: after a change of the physics or of the splits."""
+    freeze_test: bool = False
+    """Draw the test set and write eval/comparison/scenarios.json; refused if it is there."""
 
 
 def run(config: Config) -> None:
-    """Write the scenarios if asked to, and check them."""
+    """Write what is asked for, and check and show all sets that there are."""
     if config.write:
-        write()
-    splits = load()
-    require_same_physics(splits)
-    for name, split in splits.items():
-        print(f"{name:<11} {len(split.moves)} scenarios  sha256 {split.digest[:12]}  {SPLITS[name].description}")
+        scenarios.write_record(scenarios.RECORD)
+    if config.freeze_test:
+        scenarios.freeze_test_set(scenarios.FILE)
+    found = [development_set()]
+    if scenarios.FILE.exists():
+        found.append(scenarios.load(scenarios.FILE))
+    for one in found:
+        scenarios.require_same_physics(one)
+        print(f"{one.label.title}, edition {scenarios.EDITION}, version {scenarios.VERSION}: sha256 {one.label.sha256}")
+        for name, split in one.splits.items():
+            print(f"{name:<11} {len(split.moves)} scenarios  sha256 {split.digest[:12]}  {SPLITS[name].description}")
 
 
 def main() -> None:

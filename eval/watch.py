@@ -1,8 +1,8 @@
 """Watch arms side by side: `python eval/watch.py --controller paper --controller adaptive --policy runs/ppo/best`.
 
-All of them run the same scenario of the comparison. Each has its picture, and below it the size of the tip's error and
-the torque over time. Shows a window until it is closed, or writes a film: `--out motion.gif`, or `--out motion.mp4`,
-which needs the extra `video`.
+All of them run the same scenario, of the set that the comparison runs by default. Each has its picture, and below it
+the size of the tip's error and the torque over time. Shows a window until it is closed, or writes a film:
+`--out motion.gif`, or `--out motion.mp4`, which needs the extra `video`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from rich.console import Console
 from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import require_writable
 from eval.comparison.methods import chosen, methods_side_by_side
-from eval.comparison.splits import EPISODES, load
+from eval.comparison.scenarios import choose_set
+from eval.comparison.splits import EPISODES
 from eval.views import side_by_side
 from eval.views.film import require_writer
 
@@ -65,7 +66,7 @@ def watch(config: Config) -> None:
     console = Console()
     config.check()
     torch.set_num_threads(1)
-    splits = load()
+    splits = choose_set().splits
     split = splits[chosen("split", (config.split,), splits)[0]]
     methods = methods_side_by_side(config.controller, config.policy)
     controllers = {name: method.controller(0, []) for name, method in methods}

@@ -17,6 +17,7 @@ import torch
 from browser import Page, browser
 from jsonschema import Draft202012Validator
 
+from beltarm_env.metrics import TORQUES, heading
 from eval.comparison.methods import (
     added_method,
     classical_methods,
@@ -25,8 +26,9 @@ from eval.comparison.methods import (
     shipped_policies,
 )
 from eval.comparison.pairs import Failure, Metrics, Pair, run_pairs
+from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, check, read_results
-from eval.comparison.splits import SPLITS, load
+from eval.comparison.splits import EDITION, SPLITS, VERSION
 from eval.views.readme import block
 from eval.views.report.page import LARGEST
 
@@ -71,6 +73,26 @@ def test_everything_is_written(compared: tuple[Path, str]):
     assert "report.html" in output
     assert "ppo against" in output
     assert "privileged against" not in output
+
+
+def test_every_file_names_the_scenarios(compared: tuple[Path, str], results: dict[str, Any]):
+    folder, output = compared
+    label = choose_set().label
+    assert (results["edition"], results["version"]) == (EDITION, VERSION)
+    assert results["scenario_set"] == label._asdict()
+    assert label.note in output
+    assert all(label.note in (folder / name).read_text(encoding="utf-8") for name in ("summary.md", "report.html"))
+    assert {row["scenario_set"] for row in read_csv(folder / "episodes.csv")} == {label.name}
+    assert f"6 scenarios per split of the {label.title};" in block(results)
+
+
+def test_torques_of_every_method_are_everywhere(compared: tuple[Path, str], results: dict[str, Any]):
+    assert all(name in row["metrics"] for row in results["rows"] for name in TORQUES)
+    section = (compared[0] / "summary.md").read_text().split("## Torques\n")[1].split("\n## ")[0]
+    assert all(heading(name) in section for name in TORQUES)
+    assert [line.split(" | ")[0].strip("|* ") for line in section.splitlines()[-len(METHODS) :]] == METHODS
+    table = (compared[0] / "report.html").read_text().split("<summary>Torques on nominal</summary>")[1]
+    assert all(f'data-value="{method}"' in table.split("</details>")[0] for method in METHODS)
 
 
 def test_rows_of_the_results(results: dict[str, Any]):
@@ -140,7 +162,7 @@ def test_every_split_has_its_section_in_the_summary(compared: tuple[Path, str]):
 def pairs_compared() -> list[Pair]:
     """The pairs of method and split of `compared`, in their order."""
     known = [*classical_methods(), *learned_methods(shipped_policies()), added_method(EXAMPLE), privileged_method()]
-    splits = load()
+    splits = choose_set().splits
     chosen = [method for method in known if method.name in METHODS]
     return [Pair(method, splits[name], 6) for name in ("nominal", "sensing") for method in chosen]
 
@@ -184,6 +206,7 @@ def test_one_process_gives_what_two_gave_and_what_is_done_is_not_done_again(
         (lambda r: r["rows"][0]["metrics"]["cost"].update(low=float("nan")), r"rows\[0\].*low must be a finite number"),
         (lambda r: r["rows"][0]["metrics"].pop("settling_s"), "settling_s must be there"),
         (lambda r: r.update(version="1"), "version must be an integer, got '1'"),
+        (lambda r: r["scenario_set"].pop("sha256"), "scenario_set: sha256 must be there"),
         (lambda r: r.update(paired={}), "paired must be a list"),
         (
             lambda r: r["provenance"].update(seconds=float("inf")),

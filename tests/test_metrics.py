@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 from properties import examples
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env.metrics import METRICS, SETTLING_BAND, episode_metrics, residual_vibration, settling_time
+from beltarm_env.metrics import (
+    METRICS,
+    SETTLING_BAND,
+    SHOWN,
+    TORQUES,
+    episode_metrics,
+    residual_vibration,
+    settling_time,
+    torque_reversals,
+)
 
 Floats = NDArray[np.float64]
 
@@ -205,6 +214,40 @@ class TestTorque:
         torque[120:150] = 0.3 * float(np.float32(0.99999994))  # the largest float32 below 1
         assert evaluate(torque=torque)["saturated_share"] == pytest.approx(0.125)
 
+    @pytest.mark.parametrize(
+        ("torque", "count"),
+        [
+            ([0.0, 0.2, 0.3, 0.2, 0.0], 0),  # never on the other side
+            ([0.2, -0.2], 1),
+            ([0.2, 0.0, 0.0, -0.2], 1),  # through zero at any speed
+            ([0.2, -0.05, -0.2, -0.05, -0.2], 1),  # a swing counts once
+            ([0.02, -0.02] * 50, 50 * 2 - 1),  # 0.04 is more than a tenth of 0.3
+            ([0.014, -0.014] * 50, 0),  # 0.028 is not
+            ([0.025, -0.004] * 50, 0),
+            ([0.025, -0.006] * 50, 50 * 2 - 1),  # one side may be small if the other is large
+            ([0.2, -0.001, 0.001, -0.001, 0.001], 1),  # chatter after a large torque: one sign change is large
+            ([0.01, -0.01, 0.01, -0.25, 0.01, -0.01, 0.25], 2),
+            ([0.014, -0.014, 0.02, -0.014], 2),
+            ([0.002, -0.014, 0.02], 1),  # from the extremes, wherever it began
+            ([-0.1, 0.01, -0.01, 0.01, -0.1, 0.2], 3),  # the small swings between do not count
+        ],
+    )
+    @pytest.mark.parametrize("sign", [-1, 1])
+    def test_reversals_of_signals_by_hand(self, torque: list[float], count: int, sign: int):
+        signal = np.zeros(EPISODE_STEPS)
+        signal[10 : 10 + len(torque)] = sign * np.array(torque)
+        assert evaluate(torque=signal)["torque_reversals_hz"] == pytest.approx(count / 1.8)
+
+    @pytest.mark.parametrize(("amplitude", "rate"), [(0.2, 35 / 1.8), (0.0149, 0.0), (0.0151, 35 / 1.8)])
+    def test_a_sine_reverses_with_every_half_wave_but_the_first(self, amplitude: float, rate: float):
+        signal = amplitude * np.sin(2 * np.pi * 10 * TIME)
+        assert evaluate(torque=signal)["torque_reversals_hz"] == pytest.approx(rate)
+
+    def test_reversals_are_relative_to_the_arms_own_limit(self):
+        signal = np.tile([0.02, -0.02], EPISODE_STEPS // 2)
+        torque, swing = np.column_stack([signal, signal, 10 * signal]), 0.1 * np.array([0.3, 0.5, 0.3])
+        assert torque_reversals(torque, swing).tolist() == [EPISODE_STEPS - 1, 0, EPISODE_STEPS - 1]
+
     def test_limit_is_the_arms_own(self):
         assert evaluate(torque=held(0.2), torque_limit=0.2)["saturated_share"] == 1
         assert evaluate(torque=held(0.2), torque_limit=0.25)["saturated_share"] == 0
@@ -228,6 +271,10 @@ class TestAcceleration:
 
     def test_constant_velocity_has_none(self):
         assert evaluate(tip_velocity_error=held(0.5))["tip_acc_rms"] == 0
+
+
+def test_torques_are_shown():
+    assert set(TORQUES) <= set(SHOWN)
 
 
 def test_cost_is_passed_on():

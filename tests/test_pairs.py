@@ -26,7 +26,8 @@ from eval.comparison.methods import classical_methods, learned_methods, shipped_
 from eval.comparison.pairs import LEFT, Pair, read_kept, run_and_keep
 from eval.comparison.results import Comparison
 from eval.comparison.schema import read_results
-from eval.comparison.splits import VERSION, load
+from eval.comparison.sets import development_set, fresh_set
+from eval.comparison.splits import EDITION, VERSION
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -36,7 +37,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def pair(method: str = "paper", episodes: int = 4, split: str = "nominal") -> Pair:
     (found,) = [known for known in classical_methods() if known.name == method]
-    return Pair(found, load()[split], episodes)
+    return Pair(found, development_set().splits[split], episodes)
 
 
 def test_pairs_are_kept_and_read_again(tmp_path: Path):
@@ -54,6 +55,7 @@ def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypat
         pair("zvd", 5),
         pair("zvd", split="payload"),
         replace(one, split=replace(one.split, digest="other")),
+        replace(one, split=replace(one.split, of="test")),
         replace(one, method=replace(one.method, identity="other gains")),
     ]
     files = {found.file(tmp_path) for found in [one, *others]}
@@ -97,9 +99,11 @@ def test_outdated_pairs_are_taken_away(tmp_path: Path):
     old = replace(pair(), method=replace(pair().method, identity="before"))
     run_and_keep(old, tmp_path)
     run_and_keep(pair(episodes=5), tmp_path)
+    fresh = replace(pair(), split=fresh_set(0).splits["nominal"])
+    run_and_keep(fresh, tmp_path)
     run_and_keep(pair(), tmp_path)
     names = sorted(path.name for path in (tmp_path / "pairs").iterdir())
-    assert names == sorted([pair().file(tmp_path).name, pair(episodes=5).file(tmp_path).name])
+    assert names == sorted(found.file(tmp_path).name for found in (pair(), pair(episodes=5), fresh))
 
 
 def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
@@ -252,6 +256,20 @@ def test_given_policies_take_the_place_of_the_shipped(tmp_path: Path):
     assert [(row["method"], row["seeds"]) for row in rows] == [("paper", 1), ("ppo", 1)]
 
 
+def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
+    arguments = ("--methods", "paper", "zvd", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
+    code, errors = stopped(compare.main, (*arguments, "--scenario-seed", "3"), tmp_path)
+    assert code == 0, errors
+    results = read_results(tmp_path / "out" / "results.json")
+    label = fresh_set(3).label
+    assert results["scenario_set"] == label._asdict() and label.name == "seed 3"
+    assert results["provenance"]["split_seeds"] == {"nominal": fresh_set(3).splits["nominal"].seed}
+    assert f"results of the scenarios 'seed 3' ({label.sha256[:12]}), this run is of" in mistake(
+        compare.main, arguments, tmp_path
+    )
+    assert all(path.name.startswith("seed-3.nominal.") for path in (tmp_path / "out" / "pairs").iterdir())
+
+
 # Mistakes
 
 
@@ -259,24 +277,45 @@ def test_given_policies_take_the_place_of_the_shipped(tmp_path: Path):
     ("arguments", "message"),
     [
         (("--policy", "nowhere"), "no policy bundle at nowhere"),
-        (("--episodes", "2"), "--episodes must lie within 4 and 200, got 2"),
-        (("--episodes", "201"), "--episodes must lie within 4 and 200, got 201"),
+        (("--episodes", "2"), "--episodes must lie within 4 and 500, got 2"),
+        (("--episodes", "501"), "--episodes must lie within 4 and 500, got 501"),
         (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
         (("--methods", "papr"), "unknown method 'papr'; did you mean paper? Known: paper, rigid,"),
-        (("--splits", "frictoin"), "unknown split 'frictoin'; did you mean friction? Known: nominal, randomized,"),
+        (
+            ("--splits", "frictoin"),
+            "unknown split 'frictoin'; did you mean friction? Known: nominal, ideal, randomized,",
+        ),
         (("--methods", "privileged"), "--methods names privileged alone"),
         (("--add", "nowhere.py:Mine"), "there is no file"),
         (("--add", "paper.py:paper"), "two methods are called 'paper': give yours another name"),
         (("--add", "bad.py:Bad"), "bad.py:Bad does not keep the protocol (drives 5 arms"),
-        (("--out", "old", "--methods", "paper"), f"results of version {VERSION + 1} of the scenarios"),
+        (("--scenario-seed", "-1"), "--scenario-seed must lie within 0 and"),
+        (("--scenario-seed", "1", "--scenarios", "development"), "leave out --scenarios development"),
+        (("--out", "old", "--methods", "paper"), f"results of edition 2, version {VERSION + 1} of the scenarios"),
+        (("--out", "first", "--methods", "paper"), "results of edition 1, version 1 of the scenarios, this checkout"),
+        (
+            ("--out", "fresh", "--methods", "paper"),
+            "results of the scenarios 'seed 1' (0000), this run is of",
+        ),
+        (
+            ("--out", "unlike", "--methods", "paper"),
+            "results of the scenarios 'development' (0000), this run is of",
+        ),
         (("--out", "damaged", "--methods", "paper"), "damaged/results.json cannot be read"),
     ],
 )
 def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
     (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    for name, text in {"old": json.dumps({"version": VERSION + 1}), "damaged": "{"}.items():
+    now = {"edition": EDITION, "version": VERSION}
+    others = {
+        "old": {"edition": EDITION, "version": VERSION + 1},
+        "first": {"version": 1},
+        "fresh": {**now, "scenario_set": {"name": "seed 1", "sha256": "0000"}},
+        "unlike": {**now, "scenario_set": {"name": "development", "sha256": "0000"}},
+    }
+    for name, text in {**{name: json.dumps(content) for name, content in others.items()}, "damaged": "{"}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(text)
     assert message in mistake(compare.main, arguments, tmp_path)

@@ -53,18 +53,21 @@ print(np.allclose(seen[1:], speeds[:-1], atol=1e-6), speeds[-1] > 0.01, observat
 
 
 def test_a_split(tmp_path: Path):
-    before = (ROOT / "eval/comparison/scenarios.json").read_text(encoding="utf-8")
     follow("Add a split", tmp_path)
     code = """
-from eval.comparison.scenarios import content_of
-from eval.comparison.splits import SPLITS, draw
+import json
 from beltarm_env.arm import COLUMN, NOMINAL
-split = draw("heavy-motor")
+from eval.comparison.scenarios import RECORD
+from eval.comparison.sets import development_set
+from eval.comparison.splits import SPLITS
+kept = {name: entry["sha256"] for name, entry in json.loads(RECORD.read_text())["splits"].items()}
+splits = development_set().splits
+split = splits["heavy-motor"]
 ratio = split.table[:, COLUMN.motor_inertia] / NOMINAL.motor_inertia
 print(1.2 <= ratio.min() < 1.21, 1.49 < ratio.max() <= 1.5, list(SPLITS)[-1] == "heavy-motor")
+print(kept == {name: one.digest for name, one in splits.items() if name != "heavy-motor"})
 """
-    assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 3
-    assert (tmp_path / "eval/comparison/scenarios.json").read_text(encoding="utf-8") == before
+    assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 4
 
 
 def test_an_algorithm(tmp_path: Path):

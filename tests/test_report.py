@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
-from beltarm_env.metrics import SHOWN
+from beltarm_env.metrics import SHOWN, TORQUES, heading
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Kind, Method, classical_methods
 from eval.comparison.pairs import LEFT, Failure
 from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
 from eval.comparison.schema import to_json
-from eval.comparison.splits import load
+from eval.comparison.sets import SetLabel, development_set
 from eval.views.frame import frame_of, frame_of_rows, lines, part
 from eval.views.markdown import markdown
 from eval.views.report.animation import EVERY, animation, encode
@@ -30,7 +30,7 @@ from eval.views.report.maps import robustness_maps
 from eval.views.report.motions import spectrum
 from eval.views.report.page import render, without_paths
 from eval.views.report.scenes import Map, Recordings, Scene, challengers, record_scenes
-from eval.views.report.tables import effort_table, metric_tables
+from eval.views.report.tables import effort_table, metric_tables, torque_table
 from eval.views.report.verdict import verdict
 from eval.views.traces import seed_note, shown_seed
 
@@ -39,7 +39,7 @@ ORIGIN = {
     "command": "python eval/compare.py --out /tmp/me/out",
     "beltarm": "1",
     "commit": "abc",
-    "splits_version": 1,
+    "splits_version": 2,
     "split_seeds": {"nominal": 1},
     "split_sha256": {"nominal": "0" * 64},
     "python": "3",
@@ -63,7 +63,7 @@ def outcome(
 
 
 def made(*outcomes: MethodOutcome, failures: list[Failure] | None = None) -> Comparison:
-    return make_comparison(list(outcomes), failures or [], ORIGIN)
+    return make_comparison(list(outcomes), failures or [], SetLabel("seed 7", "0" * 64), ORIGIN)
 
 
 # The verdict
@@ -144,7 +144,25 @@ def test_an_added_controller_stands_in_where_nothing_was_learned():
     assert "the best added controller beats the best classical controller on the only split" in found[0]
 
 
+def test_scenarios_drawn_afresh_are_called_so():
+    comparison = made(outcome("pid", "classical", 100.0))
+    note = "Scenarios drawn afresh from seed 7, by the rules of the test set, but not the test set."
+    assert f"<strong>{note}</strong>" in render(comparison, Recordings([]))
+    assert markdown(comparison, [], "").splitlines()[2] == f"**{note}**"
+    assert to_json(comparison)["scenario_set"]["name"] == "seed 7"
+
+
 # Tables
+
+
+def test_torques_have_a_table_on_the_main_split():
+    splits = ("nominal", "randomized")
+    pid = [outcome("pid", "classical", 100.0, split) for split in splits]
+    table = torque_table(made(*pid, *(outcome("privileged", "privileged", 1.0, split) for split in splits)))
+    assert table.title == "Torques on randomized"
+    assert table.columns == [heading(name) for name in TORQUES]
+    assert [line.method for line in table.lines] == ["pid", "privileged"]
+    assert all(len(line.cells) == len(TORQUES) for line in table.lines)
 
 
 def test_marks_of_the_best_and_of_ties():
@@ -268,7 +286,7 @@ def test_an_arm_left_alone_rings_at_the_frequency_that_is_marked():
 
 def test_the_animation_has_the_motion_itself():
     methods = {method.name: method for method in classical_methods()}
-    motion = load()["nominal"].run(methods["paper"].controller(0, []), 3)
+    motion = development_set().splits["nominal"].run(methods["paper"].controller(0, []), 3)
     content = animation([Scene("median", "nominal", 3, {"paper": motion})], {"paper": "#0072B2"})
     (scene,) = content["scenes"]
     raw = base64.b64decode(scene["methods"][0]["frames"])
@@ -317,7 +335,7 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
 
 
 def test_scenes_are_of_chosen_scenarios():
-    splits = {"nominal": load()["nominal"]}
+    splits = {"nominal": development_set().splits["nominal"]}
     costs = np.ones(24)
     costs[7] = 5.0
     comparison = made(outcome("paper", "classical", 1.0), outcome("zvd", "classical", 0.5 * costs))

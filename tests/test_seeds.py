@@ -4,7 +4,17 @@ import re
 from itertools import pairwise
 from pathlib import Path
 
-from beltarm_env.task.seeds import MAX_TRAINING_SEED, RANGES, SEED_SPACING, TRAINING, training_arms
+from beltarm_env.task.seeds import (
+    FRESH,
+    MAX_FRESH_SEED,
+    MAX_TRAINING_SEED,
+    RANGES,
+    SEED_SPACING,
+    TEST,
+    TRAINING,
+    fresh_arms,
+    training_arms,
+)
 
 ROOT = Path(__file__).parent.parent
 
@@ -19,6 +29,13 @@ def test_training_seeds_share_no_arm_and_fill_their_range():
     first, last = training_arms(0), training_arms(MAX_TRAINING_SEED)
     assert first.first == TRAINING.first and last.first + last.size == TRAINING.first + TRAINING.size
     assert training_arms(1).first == first.first + first.size == SEED_SPACING
+
+
+def test_fresh_sets_share_no_arm_and_lie_beyond_all_others():
+    first, last = fresh_arms(0), fresh_arms(MAX_FRESH_SEED)
+    assert first.first == FRESH.first == max(of.first for of in RANGES.values())
+    assert fresh_arms(1).first == first.first + first.size and first.size == TEST.size
+    assert last.first + last.size == FRESH.first + FRESH.size
 
 
 def test_no_other_module_has_a_range_of_its_own():

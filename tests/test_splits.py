@@ -1,117 +1,245 @@
-"""Test scenarios: the file is what its seeds give, says so by hashes, and notices a changed physics."""
+"""Splits and sets of scenarios: what they are drawn from, what is kept, and that a changed physics is noticed."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import mistake, stopped
 
 from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
-from beltarm_env.arm import FIELDS
+from beltarm_env.arm import DRIVE_EFFECTS, FIELDS
 from beltarm_env.rollout import rollout
-from beltarm_env.task.ranges import TRAIN_RANGES
-from eval.comparison.scenarios import content_of, require_same_physics, text_of
-from eval.comparison.splits import EPISODES, FILE, SPLITS, VERSION, Split, digest_of, draw, load
+from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, TEST, SeedRange, fresh_arms
+from beltarm_env.timing import MAX_LATENCY
+from eval import compare
+from eval import scenarios as command
+from eval.comparison import scenarios
+from eval.comparison.scenarios import (
+    RECORD,
+    choose_set,
+    content_of,
+    freeze_test_set,
+    load,
+    require_same_physics,
+    text_of,
+    write_record,
+)
+from eval.comparison.sets import ScenarioSet, development_set, fresh_set, make_set
+from eval.comparison.splits import EDITION, EPISODES, SPLITS, VERSION, Split, digest_of, draw
 
-SHIFTED = {
+SHIFTED: dict[str, dict[str, tuple[float, float]]] = {
     "payload": {"payload_mass": (0.2, 0.5)},
     "stiffness": {"belt_stiffness": (0.5 * 33, 0.8 * 33)},
     "friction": {
         "coulomb_friction": (1.3 * 0.032, 1.8 * 0.032),
         "motor_viscous_friction": (1.3 * 3.5e-4, 1.8 * 3.5e-4),
     },
+    "drive": {
+        "torque_ripple": (1.3 * 0.006, 1.8 * 0.006),
+        "static_friction_excess": (0.65, 0.9),
+        "kinematic_error": (0.00065, 0.0009),
+        "current_loop_time_constant": (0.0013, 0.0018),
+        "command_latency": (1.95 * 0.0015, 2.7 * 0.0015),
+    },
     "sensing": {},
     "structural": {},
 }
+BEYOND = ("payload", "stiffness", "friction", "drive")
 
 
 @pytest.fixture(scope="module")
 def splits() -> dict[str, Split]:
-    return load()
+    return development_set().splits
 
 
-def test_there_are_seven_splits_of_two_hundred_scenarios(splits: dict[str, Split]):
-    assert list(splits) == ["nominal", "randomized", *SHIFTED] == list(SPLITS)
+def ranges_of(name: str) -> dict[str, tuple[float, float]]:
+    whole = {"nominal": {}, "ideal": IDEAL_RANGES}.get(name, TRAIN_RANGES)
+    nominal = {field: (getattr(ArmParams(), field),) * 2 for field in FIELDS}
+    return {**nominal, **whole, **SHIFTED.get(name, {})}
+
+
+def test_there_are_nine_splits_of_five_hundred_scenarios(splits: dict[str, Split]):
+    assert list(splits) == ["nominal", "ideal", "randomized", *SHIFTED] == list(SPLITS)
     for split in splits.values():
-        assert len(split.table) == len(split.moves) == len(split.delays) == EPISODES >= 200
-    assert FILE.stat().st_size < 300_000
+        assert len(split.table) == len(split.moves) == len(split.delays) == EPISODES == 500
 
 
 @pytest.mark.parametrize("name", SPLITS)
-def test_the_file_is_what_the_seeds_give(name: str, splits: dict[str, Split]):
-    drawn = draw(name)
-    for field in ("table", "moves", "delays"):
-        assert np.array_equal(getattr(drawn, field), getattr(splits[name], field))
-    assert drawn.digest == splits[name].digest
+def test_arms_fill_their_ranges_and_nothing_beyond(name: str, splits: dict[str, Split]):
+    for field, (low, high) in ranges_of(name).items():
+        column = splits[name].table[:, FIELDS.index(field)]
+        assert np.all((column >= low) & (column <= high)), field
+        assert np.ptp(column) > 0.95 * (high - low) or low == high, field
 
 
-@pytest.mark.parametrize(("name", "randomization"), [("nominal", "off"), ("randomized", "train")])
-def test_scenarios_of_the_file_are_episodes_of_the_environment(name: str, randomization: Any, splits: dict[str, Split]):
-    """Bit for bit what the environment itself plays from the stated seeds."""
-    count = 12
-    seeded = rollout(PaperController(), count, seed=SPLITS[name].seed, randomization=randomization)
-    ((scenarios, arguments),) = splits[name].batches(count)
-    stored = rollout(PaperController(), count, **arguments)
-    assert scenarios.tolist() == list(range(count))
-    for field in ("state", "torque", "tip_error", "cost", "params", "moves"):
-        assert np.array_equal(getattr(stored, field), getattr(seeded, field))
+@pytest.mark.parametrize("name", BEYOND)
+def test_a_shift_is_beyond_training_and_the_only_one(name: str):
+    changed = {field for field, pair in ranges_of(name).items() if pair != ranges_of("randomized")[field]}
+    assert changed == set(SHIFTED[name])
+    assert SPLITS[name].ranges.keys() == TRAIN_RANGES.keys()
+    for field, (low, high) in SHIFTED[name].items():
+        train_low, train_high = TRAIN_RANGES[field]
+        assert low >= train_high or high <= train_low
+    assert SHIFTED["drive"]["command_latency"][1] < MAX_LATENCY
 
 
-@pytest.mark.parametrize("name", SHIFTED)
-def test_off_range_splits_are_the_randomized_one_but_for_the_shift(name: str, splits: dict[str, Split]):
-    split, base = splits[name], splits["randomized"]
-    assert np.array_equal(split.moves, base.moves)
-    for k, field in enumerate(FIELDS):
-        low, high = SHIFTED[name].get(field, TRAIN_RANGES.get(field, (0.0, np.inf)))
-        assert np.all((split.table[:, k] >= low) & (split.table[:, k] <= high))
-        assert np.array_equal(split.table[:, k], base.table[:, k]) == (field not in SHIFTED[name])
-        if field in SHIFTED[name]:  # over the whole new range
-            assert np.ptp(split.table[:, k]) > 0.95 * (high - low)
-            train_low, train_high = TRAIN_RANGES[field]
-            assert np.mean((split.table[:, k] > train_low) & (split.table[:, k] < train_high)) < 0.05
+def test_the_drive_is_ideal_in_two_splits_alone(splits: dict[str, Split]):
+    effects = [FIELDS.index(name) for name in DRIVE_EFFECTS]
+    ideal = [name for name, split in splits.items() if not split.table[:, effects].any()]
+    assert ideal == ["nominal", "ideal"]
 
 
 def test_settings_of_the_splits(splits: dict[str, Split]):
     assert splits["sensing"].settings == {"encoder_counts": 1000}
     assert splits["structural"].settings == {"model": "lagrangian"}
-    assert all(splits[name].settings == {} for name in ("nominal", "randomized", "payload", "stiffness", "friction"))
-    assert np.bincount(splits["sensing"].delays).tolist() == [0, 100, 100]
+    assert all(split.settings == {} for name, split in splits.items() if name not in ("sensing", "structural"))
+
+
+def test_delays_are_continuous_and_each_scenario_has_its_own(splits: dict[str, Split]):
+    delays = splits["sensing"].delays
+    assert 1 <= delays.min() < 1.02 and 1.98 < delays.max() <= 2
+    assert len(np.unique(delays)) == EPISODES and abs(delays.mean() - 1.5) < 0.05
     assert not any(split.delays.any() for name, split in splits.items() if name != "sensing")
+    assert splits["sensing"].arguments(slice(3, 5))["delay"].tolist() == delays[3:5].tolist()
+    assert "delay" not in splits["randomized"].arguments(slice(2))
 
 
-@pytest.mark.parametrize("episodes", [1, 5, 200])
-def test_batches_hold_each_scenario_once(episodes: int, splits: dict[str, Split]):
-    found = [scenarios for scenarios, _ in splits["sensing"].batches(episodes)]
-    assert sorted(np.concatenate(found).tolist()) == list(range(episodes))
-    assert len(found) == min(episodes, 2)
+@pytest.mark.parametrize(("name", "randomization"), [("nominal", "off"), ("ideal", "ideal"), ("randomized", "train")])
+def test_scenarios_are_episodes_of_the_environment(name: str, randomization: Any, splits: dict[str, Split]):
+    """Bit for bit what the environment itself plays from the stated seeds."""
+    count = 12
+    seeded = rollout(PaperController(), count, seed=splits[name].seed, randomization=randomization)
+    stored = rollout(PaperController(), count, **splits[name].arguments(slice(count)))
+    for field in ("state", "torque", "tip_error", "cost", "params", "moves"):
+        assert np.array_equal(getattr(stored, field), getattr(seeded, field))
 
 
 @pytest.mark.parametrize("name", ["sensing", "structural"])
 def test_a_scenario_alone_is_as_in_its_batch(name: str, splits: dict[str, Split]):
     split, scenario = splits[name], 5
     alone = split.run(PaperController(), scenario)
-    for scenarios, arguments in split.batches(8):
-        if scenario in scenarios:
-            together = rollout(PaperController(), len(scenarios), **arguments)
-            place = scenarios.tolist().index(scenario)
-            assert np.array_equal(together.state[:, place], alone.state[:, 0])
-            assert together.cost[place] == alone.cost[0]
+    together = rollout(PaperController(), 8, **split.arguments(slice(8)))
+    assert np.array_equal(together.state[:, scenario], alone.state[:, 0])
+    assert together.cost[scenario] == alone.cost[0]
 
 
 def test_arms_are_those_of_the_table(splits: dict[str, Split]):
-    arm = splits["friction"].arms(np.array([7]))[0]
-    assert [getattr(arm, name) for name in FIELDS] == splits["friction"].table[7].tolist()
-    assert arm != ArmParams()
+    arms = splits["friction"].arms(8)
+    assert len(arms) == 8
+    assert [getattr(arms[7], name) for name in FIELDS] == splits["friction"].table[7].tolist()
+    assert arms[7] != ArmParams()
 
 
-def test_the_file_is_written_as_it_is_read(splits: dict[str, Split]):
-    assert text_of(content_of(splits)) == FILE.read_text(encoding="utf-8")
+# Sets
+
+
+def test_no_two_splits_of_any_sets_share_an_arm_or_a_move():
+    """By their seeds, and by what is drawn; the test set's are left alone."""
+    sets = [development_set(), fresh_set(0), fresh_set(1), fresh_set(MAX_FRESH_SEED)]
+    drawn = [split for one in sets for split in one.splits.values()]
+    for one, other in combinations(drawn, 2):
+        assert abs(one.seed - other.seed) >= EPISODES
+        assert not np.intersect1d(one.moves[:, 0], other.moves[:, 0]).size
+    ranges = [DEVELOPMENT, fresh_arms(0), fresh_arms(1), fresh_arms(MAX_FRESH_SEED)]
+    assert all(seeds.size == TEST.size for seeds in ranges)
+    for one, seeds in zip(sets, ranges, strict=True):
+        for split in one.splits.values():
+            assert seeds.first <= split.seed <= split.seed + EPISODES <= seeds.first + seeds.size
+    assert len({one.label.sha256 for one in sets}) == len(sets)
+
+
+def test_a_set_is_drawn_again_as_it_was():
+    again = draw("sensing", "development", DEVELOPMENT)
+    assert again.digest == development_set().splits["sensing"].digest
+    assert np.array_equal(again.delays, development_set().splits["sensing"].delays)
+
+
+def test_a_range_without_room_is_refused():
+    with pytest.raises(ValueError, match="split structural needs 9000 seeds, its range has 8999: enlarge it"):
+        draw("structural", "x", SeedRange(0, 8999))
+
+
+def test_the_development_set_is_run_until_the_test_set_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(scenarios, "FILE", tmp_path / "scenarios.json")
+    assert choose_set().label.name == "development"
+    assert choose_set(seed=3).label.name == "seed 3"
+    line = mistake(compare.main, ("--scenarios", "test"), tmp_path)
+    assert "the test set is not drawn yet: that is done once, after all controllers and agents are frozen" in line
+    with pytest.raises(ValueError, match="--scenario-seed 3 draws a set of its own: leave out --scenarios development"):
+        choose_set("development", 3)
+    with pytest.raises(ValueError, match="--scenarios must be one of development, test, got 'best'"):
+        choose_set("best")
+    for seed in (-1, MAX_FRESH_SEED + 1):
+        with pytest.raises(ValueError, match=f"--scenario-seed must lie within 0 and {MAX_FRESH_SEED}, got {seed}"):
+            choose_set(seed=seed)
+
+
+def test_a_label_says_what_its_numbers_are_worth():
+    assert development_set().label.title == "development set"
+    assert development_set().label.note.endswith("on which controllers and agents may be chosen: no test results.")
+    assert fresh_set(7).label.note == (
+        "Scenarios drawn afresh from seed 7, by the rules of the test set, but not the test set."
+    )
+
+
+# The frozen test set
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A test set of a few scenarios of the development seeds: nobody looks at the real one before its time."""
+    few = {name: part_of(split, 4) for name, split in development_set().splits.items()}
+    path = tmp_path_factory.mktemp("frozen") / "scenarios.json"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(scenarios, "draw_test_set", lambda: make_set("test", few))
+        freeze_test_set(path)
+    return path
+
+
+def part_of(split: Split, count: int) -> Split:
+    part = split.table[:count], split.moves[:count], split.delays[:count]
+    return scenarios.make_split(split.name, "test", split.seed, split.settings, *part)
+
+
+def test_the_test_set_is_drawn_once(frozen: Path):
+    before = frozen.read_bytes()
+    with pytest.raises(ValueError, match="is there already: the test set is drawn once, and not again"):
+        freeze_test_set(frozen)
+    assert frozen.read_bytes() == before
+
+
+def test_the_test_set_is_written_as_it_is_read(frozen: Path, monkeypatch: pytest.MonkeyPatch):
+    found = load(frozen)
+    assert found.label.name == "test"
+    assert text_of(content_of(found)) == frozen.read_text(encoding="utf-8")
+    for name, split in found.splits.items():
+        drawn = development_set().splits[name]
+        for field in ("table", "moves", "delays"):
+            assert np.array_equal(getattr(split, field), getattr(drawn, field)[:4])
+    monkeypatch.setattr(scenarios, "FILE", frozen)
+    assert choose_set().label == choose_set("test").label == found.label
+    require_same_physics(found)
+
+
+def test_the_commands_say_what_is_there(
+    frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(scenarios, "FILE", frozen)
+    assert stopped(command.main, (), tmp_path) == (0, "")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"development set, edition {EDITION}, version {VERSION}: sha256 ")
+    assert [line.split()[:2] for line in lines[1 : 1 + len(SPLITS)]] == [[name, "500"] for name in SPLITS]
+    assert lines[1 + len(SPLITS)].startswith("test set")
+    assert "is there already: the test set is drawn once" in mistake(command.main, ("--freeze-test",), tmp_path)
 
 
 # Damage
@@ -139,25 +267,25 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "last digit changed": (change_a_number, "SHA-256 does not match"),
     "last digit changed and hashed": (lambda c: rehashed(change_a_number(c)), "SHA-256 of payload does not match"),
     "column missing": (drop_the_moves, "KeyError"),
-    "split missing": (lambda c: rehashed({key: c[key] for key in ("format", "version")}), "KeyError"),
+    "splits missing": (lambda c: rehashed({key: c[key] for key in ("format", "version")}), "KeyError"),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_files_are_refused(damage: str, tmp_path: Path):
+def test_damaged_files_are_refused(damage: str, frozen: Path, tmp_path: Path):
     change, message = DAMAGE[damage]
     path = tmp_path / "scenarios.json"
-    path.write_text(json.dumps(change(json.loads(FILE.read_text()))))
+    path.write_text(json.dumps(change(json.loads(frozen.read_text()))))
     with pytest.raises(ValueError, match=message) as caught:
         load(path)
-    assert "python eval/scenarios.py --write" in str(caught.value)
+    assert "restore scenarios.json from the repository" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", FILE.read_text()[:1000]])
-def test_half_a_file_is_refused(text: str, tmp_path: Path):
+@pytest.mark.parametrize("length", [0, 1000])
+def test_half_a_file_is_refused(length: int, frozen: Path, tmp_path: Path):
     path = tmp_path / "scenarios.json"
-    path.write_text(text)
+    path.write_text(frozen.read_text()[:length])
     with pytest.raises(ValueError, match="cannot be read"):
         load(path)
     with pytest.raises(ValueError, match="cannot be read"):
@@ -167,8 +295,17 @@ def test_half_a_file_is_refused(text: str, tmp_path: Path):
 # Physics
 
 
-def test_the_arms_move_as_when_the_file_was_written(splits: dict[str, Split]):
-    require_same_physics(splits)
+def test_the_arms_move_as_when_the_record_was_written(tmp_path: Path):
+    require_same_physics(development_set())
+    write_record(tmp_path / "again.json")
+    again, kept = (json.loads(path.read_text())["splits"] for path in (tmp_path / "again.json", RECORD))
+    assert {name: entry["sha256"] for name, entry in again.items()} == {n: e["sha256"] for n, e in kept.items()}
+    assert RECORD.stat().st_size < 10_000
+
+
+def changed(name: str, change: Callable[[Split], Split]) -> ScenarioSet:
+    label, splits = development_set().label, development_set().splits
+    return ScenarioSet(label, {name: change(splits[name])})
 
 
 @pytest.mark.parametrize(
@@ -181,6 +318,20 @@ def test_the_arms_move_as_when_the_file_was_written(splits: dict[str, Split]):
     ],
     ids=["equations", "encoder", "friction", "belt"],
 )
-def test_a_changed_physics_is_noticed(change: Callable[[Split], Split], splits: dict[str, Split]):
-    with pytest.raises(ValueError, match=r"on split nominal the arms move otherwise .* Raise VERSION"):
-        require_same_physics({"nominal": change(splits["nominal"])})
+def test_a_changed_physics_is_noticed(change: Callable[[Split], Split]):
+    message = r"on split nominal the arms move otherwise .* run `python eval/scenarios.py --write`"
+    with pytest.raises(ValueError, match=message):
+        require_same_physics(changed("nominal", change))
+
+
+def test_a_fresh_set_is_checked_by_the_development_set(monkeypatch: pytest.MonkeyPatch):
+    require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
+    monkeypatch.setattr(scenarios, "motions", lambda split: np.ones((3, 6)))
+    with pytest.raises(ValueError, match="on split nominal the arms move otherwise"):
+        require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
+
+
+def test_other_scenarios_than_the_kept_ones_are_noticed():
+    other = changed("nominal", lambda split: replace(split, digest="other"))
+    with pytest.raises(ValueError, match=r"development.json has no split nominal with the scenarios .* --write`"):
+        require_same_physics(other)

@@ -93,7 +93,7 @@ def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
         (("--controller", "none.py:Mine"), "there is no file"),
         (("--policy", "nowhere"), "no policy bundle at nowhere"),
         (("--split", "frictoin"), "unknown split 'frictoin'; did you mean friction?"),
-        (("--scenario", "200"), "--scenario must lie within 0 and 199, got 200"),
+        (("--scenario", "500"), "--scenario must lie within 0 and 499, got 500"),
         (("--speed", "0"), "--speed must lie within 0.01 and 10, got 0"),
         (("--out", "motion.avi"), "--out must end in .gif or .mp4, got motion.avi"),
         (("--out", "/dev/null/motion.gif"), "cannot write to /dev/null"),

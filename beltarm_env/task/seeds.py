@@ -45,11 +45,23 @@ VALIDATION = SeedRange(7_000_000, 500_000)
 """Validation of training runs: checkpoints and settings are chosen on these."""
 LOOPS = SeedRange(7_500_000, 100_000)
 """Costs and times of the classical controllers."""
-TEST_NOMINAL = SeedRange(8_000_000, 200)
-TEST_RANDOMIZED = SeedRange(8_100_000, 200)
-"""The comparison's scenarios, and all splits that shift them."""
+FIRST_EDITION = SeedRange(8_000_000, 200_000)
+"""Test scenarios of the comparison's first edition: known to all since, so that nothing else draws from them."""
 MAPS = SeedRange(8_500_000, 8)
 """Moves of the robustness maps."""
+DEVELOPMENT = SeedRange(8_600_000, 100_000)
+"""Scenarios of the comparison while controllers and agents are worked on."""
+TEST = SeedRange(9_000_000, 100_000)
+"""The comparison's test scenarios, drawn once, when controllers and agents are frozen."""
+FRESH = SeedRange(10_000_000, 1_000_000_000_000)
+"""Sets of scenarios that anybody draws afresh, by the test scenarios' rules; beyond all others."""
+MAX_FRESH_SEED = FRESH.size // TEST.size - 1
+
+
+def fresh_arms(number: int) -> SeedRange:
+    """Return the seeds of one fresh set of scenarios, 0 to `MAX_FRESH_SEED`."""
+    return SeedRange(FRESH.first + TEST.size * number, TEST.size)
+
 
 RANGES = {name: value for name, value in vars().items() if isinstance(value, SeedRange)}
 """All of them, by name; disjoint."""

@@ -1,8 +1,8 @@
 """Runs of the comparison: a method on a split is a pair; pairs are spread over processes, and kept on disk.
 
-A pair that is done is kept as `pairs/SPLIT.METHOD.EPISODES.KEY.npz`, with a key of everything that its numbers depend
-on: the scenarios, the method's gains, policies or sources, the code of plant and controllers, and the versions of the
-packages below them. A run that was interrupted, or that asks for more, goes on from what is kept.
+A pair that is done is kept as `pairs/SET.SPLIT.METHOD.EPISODES.KEY.npz`, with a key of everything that its numbers
+depend on: edition and scenarios, the method's gains, policies or sources, the code of plant and controllers, and the
+versions of the packages below them. A run that was interrupted, or that asks for more, goes on from what is kept.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from beltarm_env.jit import sources_digest
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import rollout
 from eval.comparison.methods import Method
-from eval.comparison.splits import VERSION, Split
+from eval.comparison.splits import EDITION, VERSION, Split
 
 Metrics = dict[str, NDArray[np.float64]]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
@@ -55,7 +55,7 @@ class Pair:
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
         of_method = [self.method.name, self.method.kind, self.method.identity]
-        content = [VERSION, self.split.digest, self.episodes, *of_method, _code()]
+        content = [EDITION, VERSION, self.split.of, self.split.digest, self.episodes, *of_method, _code()]
         key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
         return folder / "pairs" / f"{self.stem}.{key}.npz"
 
@@ -63,7 +63,7 @@ class Pair:
     def stem(self) -> str:
         """Beginning of the file's name, before the key."""
         method = re.sub(r"[^\w-]", "_", self.method.name)
-        return f"{self.split.name}.{method}.{self.episodes}"
+        return f"{self.split.of.replace(' ', '-')}.{self.split.name}.{method}.{self.episodes}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +95,12 @@ def measure(pair: Pair) -> Metrics:
     """Run all controllers of a method on the scenarios of a split."""
     seeds = len(pair.method.sources)
     metrics = {name: np.empty((seeds, pair.episodes)) for name in (*METRICS, LEFT)}
+    arguments = pair.split.arguments(slice(pair.episodes))
     for seed in range(seeds):
-        for scenarios, arguments in pair.split.batches(pair.episodes):
-            controller = pair.method.controller(seed, pair.split.arms(scenarios))
-            run = rollout(controller, len(scenarios), sensors=pair.method.sensors, **arguments)
-            for name, values in {**run.metrics(), LEFT: 1.0 - run.finished}.items():
-                metrics[name][seed, scenarios] = values
+        controller = pair.method.controller(seed, pair.split.arms(pair.episodes))
+        run = rollout(controller, pair.episodes, sensors=pair.method.sensors, **arguments)
+        for name, values in {**run.metrics(), LEFT: 1.0 - run.finished}.items():
+            metrics[name][seed] = values
     return metrics
 
 

@@ -18,6 +18,7 @@ from eval.comparison import splits
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
 from eval.comparison.methods import Method, policies_of
 from eval.comparison.pairs import LEFT, Failure, Metrics
+from eval.comparison.sets import SetLabel
 
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 _THRESHOLDS = 25  # of a performance profile
@@ -78,6 +79,7 @@ class Comparison:
     against_base: Against  # every learned method against the controller that it corrects
     marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
     failures: list[Failure]
+    scenario_set: SetLabel  # what the splits belong to
     provenance: dict[str, Any]
 
     def with_failures(self, failures: list[Failure]) -> Comparison:
@@ -113,13 +115,15 @@ class Comparison:
         return best_classical(self.on(split))
 
 
-def make_comparison(outcomes: list[MethodOutcome], failures: list[Failure], provenance: dict[str, Any]) -> Comparison:
+def make_comparison(
+    outcomes: list[MethodOutcome], failures: list[Failure], scenario_set: SetLabel, provenance: dict[str, Any]
+) -> Comparison:
     """Compare the outcomes with one another."""
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
     best = {split: _against(found, _best_opponent(found)) for split, found in by_split.items()}
     base = {split: _against(found, _bases(found)) for split, found in by_split.items()}
     marks = {split: {name: _marks(o, name, best[split]) for name in PAIRED_METRICS} for split, o in by_split.items()}
-    return Comparison(outcomes, best, base, marks, failures, provenance)
+    return Comparison(outcomes, best, base, marks, failures, scenario_set, provenance)
 
 
 def best_classical(outcomes: list[MethodOutcome]) -> MethodOutcome | None:

@@ -25,8 +25,8 @@ from eval.comparison.pairs import Failure, Pair, attempt, run_pairs
 from eval.comparison.protocol import first_failure
 from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome, provenance
 from eval.comparison.scenarios import require_same_physics
-from eval.comparison.schema import require_same_version
-from eval.comparison.splits import Split
+from eval.comparison.schema import require_same_set
+from eval.comparison.sets import ScenarioSet
 from eval.comparison.timing import action_times
 
 
@@ -62,7 +62,7 @@ def choose_methods(
 
 def compare(
     methods: Sequence[Method],
-    splits: dict[str, Split],
+    scenarios: ScenarioSet,
     episodes: int,
     folder: Path,
     jobs: int,
@@ -74,7 +74,7 @@ def compare(
 
     Args:
         methods: See `choose_methods`.
-        splits: Splits by name.
+        scenarios: Splits that are run, of one set of scenarios.
         episodes: Scenarios per split.
         folder: Where results are kept.
         jobs: Number of processes.
@@ -90,9 +90,9 @@ def compare(
     began = time.perf_counter()
     require_writable(folder)
     if (folder / "results.json").exists():
-        require_same_version(folder / "results.json")
-    require_same_physics(splits)
-    pairs = [Pair(method, split, episodes) for split in splits.values() for method in methods]
+        require_same_set(folder / "results.json", scenarios.label)
+    require_same_physics(scenarios)
+    pairs = [Pair(method, split, episodes) for split in scenarios.splits.values() for method in methods]
     if fresh:
         for pair in pairs:
             pair.file(folder).unlink(missing_ok=True)
@@ -100,8 +100,8 @@ def compare(
     outcomes, failures = _outcomes(pairs, folder, jobs, done)
     if not any(outcome.ranked for outcome in outcomes):
         raise ValueError(f"no method could be run: {failures[0].method} on {failures[0].split}: {failures[0].message}")
-    origin = provenance(command_line(), time.perf_counter() - began, methods, splits) | {"pairs_kept_before": kept}
-    return make_comparison(outcomes, failures, origin)
+    origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
+    return make_comparison(outcomes, failures, scenarios.label, origin | {"pairs_kept_before": kept})
 
 
 def _kept(pairs: list[Pair], folder: Path) -> int:

@@ -1,4 +1,11 @@
-"""File of the test scenarios: written from the splits' seeds, checked against the motions that it holds."""
+"""Files of the scenarios: the test set, and what is kept of the development set.
+
+    eval/comparison/development.json   seeds, hashes and a few motions of the development set, which is drawn on the fly
+    eval/comparison/scenarios.json     the test set: the numbers themselves, with the same; written once, there or not
+
+By the motions a changed physics is noticed: those of the test set once it is there, and until then, and for sets that
+are drawn afresh, those of the development set.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +15,55 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.tools.files import write_text
+from beltarm_env.arm import FIELDS, NOMINAL, params_columns
 from beltarm_env.observation import index
-from eval.comparison.splits import COMMAND, FILE, FORMAT, SPLITS, VERSION, Split, columns_of, digest_of, draw
+from beltarm_env.task.moves import MOVE_FIELDS
+from eval.comparison.sets import (
+    DEVELOPMENT_NAME,
+    TEST_NAME,
+    ScenarioSet,
+    development_set,
+    draw_test_set,
+    fresh_set,
+    make_set,
+)
+from eval.comparison.splits import EDITION, SPLITS, VERSION, Split, digest_of, make_split
+
+FILE = Path(__file__).with_name("scenarios.json")
+RECORD = Path(__file__).with_name("development.json")
+FORMATS = {DEVELOPMENT_NAME: "beltarm-development", TEST_NAME: "beltarm-scenarios"}
+COMMAND, FREEZE = "python eval/scenarios.py --write", "python eval/scenarios.py --freeze-test"
+NOT_DRAWN = (
+    "the test set is not drawn yet: that is done once, after all controllers and agents are frozen, so that none can "
+    "be chosen on it; use --scenarios development, or draw a set of your own with --scenario-seed 1"
+)
 
 _CHECKED = 3  # scenarios of a split whose motion is kept, to notice a changed physics
 _AGREEMENT = 1e-6  # relative, of kept and fresh numbers: far above rounding, far below any change that matters
+
+
+def choose_set(name: str | None = None, seed: int | None = None) -> ScenarioSet:
+    """Choose a set of scenarios: by its name, by a seed of the user's, or the test set as soon as it is there.
+
+    Raises:
+        ValueError: If both are given, the name is unknown, or the test set is not drawn yet or its file damaged.
+    """
+    if seed is not None:
+        if name is not None:
+            raise ValueError(f"--scenario-seed {seed} draws a set of its own: leave out --scenarios {name}")
+        return fresh_set(seed)
+    if name is None:
+        name = TEST_NAME if FILE.exists() else DEVELOPMENT_NAME
+    if name not in FORMATS:
+        raise ValueError(f"--scenarios must be one of {', '.join(FORMATS)}, got {name!r}")
+    if name == DEVELOPMENT_NAME:
+        return development_set()
+    if not FILE.exists():
+        raise ValueError(NOT_DRAWN)
+    return load(FILE)
 
 
 class _Probe:
@@ -40,26 +89,29 @@ def motions(split: Split) -> list[list[float]]:
     return rows
 
 
-def content_of(splits: dict[str, Split]) -> dict[str, Any]:
-    """Content of the file for some splits; `randomized` comes before those that differ from it."""
+def columns_of(split: Split) -> dict[str, NDArray[Any]]:
+    """Columns of a split by name, without the constants that are nominal in all its scenarios."""
+    columns = params_columns(split.table)
+    varied = {name: values for name, values in columns.items() if np.any(values != getattr(NOMINAL, name))}
+    return {**varied, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
+
+
+def content_of(scenarios: ScenarioSet) -> dict[str, Any]:
+    """Content of the file of a set: of the test set with all numbers, of the development set without."""
+    name = scenarios.label.name
     entries = {}
-    for name, split in splits.items():
-        definition = SPLITS[name]
-        base = splits["randomized"] if definition.seed == SPLITS["randomized"].seed else split
-        columns = columns_of(split)
-        if base is not split:
-            known = columns_of(base)
-            columns = {key: values for key, values in columns.items() if not np.array_equal(values, known[key])}
-        entries[name] = {
-            "description": definition.description,
+    for split in scenarios.splits.values():
+        numbers = {key: values.tolist() for key, values in columns_of(split).items()} if name == TEST_NAME else {}
+        entries[split.name] = {
+            "description": SPLITS[split.name].description,
             "seed": split.seed,
             "settings": split.settings,
-            "like": None if base is split else base.name,
-            "columns": {key: values.tolist() for key, values in columns.items()},
+            **({"columns": numbers} if numbers else {}),
             "motions": motions(split),
             "sha256": split.digest,
         }
-    content = {"format": FORMAT, "version": VERSION, "command": COMMAND, "splits": entries}
+    command = FREEZE if name == TEST_NAME else COMMAND
+    content = {"format": FORMATS[name], "edition": EDITION, "version": VERSION, "command": command, "splits": entries}
     return {**content, "sha256": digest_of(content)}
 
 
@@ -69,23 +121,81 @@ def text_of(content: dict[str, Any]) -> str:
     return lists.sub(lambda found: " ".join(found[0].split()), json.dumps(content, indent=1)) + "\n"
 
 
-def write(path: Path = FILE) -> None:
-    """Draw all splits from their seeds and write their file."""
-    write_text(path, text_of(content_of({name: draw(name) for name in SPLITS})))
+def write_record(path: Path) -> None:
+    """Write what is kept of the development set."""
+    write_text(path, text_of(content_of(development_set())))
 
 
-def require_same_physics(splits: dict[str, Split], path: Path = FILE) -> None:
-    """Check that the arms still move as they did when the file was written.
+def freeze_test_set(path: Path) -> None:
+    """Draw the test set and write its file.
 
     Raises:
-        ValueError: Naming the first split in which they do not.
+        ValueError: If the file is there already, or the physics is not that of the development set's record.
     """
-    kept = json.loads(path.read_text(encoding="utf-8"))["splits"]
-    for name, split in splits.items():
-        fresh, known = np.array(motions(split)), np.array(kept[name]["motions"])
+    if path.exists():
+        raise ValueError(f"{path} is there already: the test set is drawn once, and not again")
+    require_same_physics(development_set())
+    write_text(path, text_of(content_of(draw_test_set())))
+
+
+def load(path: Path) -> ScenarioSet:
+    """Read the test set from its file.
+
+    Raises:
+        ValueError: If the file is missing, damaged, changed by hand, or of another version.
+    """
+    remedy = f"restore {path.name} from the repository"
+    content = _read(path, TEST_NAME, remedy)
+    try:
+        return make_set(TEST_NAME, {name: _split_of(name, entry) for name, entry in content["splits"].items()})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} does not hold what it should ({error!r}): {remedy}") from None
+
+
+def _read(path: Path, name: str, remedy: str) -> dict[str, Any]:
+    """Content of the file of a set, of this version and as it was written."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read ({error}): {remedy}") from None
+    if not isinstance(content, dict) or content.get("format") != FORMATS[name]:
+        raise ValueError(f"{path} is no file of {FORMATS[name]}: {remedy}")
+    if content.get("version") != VERSION:
+        raise ValueError(f"{path} has version {content.get('version')!r}, this checkout needs {VERSION}: {remedy}")
+    if content.get("sha256") != digest_of({key: value for key, value in content.items() if key != "sha256"}):
+        raise ValueError(f"{path} was changed after it was written, its SHA-256 does not match: {remedy}")
+    return content
+
+
+def _split_of(name: str, entry: dict[str, Any]) -> Split:
+    columns = {key: np.array(values) for key, values in entry["columns"].items()}
+    moves = np.column_stack([columns[key] for key in MOVE_FIELDS])
+    table = np.column_stack([columns.get(key, np.full(len(moves), getattr(NOMINAL, key))) for key in FIELDS])
+    split = make_split(name, TEST_NAME, entry["seed"], entry["settings"], table, moves, columns["delay"])
+    if split.digest != entry["sha256"]:
+        raise ValueError(f"the SHA-256 of {name} does not match")
+    return split
+
+
+def require_same_physics(scenarios: ScenarioSet) -> None:
+    """Check that the arms still move as they did when the scenarios, or the development set's record, were written.
+
+    Raises:
+        ValueError: Naming the first split in which they do not, or whose scenarios are others.
+    """
+    own = scenarios.label.name in FORMATS  # of a fresh set no motions are kept
+    kept = scenarios if own else development_set().only(list(scenarios.splits))
+    name = kept.label.name
+    path = FILE if name == TEST_NAME else RECORD
+    remedy = "raise VERSION in eval/comparison/splits.py" if name == TEST_NAME else f"run `{COMMAND}`"
+    entries = _read(path, name, remedy)["splits"]
+    for split in kept.splits.values():
+        entry = entries.get(split.name, {})
+        if entry.get("sha256") != split.digest:
+            raise ValueError(f"{path} has no split {split.name} with the scenarios that are drawn here: {remedy}")
+        fresh, known = np.array(motions(split)), np.array(entry["motions"])
         if not np.allclose(fresh, known, rtol=_AGREEMENT, atol=_AGREEMENT):
             raise ValueError(
-                f"on split {name} the arms move otherwise than when version {VERSION} of the scenarios was written, by "
-                f"up to {np.abs(fresh - known).max():.2g}: the physics, the sensors or the cost has changed. Raise "
-                f"VERSION in eval/comparison/splits.py and run `{COMMAND}`"
+                f"on split {split.name} the arms move otherwise than when {path.name} was written, by up to "
+                f"{np.abs(fresh - known).max():.2g}: the physics, the sensors or the cost has changed; {remedy}"
             )

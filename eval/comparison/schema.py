@@ -2,7 +2,9 @@
 
 `results.json` is an object of
 
-- `version`: of the scenarios. Results of different versions must not be compared or merged.
+- `edition`: of the comparison, the kinds of arms that it asks about; `version`: of the scenarios; `scenario_set`: its
+  `name`, "development" (controllers and agents may be chosen on it), "test" or "seed N" (drawn afresh), and `sha256`.
+  Results that differ in any of them must not be compared or merged.
 - `provenance`: command, commit, seeds and SHA-256 of the splits, content hashes of the policies, packages, machine.
 - `rows`, one per method and split: `method`; `kind`, "classical", "learned", "added" (a user's own) or "privileged"
   (sees what no other does, never ranked); `split`; `episodes`; `seeds`; `metrics`, by name an interquartile mean `iqm`
@@ -36,7 +38,9 @@ from eval.comparison import splits
 from eval.comparison.estimates import Paired
 from eval.comparison.methods import Kind
 from eval.comparison.results import PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
+from eval.comparison.sets import SetLabel
 
+_REMEDY = "they cannot be merged: remove it, or choose another folder"
 AGAINST = ("best classical", "base")
 """What a method is compared with."""
 
@@ -46,7 +50,9 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     best = {name: outcome.method.name for name in comparison.splits() if (outcome := comparison.best_classical(name))}
     base = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
     return {
+        "edition": splits.EDITION,
         "version": splits.VERSION,
+        "scenario_set": comparison.scenario_set._asdict(),
         "provenance": comparison.provenance,
         "rows": [result_row(outcome) for outcome in comparison.outcomes],
         "paired": [
@@ -107,7 +113,8 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
     for outcome in comparison.outcomes:
         for seed in range(outcome.seeds):
             columns = {name: values[seed] for name, values in outcome.metrics.items()}
-            run = {"method": outcome.method.name, "split": outcome.split, "seed": seed}
+            where = {"scenario_set": comparison.scenario_set.name, "split": outcome.split}
+            run = {"method": outcome.method.name, **where, "seed": seed}
             frames.append(pd.DataFrame({**run, "episode": np.arange(len(columns["cost"])), **columns}))
     return pd.concat(frames, ignore_index=True)
 
@@ -137,7 +144,9 @@ _TEXT, _INTEGER, _NUMBER = {"type": "string"}, {"type": "integer"}, {"type": "nu
 _ESTIMATE = dict.fromkeys(("iqm", "low", "high"), _NUMBER)
 _PAIR = dict.fromkeys((*_ESTIMATE, "win_rate", "win_rate_low", "win_rate_high", "p", "p_holm"), _NUMBER)
 SCHEMA = _object(
+    edition=_INTEGER,
     version=_INTEGER,
+    scenario_set=_object(name=_TEXT, sha256=_TEXT),
     provenance=_object(
         command=_TEXT,
         commit=_TEXT,
@@ -209,31 +218,38 @@ def read_results(path: Path) -> dict[str, Any]:
     """Read and check a `results.json`.
 
     Raises:
-        ValueError: If it is damaged, or of another version of the scenarios.
+        ValueError: If it is damaged, or of another edition or version of the scenarios.
     """
-    require_same_version(path)
-    content = _loaded(path)
+    content = _of_this_version(path)
     check(content, str(path))
     return content
 
 
-def _loaded(path: Path) -> Any:
-    """Read a JSON file; NaN and infinities become text, which the schema refuses."""
-    return json.loads(path.read_text(encoding="utf-8"), parse_constant=str)
-
-
-def require_same_version(path: Path) -> None:
-    """Check that a `results.json` is of this version of the scenarios.
+def require_same_set(path: Path, wanted: SetLabel) -> None:
+    """Check that a `results.json` is of this edition and version, and of this set of scenarios.
 
     Raises:
-        ValueError: If it is of another version, or cannot be read.
+        ValueError: If it is of others, or cannot be read.
     """
-    try:
-        found = _loaded(path)["version"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} cannot be read ({error}): remove it, or choose another folder") from None
-    if found != splits.VERSION:
+    found = _of_this_version(path).get("scenario_set")
+    if found != wanted._asdict():
+        name, digest = (found.get(key) for key in wanted._fields) if isinstance(found, dict) else (None, None)
         raise ValueError(
-            f"{path} has results of version {found} of the scenarios, this checkout has {splits.VERSION}; they cannot "
-            "be merged: remove it, or choose another folder"
+            f"{path} has results of the scenarios {name!r} ({str(digest)[:12]}), this run is of {wanted.name!r} "
+            f"({wanted.sha256[:12]}); {_REMEDY}"
         )
+
+
+def _of_this_version(path: Path) -> Any:
+    """Read a `results.json` of this edition and version; NaN and infinities become text, which the schema refuses."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=str)
+        found = content.get("edition", 1), content["version"]  # the first edition did not say that it was one
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} cannot be read ({error}): remove it, or choose another folder") from None
+    if found != (splits.EDITION, splits.VERSION):
+        raise ValueError(
+            f"{path} has results of edition {found[0]}, version {found[1]} of the scenarios, this checkout has edition "
+            f"{splits.EDITION}, version {splits.VERSION}; {_REMEDY}"
+        )
+    return content

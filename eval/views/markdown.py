@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from beltarm_env.metrics import METRICS, heading
+from beltarm_env.metrics import METRICS, REVERSAL_SWING, TORQUES, heading
 from eval.comparison.estimates import RESAMPLES
 from eval.comparison.results import PAIRED_METRICS, Comparison
-from eval.comparison.splits import SPLITS
+from eval.comparison.splits import EDITION, SPLITS
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell
 from eval.views.frame import frame_of, lines, part
@@ -26,6 +26,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     parts = [
         "# Comparison on the belt-driven arm",
+        f"**{comparison.scenario_set.note}**",
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
         f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
         f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "
@@ -35,6 +36,8 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     parts += _failed(comparison)
     found = frame_of(comparison)
     parts += ["## Cost on every split", method_table(part(found, metric=["cost"]), "split")]
+    main = part(found, split=[comparison.main_split], metric=TORQUES)
+    parts += ["## Torques", _of_torques(comparison.main_split), method_table(main, "metric")]
     for split in comparison.splits():
         parts += [f"## {split}", f"{SPLITS[split].description.capitalize()}; {episodes} scenarios."]
         parts += [method_table(part(found, split=[split]), "metric")]
@@ -57,6 +60,14 @@ def _failed(comparison: Comparison) -> list[str]:
         return []
     lines = [f"- {failure.method} on {failure.split}: {failure.message}" for failure in comparison.failures]
     return ["**Could not be run to the end:**\n\n" + "\n".join(lines)]
+
+
+def _of_torques(split: str) -> str:
+    return (
+        f"What the motor has to follow on {split}; the other splits have these columns too. Reversals: successive "
+        "extremes of the torque on opposite sides of zero that differ by more than "
+        f"{REVERSAL_SWING:.0%} of its limit, per second."
+    )
 
 
 def _how_to_read() -> str:
@@ -136,10 +147,11 @@ def compute_table(comparison: Comparison) -> str:
 
 
 def _origin(comparison: Comparison, results: str) -> str:
-    origin = comparison.provenance
+    origin, label = comparison.provenance, comparison.scenario_set
     digests = ", ".join(f"{name} {digest[:12]}" for name, digest in origin["split_sha256"].items())
     return (
         f"`{origin['command']}`, beltarm {origin['beltarm']} ({origin['commit']}), Python {origin['python']} on "
-        f"{origin['machine']}, {origin['seconds']} s. Scenarios version {origin['splits_version']}, by SHA-256: "
-        f"{digests}. The results.json of this run has the SHA-256 {results}."
+        f"{origin['machine']}, {origin['seconds']} s. Scenarios of the {label.title} "
+        f"({label.sha256[:12]}), edition {EDITION}, version {origin['splits_version']}, by SHA-256: {digests}. The "
+        f"results.json of this run has the SHA-256 {results}."
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
 RESULTS_KEY = "results.json"
 """Of a picture's metadata: the SHA-256 of the file that the picture belongs to."""
-_ACROSS = 4  # splits side by side
+_ACROSS = 3  # splits side by side
 Quantity = Callable[[Recording], NDArray[np.float64]]
 
 
@@ -32,15 +33,24 @@ def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: st
     """Draw all pictures into `folder`, each with the SHA-256 of the results.json that it belongs to."""
     shown = dict.fromkeys(name for methods in traces.values() for name in methods)
     colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
-    figures: dict[str, Callable[[], Figure]] = {
+    of_traces: dict[str, Callable[[], Figure]] = {
         "tip_error.png": lambda: _time_plot(
             traces, colours, lambda run: 1000 * np.linalg.norm(run.tip_error[:, 0], axis=1), "tip error (mm)"
         ),
         "residual.png": lambda: _residual_plot(traces, colours),
         "torque.png": lambda: _time_plot(traces, colours, lambda run: run.torque[:, 0], "motor torque (N m)"),
     }
-    figures = (figures if traces else {}) | {"intervals.png": lambda: _intervals(comparison)}
+    caption = f"Scenarios of the {comparison.scenario_set.title}"
+    figures = {name: partial(_captioned, draw, caption) for name, draw in of_traces.items()} if traces else {}
+    how = "interquartile means with 95 % intervals; further left is better"
+    figures["intervals.png"] = partial(_captioned, lambda: _intervals(comparison), f"{caption}: {how}")
     return save_figures(figures, folder, metadata={RESULTS_KEY: results})
+
+
+def _captioned(draw: Callable[[], Figure], caption: str) -> Figure:
+    figure = draw()
+    figure.suptitle(caption, fontsize=10, color="0.4")
+    return figure
 
 
 def _grid(count: int, height: float, rows: int = 1) -> tuple[Figure, list[list[Axes]]]:
@@ -122,7 +132,6 @@ def _intervals(comparison: Comparison) -> Figure:
         layout="constrained",
         squeeze=False,
     )
-    figure.suptitle("Interquartile means with 95 % intervals; further left is better", fontsize=10, color="0.4")
     for row, split in zip(axes, splits, strict=True):
         ranking = sorted(comparison.on(split), key=lambda o: (o.ranked, -o.estimates["cost"].iqm))
         for axis, name in zip(row, _SHOWN, strict=True):

@@ -8,6 +8,7 @@ from typing import Any
 
 from PIL import Image
 
+from eval.comparison.sets import SetLabel
 from eval.views.frame import frame_of_rows, part
 from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
@@ -34,13 +35,14 @@ def block(results: dict[str, Any]) -> str:
 
 def _origin(results: dict[str, Any]) -> str:
     provenance, episodes = results["provenance"], results["rows"][0]["episodes"]
+    label = SetLabel(**results["scenario_set"])
     unranked = any(row["kind"] == "privileged" for row in results["rows"])
     italics = " In italics: what knows its arm and sees its state, a yardstick that is not ranked." if unranked else ""
     fresh = not provenance.get("pairs_kept_before", 0)
     took = f", which took {provenance['seconds']:.0f} s" if fresh else ", part of it from an earlier run"
     return (
-        f"{episodes} scenarios per split; interquartile means (shares: means) with bootstrap 95 % intervals over "
-        f"scenarios and training seeds.{italics} From `{provenance['command']}`{took}."
+        f"{episodes} scenarios per split of the {label.title}; interquartile means (shares: means) with "
+        f"bootstrap 95 % intervals over scenarios and training seeds.{italics} From `{provenance['command']}`{took}."
     )
 
 

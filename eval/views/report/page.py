@@ -10,16 +10,17 @@ from typing import Any
 import jinja2
 
 from baselines.tools.files import write_text
+from beltarm_env.metrics import REVERSAL_SWING
 from eval.comparison.estimates import RESAMPLES
 from eval.comparison.results import Comparison
-from eval.comparison.splits import SPLITS
+from eval.comparison.splits import EDITION, SPLITS
 from eval.style.colours import COLOURS
 from eval.views.report.animation import animation
 from eval.views.report.figures import STRONGEST, background, forests, map_panels, profile_panels
 from eval.views.report.motions import scene_panels
 from eval.views.report.scenes import Map, Recordings, challengers
 from eval.views.report.svg import Panel, line
-from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables
+from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables, torque_table
 from eval.views.report.verdict import verdict
 from eval.views.traces import seed_note
 
@@ -63,6 +64,10 @@ def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
         "splits": [(name, SPLITS[name].description) for name in comparison.splits()],
         "episodes": comparison.outcomes[0].metrics["cost"].shape[1],
         "tables": metric_tables(comparison),
+        "set_note": comparison.scenario_set.note,
+        "set_label": comparison.scenario_set,
+        "edition": EDITION,
+        "torque_table": torque_table(comparison),
         "failure_table": failure_table(comparison),
         "effort_table": effort_table(comparison),
         "forests": forests(comparison),
@@ -77,6 +82,7 @@ def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
         "legend": [_legend_entry(colours, method) for method in colours],
         "palette": COLOURS,
         "resamples": RESAMPLES,
+        "reversal_swing": REVERSAL_SWING,
         "period_us": PERIOD_US,
         "origin": comparison.provenance,
         "command": without_paths(comparison.provenance["command"]),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from beltarm_env.metrics import heading
+from beltarm_env.metrics import TORQUES, heading
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.timing import PERIOD_US
 from eval.style.metrics import numbers
@@ -52,6 +52,13 @@ def metric_tables(comparison: Comparison) -> list[Table]:
         Table(heading(name), comparison.splits(), lines(part(found, metric=[name]), "split", _metric_cell, FAILED))
         for name in PAIRED_METRICS
     ]
+
+
+def torque_table(comparison: Comparison) -> Table:
+    """What the motor has to follow, on the main split."""
+    found = part(frame_of(comparison), split=[comparison.main_split], metric=TORQUES)
+    title = f"Torques on {comparison.main_split}"
+    return Table(title, [heading(name) for name in TORQUES], lines(found, "metric", _metric_cell, FAILED))
 
 
 def _metric_cell(row: Any) -> Cell:

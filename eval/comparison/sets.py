@@ -1,0 +1,87 @@
+"""Sets of scenarios: what controllers are developed on, what they are tested on, and what anybody draws afresh.
+
+    development   drawn on the fly; controllers and agents may be chosen on it: its numbers are no test results
+    test          drawn once, after controllers and agents are frozen, and kept in a file (`eval.comparison.scenarios`)
+    seed N        drawn on the fly by the rules of the test set, from seeds that nothing else uses
+
+All are made alike, each from a range of seeds of its own (`beltarm_env.task.seeds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, TEST, SeedRange, fresh_arms
+from eval.comparison.splits import EDITION, SPLITS, VERSION, Split, digest_of, draw
+
+DEVELOPMENT_NAME, TEST_NAME = "development", "test"
+
+
+class SetLabel(NamedTuple):
+    """Name of a set of scenarios, and the SHA-256 of all its splits."""
+
+    name: str  # "development", "test" or "seed N"
+    sha256: str
+
+    @property
+    def title(self) -> str:
+        """Name as it stands in a sentence."""
+        return f"{self.name} set" if self.name in (DEVELOPMENT_NAME, TEST_NAME) else f"fresh set of {self.name}"
+
+    @property
+    def note(self) -> str:
+        """Sentence about what its numbers are worth."""
+        if self.name == DEVELOPMENT_NAME:
+            return "Scenarios of the development set, on which controllers and agents may be chosen: no test results."
+        if self.name == TEST_NAME:
+            return "Scenarios of the test set, drawn once, after controllers and agents were frozen."
+        return f"Scenarios drawn afresh from {self.name}, by the rules of the test set, but not the test set."
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioSet:
+    """All splits of one set of scenarios, by name."""
+
+    label: SetLabel
+    splits: dict[str, Split]
+
+    def only(self, names: Sequence[str]) -> ScenarioSet:
+        """Some of its splits, under the same label."""
+        return ScenarioSet(self.label, {name: self.splits[name] for name in names})
+
+
+def make_set(name: str, splits: dict[str, Split]) -> ScenarioSet:
+    """Make a set of scenarios with its SHA-256."""
+    content = [EDITION, VERSION, {split.name: split.digest for split in splits.values()}]
+    return ScenarioSet(SetLabel(name, digest_of(content)), splits)
+
+
+def draw_set(name: str, seeds: SeedRange) -> ScenarioSet:
+    """Draw all splits of a set from its range of seeds."""
+    return make_set(name, {split: draw(split, name, seeds) for split in SPLITS})
+
+
+@cache
+def development_set() -> ScenarioSet:
+    """Draw the development set."""
+    return draw_set(DEVELOPMENT_NAME, DEVELOPMENT)
+
+
+def draw_test_set() -> ScenarioSet:
+    """Draw the test set, for its file alone."""
+    return draw_set(TEST_NAME, TEST)
+
+
+@cache
+def fresh_set(number: int) -> ScenarioSet:
+    """Draw a set that nobody has seen, by a number of the user's.
+
+    Raises:
+        ValueError: If there are no seeds for this number.
+    """
+    if not 0 <= number <= MAX_FRESH_SEED:
+        raise ValueError(f"--scenario-seed must lie within 0 and {MAX_FRESH_SEED}, got {number}")
+    return draw_set(f"seed {number}", fresh_arms(number))
