@@ -149,9 +149,7 @@ def _begin_piece(block: Floats, work: Floats, count: int, piece: int, model: Mod
         work[_TORQUE * LANES + j] = torque
         work[_TARGET * LANES + j] = target
         work[_REMAINING * LANES + j] = split if piece == 0 else CONTROL_PERIOD - split
-        work[_DIRECTION * LANES + j] = sliding_direction(
-            x, torque, load_plant(block, j), model, load_drive(block, j)
-        )
+        work[_DIRECTION * LANES + j] = sliding_direction(x, torque, load_plant(block, j), model, load_drive(block, j))
         work[_LANE * LANES + j] = j
 
 

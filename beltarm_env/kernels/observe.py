@@ -76,9 +76,7 @@ def _entries(block: Floats, tile: Singles, count: int, profile: int, tier: int, 
 
 
 @compiled
-def observe_block(
-    block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven
-) -> None:
+def observe_block(block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven) -> None:
     """Write the scaled and clipped observations of the first arms of a block.
 
     Args:
