@@ -92,7 +92,7 @@ class ArmParams:
                 raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
             object.__setattr__(self, field.name, float(value))
             if field.name in _BOUNDS:
-                self._check_bounds(field.name, float(value))
+                self._check_bounds(field.name, value)
                 continue
             may_be_zero = field.name in _MAY_BE_ZERO
             if not (value > 0 or (may_be_zero and value == 0)) or value > _LARGEST:
@@ -105,7 +105,7 @@ class ArmParams:
     def _check_bounds(name: str, value: float) -> None:
         low, high = _BOUNDS[name]
         if not low <= value <= high:
-            raise ValueError(f"ArmParams.{name} must lie within {low:g} and {high:g}, got {value!r}")
+            raise ValueError(f"ArmParams.{name} must be finite and lie within {low:g} and {high:g}, got {value!r}")
         if name in WHOLE and value != int(value):
             raise ValueError(f"ArmParams.{name} must be a whole number, got {value!r}")
 

@@ -110,22 +110,65 @@ MAY_BE_ZERO = {
     "arm_inertia_swing",
     "payload_mass",
     "belt_damping_ratio",
+    "torque_ripple",
+}
+BOUNDED = {
+    "current_loop_time_constant": (0.0, 0.01),
+    "command_latency": (0.0, 0.0045),
+    "torque_constant_error": (-0.5, 0.5),
+    "static_friction_excess": (0.0, 5.0),
+    "stribeck_speed": (0.1, 1000.0),
+    "friction_variation": (0.0, 0.9),
+    "friction_variation_phase": (0.0, 2 * math.pi),
+    "torque_ripple_order": (1.0, 100.0),
+    "torque_ripple_phase": (0.0, 2 * math.pi),
+    "kinematic_error": (0.0, 0.01),
+    "kinematic_error_phase": (0.0, 2 * math.pi),
+    "belt_stiffening": (0.0, 0.9),
+    "belt_stiffening_torsion": (1e-4, 1.0),
+    "friction_drift": (-0.5, 0.5),
 }
 
 
 @pytest.mark.parametrize("value", [NAN, INF, -INF, -1e-9, np.float32("nan"), -3])
 @pytest.mark.parametrize("name", FIELD_NAMES)
 def test_parameters_that_make_no_arm(name: str, value: float):
+    if name in BOUNDED:
+        low, high = BOUNDED[name]
+        value = value if not low <= value <= high else high + 1
+        refused(ValueError, (name, repr(value), "finite", f"{low:g}", f"{high:g}"), lambda: ArmParams(**{name: value}))
+        return
     allowed = "not negative" if name in MAY_BE_ZERO else "positive"
     refused(ValueError, (name, repr(value), "finite", allowed), lambda: ArmParams(**{name: value}))
 
 
+def test_a_ripple_has_whole_periods_per_turn():
+    refused(ValueError, ("torque_ripple_order", "2.5", "whole"), lambda: ArmParams(torque_ripple_order=2.5))
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ({"kinematic_error": 0.003}, ("kinematic_error", "0.003", "0.00284")),
+        (
+            {"static_friction_excess": 1.0, "stribeck_speed": 0.1, "motor_inertia": 1e-6},
+            ("stribeck_speed", "0.1", "5000", "raise"),
+        ),
+        ({"belt_stiffening": 0.9, "belt_stiffness": 1.5e8}, ("fastest rate", "belt_stiffness")),
+    ],
+)
+def test_drives_that_cannot_be_integrated(params: dict[str, float], words: tuple[str, ...]):
+    refused(ValueError, words, lambda: BeltArmEnv().reset(options={"params": params}))
+    ranges = {name: (value, value) for name, value in params.items()}
+    refused(ValueError, words, lambda: BeltArmEnv(randomization=ranges))
+
+
 @pytest.mark.parametrize("name", FIELD_NAMES)
 def test_zero_is_refused_where_it_makes_no_arm(name: str):
-    if name in MAY_BE_ZERO:
+    if name in MAY_BE_ZERO or (name in BOUNDED and BOUNDED[name][0] <= 0):
         assert getattr(ArmParams(**{name: 0}), name) == 0
     else:
-        refused(ValueError, (name, "0", "positive"), lambda: ArmParams(**{name: 0}))
+        refused(ValueError, (name, "0", "within" if name in BOUNDED else "positive"), lambda: ArmParams(**{name: 0}))
 
 
 @pytest.mark.parametrize("value", ["1", None, True, 1j, [1.0], np.ones(1)], ids=repr)

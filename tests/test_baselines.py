@@ -33,7 +33,7 @@ def test_public_names_are_imported_on_first_use():
 
 def observations(count: int = 6, steps: int = 300) -> np.ndarray:
     """What a few arms observe under random torques, shape (steps, count, size)."""
-    env = BeltArmVectorEnv(count, randomization="train")
+    env = BeltArmVectorEnv(count, randomization="ideal")
     seen = [env.reset(seed=5)[0]]
     torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[:steps]
     seen += [env.step(torque)[0] for torque in torques]

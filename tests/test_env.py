@@ -1,4 +1,5 @@
 import copy
+import math
 import pickle
 from functools import partial
 from typing import Any
@@ -298,8 +299,15 @@ def test_options_fix_what_they_name(options: dict[str, Any]):
             assert getattr(env.params, name) == options.get("params", {}).get(name, getattr(drawn, name))
         for name, value in options.get("move", {}).items():
             assert env.move[name] == value
-        at_rest = [env.move["start"] * env.params.gear_ratio, 0.0, 0.0, 0.0]
-        assert env.state.tolist() == list(options.get("state", at_rest))
+        start = env.move["start"] * env.params.gear_ratio
+        at_rest = [start, 0.0, -kinematic_error(env.params, start)[0], 0.0]  # the belt is
+        assert env.state.tolist() == pytest.approx(list(options.get("state", at_rest)), rel=1e-12, abs=1e-15)
+
+
+def kinematic_error(params: ArmParams, motor_angle: float) -> tuple[float, float]:
+    """Return what the harmonic drive adds to theta_a / G [rad], and its derivative by theta_a."""
+    twice = 2 * motor_angle + params.kinematic_error_phase
+    return params.kinematic_error * math.sin(twice), 2 * params.kinematic_error * math.cos(twice)
 
 
 @pytest.mark.parametrize("options", FIXED, ids=str)
@@ -544,7 +552,10 @@ def test_full_tier_adds_the_true_torsion(delay: int):
     observation, _ = env.reset(seed=3, options={"state": [60.0, 0.0, 0.03, -0.4]})
     for action in torques(100, 4, hold=20):
         told = decode(observation, "full")
-        assert [told["torsion"], told["torsion_speed"]] == [close(value) for value in env.state[2:]]
+        angle, speed, torsion, torsion_speed = env.state
+        error, slope = kinematic_error(env.params, angle)
+        assert told["torsion"] == close(torsion + error)
+        assert told["torsion_speed"] == close(torsion_speed + slope * speed)
         observation, *_ = env.step(action)
 
 

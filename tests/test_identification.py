@@ -61,7 +61,7 @@ class TestEncoder:
     @pytest.mark.parametrize("delay", [0, 1, 2])
     @pytest.mark.parametrize("counts", [4000, 1500, 1000])
     def test_finds_delay_and_resolution_of_the_encoder_on_arms_that_differ(self, delay: int, counts: int):
-        env = batch(24, randomization="train", delay=delay, encoder_counts=counts)
+        env = batch(24, randomization="ideal", delay=delay, encoder_counts=counts)
         observations, _ = env.reset(seed=SEED)
         controller, memory = CONTROLLERS["adaptive"](), None
         for _ in range(100):
@@ -73,7 +73,7 @@ class TestEncoder:
 
     @pytest.mark.parametrize("delay", [1, 2])
     def test_believes_in_the_state_now_not_in_the_one_that_it_reads(self, delay: int):
-        env = batch(8, randomization="train", delay=delay)
+        env = batch(8, randomization="ideal", delay=delay)
         observations, _ = env.reset(seed=SEED)
         controller, memory, errors = CONTROLLERS["adaptive"](), None, []
         for _ in range(400):
@@ -85,17 +85,17 @@ class TestEncoder:
         assert believed < 0.05 * read_late
 
     def test_a_late_coarse_encoder_costs_it_little(self):
-        good = rollout(CONTROLLERS["adaptive"](), 24, seed=SEED, randomization="train").cost
+        good = rollout(CONTROLLERS["adaptive"](), 24, seed=SEED, randomization="ideal").cost
         bad = rollout(
-            CONTROLLERS["adaptive"](), 24, seed=SEED, randomization="train", delay=2, encoder_counts=1000
+            CONTROLLERS["adaptive"](), 24, seed=SEED, randomization="ideal", delay=2, encoder_counts=1000
         ).cost
         assert bad.mean() < 1.15 * good.mean()
 
     def test_a_batch_of_late_encoders_is_bit_for_bit_as_single_arms(self):
-        together = rollout(CONTROLLERS["adaptive"](), 5, seed=SEED, randomization="train", delay=2, encoder_counts=1000)
+        together = rollout(CONTROLLERS["adaptive"](), 5, seed=SEED, randomization="ideal", delay=2, encoder_counts=1000)
         for arm in range(5):
             alone = rollout(
-                CONTROLLERS["adaptive"](), 1, seed=SEED + arm, randomization="train", delay=2, encoder_counts=1000
+                CONTROLLERS["adaptive"](), 1, seed=SEED + arm, randomization="ideal", delay=2, encoder_counts=1000
             )
             np.testing.assert_array_equal(together.torque[:, arm], alone.torque[:, 0])
 

@@ -59,7 +59,7 @@ class Constant:
 
 
 def trial(controller: Controller) -> Recording:
-    return rollout(controller, ARMS, seed=SEED, randomization="train")
+    return rollout(controller, ARMS, seed=SEED, randomization="ideal")
 
 
 def student(residual: float, **settings: Any) -> ResidualController:
@@ -209,10 +209,10 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
 
 
 def test_the_untrained_student_is_its_base(tmp_path: Path):
-    base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
+    base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="ideal")
     config = StudentConfig(out=tmp_path)
     untrained = ResidualController(CONTROLLERS["adaptive"](), Student(config).actor(), config.residual)
-    np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
+    np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="ideal").state, base.state)
 
 
 def test_what_is_left_is_a_policy(whole: Path):

@@ -166,7 +166,7 @@ def test_wrong_number_of_samples_is_refused():
 
 def trial_of(controller, arms: int, seed: int = SEED) -> tuple[Recording, Notes]:
     notes = Notes(controller)
-    return rollout(notes, arms, seed=seed, randomization="train"), notes
+    return rollout(notes, arms, seed=seed, randomization="ideal"), notes
 
 
 @pytest.fixture(scope="module")
@@ -177,9 +177,9 @@ def taught() -> tuple[Recording, Lesson]:
 
 
 def test_first_repetition_is_the_plain_controllers(taught: tuple[Recording, Lesson]):
-    plain = rollout(tuned_controller("adaptive"), 4, seed=SEED, randomization="train")
+    plain = rollout(tuned_controller("adaptive"), 4, seed=SEED, randomization="ideal")
     assert (taught[0].torque == plain.torque).all()
-    paper = rollout(PaperController(), 4, seed=SEED, randomization="train")
+    paper = rollout(PaperController(), 4, seed=SEED, randomization="ideal")
     assert (trial_of(MotorLearningController(), 4)[0].torque == paper.torque).all()
 
 
@@ -197,13 +197,13 @@ def test_learning_alone_and_side_by_side_is_the_same(taught: tuple[Recording, Le
 
 
 def test_cost_falls_from_repetition_to_repetition():
-    costs = [run["cost"].mean() for run in repeated(IterativeController, 6, 4, seed=SEED, randomization="train")]
+    costs = [run["cost"].mean() for run in repeated(IterativeController, 6, 4, seed=SEED, randomization="ideal")]
     assert costs[1] < 0.95 * costs[0]
     assert (np.diff(costs) < 0.005 * costs[0]).all()
 
 
 def test_runs_are_reproducible():
-    one, other = (repeated(IterativeController, 2, 3, seed=SEED, randomization="train") for _ in range(2))
+    one, other = (repeated(IterativeController, 2, 3, seed=SEED, randomization="ideal") for _ in range(2))
     for ours, theirs in zip(one, other, strict=True):
         assert all((ours[name] == theirs[name]).all() for name in ours)
 
@@ -265,7 +265,7 @@ def test_bad_learning_is_refused(name: str, value: float):
 
 
 def test_textbook_learning_moves_the_motor_and_not_the_tip():
-    runs = repeated(MotorLearningController, 6, 4, seed=SEED, randomization="train")
+    runs = repeated(MotorLearningController, 6, 4, seed=SEED, randomization="ideal")
     motor = [run["motor_rms_mrad"].mean() for run in runs]
     assert (np.diff(motor) < 0).all() and motor[-1] < 0.05 * motor[0]
     assert runs[-1]["residual_pp_mm"].mean() > 0.8 * runs[0]["residual_pp_mm"].mean()
@@ -273,7 +273,7 @@ def test_textbook_learning_moves_the_motor_and_not_the_tip():
 
 def test_motors_error_is_that_of_the_joint():
     run, _ = trial_of(PaperController(), 2)
-    env = BeltArmEnv(randomization="train")
+    env = BeltArmEnv(randomization="ideal")
     env.reset(seed=SEED)
     wanted = [env.reference(t).angle for t in run.time]
     expected = 1e3 * np.sqrt(np.mean((run.state[:, 0, 0] / 88 - wanted) ** 2))

@@ -210,7 +210,7 @@ class TestFeedbackGains:
 
 
 def batch(count: int) -> BeltArmVectorEnv:
-    env = BeltArmVectorEnv(count, autoreset_mode="Disabled", randomization="train")
+    env = BeltArmVectorEnv(count, autoreset_mode="Disabled", randomization="ideal")
     env.reset(seed=SEED)
     return env
 
@@ -239,15 +239,15 @@ class TestController:
 
     def test_smoothing_quietens_arms_that_differ(self):
         smooth, sharp = (
-            rollout(LqgController(LqgGains(spread=s, first_spread=f)), 64, seed=SEED, randomization="train")
+            rollout(LqgController(LqgGains(spread=s, first_spread=f)), 64, seed=SEED, randomization="ideal")
             for f, s in ((0.3, 0.8), (0.02, 0.02))
         )
         assert np.median(smooth.metrics()["tip_acc_rms"]) < 0.9 * np.median(sharp.metrics()["tip_acc_rms"])
 
     def test_batch_is_bit_for_bit_as_single_arms(self):
-        together = rollout(LqgController(), 6, seed=SEED, randomization="train")
+        together = rollout(LqgController(), 6, seed=SEED, randomization="ideal")
         for arm in (0, 3, 5):
-            alone = rollout(LqgController(), 1, seed=SEED + arm, randomization="train")
+            alone = rollout(LqgController(), 1, seed=SEED + arm, randomization="ideal")
             np.testing.assert_array_equal(together.torque[:, arm], alone.torque[:, 0])
 
     def test_nothing_leaks_from_one_episode_into_the_next(self):

@@ -40,7 +40,7 @@ def batch(count: int, seed: int = SEED, **settings: Any) -> BeltArmVectorEnv:
 class TestSimulation:
     @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
     def test_is_the_environment_bit_for_bit(self, model: str):
-        env = batch(150, model=model, randomization="train")
+        env = batch(150, model=model, randomization="ideal")
         simulation = ArmSimulation(env.params, model=model)
         states, rng = env.state, np.random.default_rng(0)
         for _ in range(80):
@@ -217,18 +217,18 @@ class TestObserver:
 class TestControllers:
     def test_a_torque_that_is_cut_much_does_not_go_on_ringing(self):
         """On this arm the optimal plan alone ends in a limit cycle between both limits, at a cost above 4000."""
-        assert rollout(CONTROLLERS_BY_NAME["adaptive"](), 1, seed=5_700_796, randomization="train").cost[0] < 1000
+        assert rollout(CONTROLLERS_BY_NAME["adaptive"](), 1, seed=5_700_796, randomization="ideal").cost[0] < 1000
 
     @pytest.mark.parametrize("make", CONTROLLERS)
     def test_batch_is_bit_for_bit_as_single_arms(self, make: Any):
-        together = rollout(make(), 6, seed=SEED, randomization="train")
+        together = rollout(make(), 6, seed=SEED, randomization="ideal")
         for arm in (0, 3, 5):
-            alone = rollout(make(), 1, seed=SEED + arm, randomization="train")
+            alone = rollout(make(), 1, seed=SEED + arm, randomization="ideal")
             np.testing.assert_array_equal(together.torque[:, arm], alone.torque[:, 0])
 
     @pytest.mark.parametrize("make", CONTROLLERS)
     def test_nothing_leaks_from_one_episode_into_the_next(self, make: Any):
-        env, controller = batch(2, randomization="train"), make()
+        env, controller = batch(2, randomization="ideal"), make()
         first, _ = env.reset(seed=SEED)
         fresh, memory = controller.predict(first, None, np.array([True, True]))
         observations = first
@@ -243,7 +243,7 @@ class TestControllers:
 
     @pytest.mark.parametrize("make", CONTROLLERS)
     def test_memory_is_not_changed_by_the_next_call(self, make: Any):
-        env, controller = batch(2, randomization="train"), make()
+        env, controller = batch(2, randomization="ideal"), make()
         observations, _ = env.reset(seed=SEED)
         action, memory = controller.predict(observations)
         observations, *_ = env.step(action)
@@ -263,16 +263,16 @@ class TestControllers:
         from baselines import PaperController
 
         costs = [
-            rollout(make(), 40, seed=SEED, randomization="train").cost.mean()
+            rollout(make(), 40, seed=SEED, randomization="ideal").cost.mean()
             for make in (AdaptiveController, PreviewController, PaperController)
         ]
         assert costs[0] < 0.7 * costs[1] < 0.7 * 0.5 * costs[2]
 
     def test_privileged_is_the_yardstick(self):
-        env = batch(30, randomization="train")
+        env = batch(30, randomization="ideal")
         yardstick = PrivilegedController(env.params)
-        cost = rollout(yardstick, 30, seed=SEED, randomization="train", sensors="full").cost.mean()
-        assert cost < rollout(AdaptiveController(), 30, seed=SEED, randomization="train").cost.mean()
+        cost = rollout(yardstick, 30, seed=SEED, randomization="ideal", sensors="full").cost.mean()
+        assert cost < rollout(AdaptiveController(), 30, seed=SEED, randomization="ideal").cost.mean()
         with pytest.raises(ValueError, match=r"shape \(n, 27\) or wider, got \(30, 25\): use .* sensors='full'"):
             yardstick.predict(np.zeros((30, observation.size()), np.float32))
         with pytest.raises(ValueError, match="this yardstick knows 30 arms, got observations of 4"):

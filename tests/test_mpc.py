@@ -25,7 +25,7 @@ def controller() -> MpcController:
 
 def observations(count: int = 6, steps: int = 300) -> np.ndarray:
     """What a few arms observe under random torques, shape (steps, count, size)."""
-    env = BeltArmVectorEnv(count, randomization="train")
+    env = BeltArmVectorEnv(count, randomization="ideal")
     seen = [env.reset(seed=SEED)[0]]
     torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[:steps]
     seen += [env.step(torque)[0] for torque in torques]
@@ -180,8 +180,8 @@ def test_estimated_torsion_follows_the_true_one_on_the_nominal_arm(controller: M
 
 
 def test_it_costs_a_fraction_of_the_papers_controller(controller: MpcController):
-    mine = rollout(controller, 16, seed=SEED, randomization="train").cost
-    papers = rollout(PaperController(), 16, seed=SEED, randomization="train").cost
+    mine = rollout(controller, 16, seed=SEED, randomization="ideal").cost
+    papers = rollout(PaperController(), 16, seed=SEED, randomization="ideal").cost
     assert np.median(mine) < 0.4 * np.median(papers)
 
 

@@ -49,7 +49,7 @@ def over_the_range(controller: Any, **settings: Any) -> Recording:
 
 def observations(count: int = 5, steps: int = 250, seed: int = 5_000_000) -> np.ndarray:
     """What a few arms observe under random torques, shape (steps, count, size)."""
-    env = BeltArmVectorEnv(count, randomization="train")
+    env = BeltArmVectorEnv(count, randomization="ideal")
     seen = [env.reset(seed=seed)[0]]
     torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[:steps]
     seen += [env.step(torque)[0] for torque in torques]

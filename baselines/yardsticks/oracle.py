@@ -31,7 +31,7 @@ from beltarm_env.task.reference import MoveShape
 
 FILE = Path(__file__).parent.with_name("oracle.json")
 METRICS = ("cost", "tip_rms_mm", "residual_pp_mm", "saturated_share")
-RANDOMIZATION: dict[str, Literal["off", "train"]] = {"nominal": "off", "train": "train"}
+RANDOMIZATION: dict[str, Literal["off", "ideal"]] = {"nominal": "off", "train": "ideal"}
 """How the environment draws the arm of a scenario, by its kind."""
 
 

@@ -1,6 +1,8 @@
 """Integration steps per control period: how many an arm needs, and which arms are too fast for any number allowed.
 
-The bound is the fastest eigenvalue of the linear model: belt mode, belt damping, or motor friction.
+The bound is the fastest eigenvalue of the linear model: belt mode, belt damping, or motor friction. Behind a drive as
+it is built, the belt counts with its steepest stiffness, K_s (1 + 5/4 b), and steps get shorter where friction falls
+with the speed (`physics.driven.needed_rate`).
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN, Plant, plant_of
+from beltarm_env.arm import COLUMN, FIELDS, Plant, plant_of
 from beltarm_env.jit import inlined
 from beltarm_env.physics.models import Model, inverse_inertia
 from beltarm_env.timing import CONTROL_PERIOD
@@ -34,6 +36,8 @@ def fastest_rate(plant: Plant, model: Model) -> float:
     return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
 
 
+MAX_FRICTION_STEPS = 5000
+"""Most integration steps per sample where friction falls with speed."""
 MAX_SUBSTEPS = 400
 """Most integration steps per sample."""
 _STEP_ANGLE = 0.12  # largest product of rate and integration step: one step for any arm of the training ranges
@@ -51,8 +55,9 @@ def check_integrable(table: Floats, model: Model) -> None:
     Raises:
         ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`.
     """
+    check_drives(table)
     for row in table:
-        plant = plant_of(row)
+        plant = stiffest(row)
         if integration_substeps(plant, model) > MAX_SUBSTEPS:
             raise ValueError(
                 f"the arm's fastest rate is {fastest_rate(plant, model):.3g} rad/s; at most "
@@ -66,6 +71,45 @@ def check_ranges_integrable(bounds: Floats, model: Model) -> None:
     check_integrable(fastest_arms(bounds), model)
 
 
+def stiffest(row: Floats) -> Plant:
+    """Return the coefficients of an arm with the belt as stiff as it gets, from its row."""
+    return plant_of(row)._replace(stiffness=row[COLUMN.belt_stiffness] * (1 + 1.25 * row[COLUMN.belt_stiffening]))
+
+
+def check_drives(table: Floats) -> None:
+    """Check that the drives of a table of arms, shape (n, len(FIELDS)), can be integrated.
+
+    Raises:
+        ValueError: If a kinematic error would nearly turn joint 1 backward, or friction falls too quickly with speed.
+    """
+    at = dict(zip(FIELDS, table.T, strict=True))
+    slack = 4 * at["kinematic_error"] * at["gear_ratio"]
+    if (slack > 1).any():
+        arm = int(np.argmax(slack))
+        raise ValueError(
+            f"kinematic_error {at['kinematic_error'][arm]:.3g} rad takes more than half of joint 1's speed away, twice "
+            f"per turn of the motor: with gear_ratio {at['gear_ratio'][arm]:.3g} at most "
+            f"{0.25 / at['gear_ratio'][arm]:.3g} can be integrated"
+        )
+    level = at["coulomb_friction"] * (1 + at["friction_variation"]) * (1 + at["static_friction_excess"])
+    push = 2 * at["torque_limit"] * (1 + at["torque_constant_error"]) + level + at["torque_ripple"]
+    steps = 4 * CONTROL_PERIOD * push / (at["motor_inertia"] * at["stribeck_speed"])
+    steps = np.where(at["static_friction_excess"] > 0, steps, 0.0)
+    if (steps > MAX_FRICTION_STEPS).any():
+        arm = int(np.argmax(steps))
+        raise ValueError(
+            f"friction that falls with speed would take {steps[arm]:.3g} integration steps per {CONTROL_PERIOD} s, of "
+            f"{MAX_FRICTION_STEPS} allowed, for stribeck_speed {at['stribeck_speed'][arm]:.3g} rad/s: raise it or "
+            "motor_inertia, or lower torque_limit or coulomb_friction"
+        )
+
+
+_FASTER_DRIVES = (
+    *(COLUMN.belt_stiffening, COLUMN.kinematic_error, COLUMN.gear_ratio, COLUMN.static_friction_excess),
+    *(COLUMN.coulomb_friction, COLUMN.friction_variation, COLUMN.torque_limit, COLUMN.torque_constant_error),
+)  # whose upper ends are the harder to integrate
+
+
 def fastest_arms(bounds: Floats) -> Floats:
     """Return arms of which one is the fastest within some ranges, shape (16, len(FIELDS)).
 
@@ -73,7 +117,7 @@ def fastest_arms(bounds: Floats) -> Floats:
     is a rod alone, S = 6 M2(0); in everything else at one known end.
     """
     fastest = bounds[0].copy()
-    upper = [COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction]
+    upper = [COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction, *_FASTER_DRIVES]
     fastest[upper] = bounds[1, upper]
     inertia, swing = COLUMN.arm_inertia, COLUMN.arm_inertia_swing
     inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))

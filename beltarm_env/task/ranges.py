@@ -43,7 +43,7 @@ DRIVE_RANGES: Ranges = {
     "friction_variation": (0.0, 0.25),
     "friction_variation_phase": _TURN,
     "torque_ripple": (0.0, 0.02 * NOMINAL.torque_limit),
-    "torque_ripple_order": (4.0, 24.0),
+    "torque_ripple_order": (4.0, 12.0),
     "torque_ripple_phase": _TURN,
     "kinematic_error": (0.0, 0.0003),
     "kinematic_error_phase": _TURN,

@@ -84,7 +84,7 @@ def run_arms(name: str, make: Maker, arms: list[ArmParams], **settings: Any) -> 
 
 def drawn_arms(count: int) -> list[ArmParams]:
     """Draw arms of the training ranges."""
-    env = BeltArmVectorEnv(count, randomization="train")
+    env = BeltArmVectorEnv(count, randomization="ideal")
     env.reset(seed=LOOPS.first)
     return list(env.params)
 

@@ -42,7 +42,7 @@ class Kind:
 
 KINDS = {
     "nominal": Kind("off", "the nominal arm"),
-    "randomized": Kind("train", "arms of the training ranges"),
+    "randomized": Kind("ideal", "arms of the training ranges behind an ideal drive"),
 }
 
 
