@@ -102,7 +102,7 @@ class ArmParams:
                 )
 
     @staticmethod
-    def _check_bounds(name: str, value: float) -> None:
+    def _check_bounds(name: str, value: float | np.integer | np.floating) -> None:
         low, high = _BOUNDS[name]
         if not low <= value <= high:
             raise ValueError(f"ArmParams.{name} must be finite and lie within {low:g} and {high:g}, got {value!r}")
