@@ -44,8 +44,8 @@ def report(config: Config) -> None:
     require_bounds(config, arms=(1, CROSSCHECK.size), seed=(0, None))
     require_writable(config.out)
     results = crosscheck(config.arms, config.seed)
-    save_picture(results, config.out / "distance.png")
     text = markdown(results, config.arms, config.seed, time.perf_counter() - began)
+    save_picture(results, config.out / "distance.png")
     write_text(config.out / "summary.md", text)
     print(text)
 

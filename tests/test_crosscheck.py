@@ -98,13 +98,15 @@ runpy.run_path({str(script)!r}, run_name="__main__")
     assert result.stderr == "eval/crosscheck.py: the MuJoCo arm needs mujoco: pip install 'beltarm-env[mujoco]'\n"
 
 
-def test_committed_report_is_what_the_command_measures():
+@pytest.mark.parametrize("regime", ["stick-slip", "drive"])
+def test_committed_report_is_what_the_command_measures(regime: str):
     text = (ROOT / "docs/crosscheck/summary.md").read_text(encoding="utf-8")
-    (row,) = [line for line in text.split("## Stick-slip")[1].splitlines() if line.startswith("| RK4 |")]
+    section = text.split(f"## {regime.capitalize()}")[1].split("\n## ")[0]
+    (row,) = [line for line in section.splitlines() if line.startswith("| RK4 |")]
     seeds = re.search(r"seeds (\d+) to (\d+)", text)
     assert seeds is not None
     first, last = map(int, seeds.groups())
-    worst = max(distance(motion, 2, **SETTINGS["RK4"]) for motion in motions("stick-slip", last - first + 1, first))
+    worst = max(distance(motion, 2, **SETTINGS["RK4"]) for motion in motions(regime, last - first + 1, first))
     assert 1e3 * worst == pytest.approx(float(row.split("|")[3]), rel=0.06)
 
 

@@ -23,7 +23,7 @@ REGIMES = {
     "smooth": "no Coulomb friction",
     "moves": "the benchmark's moves",
     "stick-slip": "back and forth",
-    "drive": "back and forth behind a drive as it is built",
+    "drive": "back and forth behind a drive",
 }
 DRIVE = {name: DRIVE_RANGES[name][1] for name in EXPRESSIBLE}
 """What MuJoCo can express of the drive as it is built, at the upper ends of the training ranges."""
