@@ -129,6 +129,8 @@ class ArmBatch:
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
         self.engine = _engine(model, num_arms)
+        if self.engine is not None:
+            self.engine.check(self._bounds)
         self._nothing = np.full((num_arms, 4), np.nan)  # no value given: of a move, of a state
         self.table = np.tile(self._bounds[0], (num_arms, 1))
         bounds = observation.bounds(sensors)
@@ -162,6 +164,8 @@ class ArmBatch:
             table[:, FIELDS.index(name)] = column
         if given_params:
             check_integrable(table, self.model)
+            if self.engine is not None:
+                self.engine.check(table)
 
         given = self._nothing[:count].copy() if given_move else self._nothing[:count]
         for name, value in given_move.items():

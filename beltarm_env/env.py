@@ -129,7 +129,8 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
                 "accelerometer" adds the tip's acceleration as a MEMS part measures it (`task.accelerometer`).
             profile: Shape of the reference: "trapezoid" (the paper's), "scurve" or "quintic".
             model: The plant: "lumped", the paper's two-mass model; "lagrangian", the full two-link arm; "mujoco", the
-                full arm moved and drawn by MuJoCo (extra `mujoco`).
+                full arm moved and drawn by MuJoCo (extra `mujoco`), which cannot express all effects of a drive and
+                refuses those of "train".
             randomization: "off", the paper's arm; "ideal", arms that vary behind an ideal drive (`IDEAL_RANGES`);
                 "train", arms and drives that vary (`TRAIN_RANGES`); or a mapping from `ArmParams` field to (low, high).
             encoder_counts: Counts per motor revolution.

@@ -1,8 +1,9 @@
 """The full arm in two engines: `python eval/crosscheck.py`.
 
-Arms of the training ranges are moved by the paper's controller, and back and forth so that the motor sticks and breaks
-away. The same torques then go into this package's kernel and into MuJoCo, both from the same state and without
-feedback. Prints the largest distance of the two tips over 1.8 s and writes summary.md with a picture.
+Arms of the ideal ranges are moved by the paper's controller, and back and forth so that the motor sticks and breaks
+away, also behind what MuJoCo can express of a drive as it is built. The same torques then go into this package's kernel
+and into MuJoCo, both from the same state and without feedback. Prints the largest distance of the two tips over 1.8 s
+and writes summary.md with a picture.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ def report(config: Config) -> None:
     require_bounds(config, arms=(1, CROSSCHECK.size), seed=(0, None))
     require_writable(config.out)
     results = crosscheck(config.arms, config.seed)
-    save_picture(results, config.out / "distance.png")
     text = markdown(results, config.arms, config.seed, time.perf_counter() - began)
+    save_picture(results, config.out / "distance.png")
     write_text(config.out / "summary.md", text)
     print(text)
 

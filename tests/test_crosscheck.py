@@ -11,6 +11,8 @@ from commands import mistake, stopped
 
 pytest.importorskip("mujoco")
 
+from beltarm_env.mujoco.drive import EXPRESSIBLE
+from beltarm_env.task.ranges import DRIVE_RANGES
 from eval import convergence, crosscheck
 from eval.verification.convergence import STEPS, Convergence, measure_convergence, table
 from eval.verification.crosscheck import SETTINGS, distance, motions
@@ -19,7 +21,7 @@ from eval.verification.event_located import EventLocatedArm, tip
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("regime", ["smooth", "moves", "stick-slip"])
+@pytest.mark.parametrize("regime", ["smooth", "moves", "stick-slip", "drive"])
 def test_motions_of_each_regime(regime: str):
     (motion,) = motions(regime, 1, 4_000_000)
     assert np.ptp(motion.tips[:, 0]) > 0.01, "moves"
@@ -46,6 +48,13 @@ def test_difference_shrinks_with_the_solver_settings():
     assert best[0] > 2 * best[1] > 4 * best[2]
 
 
+def test_difference_shrinks_behind_a_drive_too():
+    (motion,) = motions("drive", 1, 4_000_000)
+    assert all(getattr(motion.params, name) == DRIVE_RANGES[name][1] for name in EXPRESSIBLE)
+    distances = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (2, 4, 8)]
+    assert 2e-5 > distances[0] > 2 * distances[1] > 4 * distances[2]
+
+
 def test_smooth_motion_stays_within_a_tenth_of_a_millimetre():
     for motion in motions("smooth", 3, 4_000_000):
         assert distance(motion, 2, **SETTINGS["RK4"]) < 1e-7
@@ -56,7 +65,7 @@ def test_report_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert stopped(crosscheck.main, ("--arms", "1", "--out", "cross"), tmp_path) == (0, "")
     text = (tmp_path / "cross/summary.md").read_text(encoding="utf-8")
     assert text.strip() == capsys.readouterr().out.strip()
-    assert text.count("| RK4 |") == 3 and "0.9999" in text
+    assert text.count("| RK4 |") == 4 and "0.9999" in text
     assert (tmp_path / "cross/distance.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -89,13 +98,15 @@ runpy.run_path({str(script)!r}, run_name="__main__")
     assert result.stderr == "eval/crosscheck.py: the MuJoCo arm needs mujoco: pip install 'beltarm-env[mujoco]'\n"
 
 
-def test_committed_report_is_what_the_command_measures():
+@pytest.mark.parametrize("regime", ["stick-slip", "drive"])
+def test_committed_report_is_what_the_command_measures(regime: str):
     text = (ROOT / "docs/crosscheck/summary.md").read_text(encoding="utf-8")
-    (row,) = [line for line in text.split("## Stick-slip")[1].splitlines() if line.startswith("| RK4 |")]
+    section = text.split(f"## {regime.capitalize()}")[1].split("\n## ")[0]
+    (row,) = [line for line in section.splitlines() if line.startswith("| RK4 |")]
     seeds = re.search(r"seeds (\d+) to (\d+)", text)
     assert seeds is not None
     first, last = map(int, seeds.groups())
-    worst = max(distance(motion, 2, **SETTINGS["RK4"]) for motion in motions("stick-slip", last - first + 1, first))
+    worst = max(distance(motion, 2, **SETTINGS["RK4"]) for motion in motions(regime, last - first + 1, first))
     assert 1e3 * worst == pytest.approx(float(row.split("|")[3]), rel=0.06)
 
 

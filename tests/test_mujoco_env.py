@@ -12,11 +12,17 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from driven_arms import UPPER_ENDS, push
 from gymnasium.utils.env_checker import check_env
 
 from baselines import PaperController
-from beltarm_env import BeltArmEnv, BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.arm import DRIVE_EFFECTS
+from beltarm_env.mujoco.drive import EXPRESSIBLE
+from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import DRIVE_RANGES
+from eval.verification.event_located import tip
 
 ROOT = Path(__file__).parents[1]
 OPENGL = {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": str(ROOT)}
@@ -28,7 +34,7 @@ def run(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_spaces_and_starts_are_those_of_the_other_models():
-    env, other = gym.make("BeltArmMuJoCo-v0", randomization="train"), gym.make("BeltArm-v0", randomization="train")
+    env, other = gym.make("BeltArmMuJoCo-v0", randomization="ideal"), gym.make("BeltArm-v0", randomization="ideal")
     assert env.observation_space == other.observation_space and env.action_space == other.action_space
     for seed in (1, 2):
         np.testing.assert_array_equal(env.reset(seed=seed)[0], other.reset(seed=seed)[0])
@@ -39,7 +45,7 @@ def test_env_checker_finds_nothing():
 
 
 def test_two_engines_agree_under_the_papers_controller():
-    settings: dict[str, Any] = {"seed": 3, "randomization": "train"}
+    settings: dict[str, Any] = {"seed": 3, "randomization": "ideal"}
     engine = rollout(PaperController(), 6, model="mujoco", **settings)
     kernel = rollout(PaperController(), 6, model="lagrangian", **settings)
     lumped = rollout(PaperController(), 6, model="lumped", **settings)
@@ -51,9 +57,9 @@ def test_two_engines_agree_under_the_papers_controller():
 
 
 def test_batch_is_bit_for_bit_as_many_single_arms():
-    batch = gym.make_vec("BeltArmMuJoCo-v0", num_envs=3, randomization="train")
+    batch = gym.make_vec("BeltArmMuJoCo-v0", num_envs=3, randomization="ideal")
     assert isinstance(batch.unwrapped, BeltArmVectorEnv)
-    singles = [gym.make("BeltArmMuJoCo-v0", randomization="train") for _ in range(3)]
+    singles = [gym.make("BeltArmMuJoCo-v0", randomization="ideal") for _ in range(3)]
     batch.reset(seed=5)
     for arm, env in enumerate(singles):
         env.reset(seed=5 + arm)
@@ -68,7 +74,7 @@ def test_batch_is_bit_for_bit_as_many_single_arms():
 
 
 def test_episode_can_be_repeated_and_restarted():
-    env = BeltArmEnv(model="mujoco", randomization="train")
+    env = BeltArmEnv(model="mujoco", randomization="ideal")
     runs = []
     for seed in (4, 9, 4):
         env.reset(seed=seed)
@@ -155,6 +161,73 @@ for _ in range(2):
     result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert len(result.stdout.splitlines()) == 2
+
+
+# The drive as it is built
+
+
+def distance_of_engines(params: dict[str, float]) -> float:
+    """Largest distance of the tips in the two engines [m], given the same commands over 1.8 s."""
+    engine, kernel = BeltArmEnv(model="mujoco"), BeltArmEnv(model="lagrangian")
+    options = {"params": params, "state": np.array([88 * np.pi / 4, 0.0, 0.02, 0.0])}
+    engine.reset(seed=0, options=options)
+    kernel.reset(seed=0, options=options)
+    worst = 0.0
+    for k in range(1200):
+        action = np.array([push(k) / 0.3])
+        assert not engine.step(action)[2] and not kernel.step(action)[2]
+        worst = max(worst, float(np.linalg.norm(tip(engine.params, engine.state) - tip(kernel.params, kernel.state))))
+    return worst
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        *({name: UPPER_ENDS[name]} for name in EXPRESSIBLE),
+        *({"command_latency": samples * CONTROL_PERIOD} for samples in (0.3, 1.0, 2.7, 3.0)),
+        *({"current_loop_time_constant": lag} for lag in (1e-4, 0.01)),
+        {name: UPPER_ENDS[name] for name in EXPRESSIBLE},
+        {name: DRIVE_RANGES[name][0] for name in EXPRESSIBLE},
+    ],
+)
+def test_two_engines_agree_about_a_drive(drive: dict[str, float]):
+    # Coulomb friction is soft in MuJoCo. Without it, what is left is the mean torque that stands for a lag.
+    assert distance_of_engines({"coulomb_friction": 0.0, **drive}) < 2e-6
+    assert distance_of_engines(drive) < 3e-4
+
+
+def test_a_drive_begins_anew_with_each_episode():
+    env = BeltArmEnv(model="mujoco", randomization={name: (UPPER_ENDS[name], UPPER_ENDS[name]) for name in EXPRESSIBLE})
+    runs = []
+    for _ in range(2):
+        env.reset(seed=4)
+        runs.append([env.step(np.array([0.4]))[1] for _ in range(50)])
+    assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize("name", [name for name in DRIVE_EFFECTS if name not in EXPRESSIBLE])
+def test_what_mujoco_cannot_express_is_refused(name: str):
+    value = UPPER_ENDS[name]
+    message = rf'^model="mujoco" cannot express {name}={value:g}: .*randomization="ideal".*model="lagrangian"$'
+    with pytest.raises(ValueError, match=message):
+        BeltArmEnv(model="mujoco", randomization={name: (0.0, value)})
+    env = BeltArmVectorEnv(2, model="mujoco")
+    env.reset(seed=1)
+    before = env.state
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=2, options={"params": {name: np.array([0.0, value])}})
+    np.testing.assert_array_equal(env.state, before)
+    assert not env.params_table[:, DRIVE_COLUMNS].any()
+
+
+def test_training_ranges_are_refused_by_name():
+    with pytest.raises(ValueError) as refusal:
+        gym.make("BeltArmMuJoCo-v0", randomization="train")
+    assert str(refusal.value) == (
+        'model="mujoco" cannot express static_friction_excess=0.5, friction_variation=0.25, torque_ripple=0.006, '
+        "kinematic_error=0.0003, belt_stiffening=0.25: set to 0 what it cannot, for example by "
+        'randomization="ideal", or take model="lagrangian"'
+    )
 
 
 def test_mujoco_chooses_its_own_steps():

@@ -19,6 +19,7 @@ from eval.verification.event_located import tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 
+from beltarm_env.mujoco.drive import Actuator  # noqa: E402
 from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
 
 Floats = NDArray[np.float64]
@@ -144,6 +145,28 @@ def test_torque_is_limited():
     data.ctrl[0] = 5.0
     mujoco.mj_forward(data.model, data)
     assert data.qfrc_actuator[0] == pytest.approx(GEAR * 0.2)
+    stronger = mujoco.MjData(load_model(ArmParams(torque_limit=0.2, torque_constant_error=0.1)))
+    stronger.ctrl[0] = 5.0
+    mujoco.mj_forward(stronger.model, stronger)
+    assert stronger.qfrc_actuator[0] == pytest.approx(GEAR * 0.22)
+
+
+def test_steps_of_the_actuator():
+    # Latency of 1.5 samples: each command acts from the middle of the next sample on. Means against fine integration.
+    drive = {"current_loop_time_constant": 0.001, "torque_constant_error": 0.1}
+    params = ArmParams(command_latency=1.5 * CONTROL_PERIOD, **drive)
+    actuator, torque, fine = Actuator(params), 0.0, 20_000
+    commands = [0.0, 0.0, 0.2, -0.1, 0.3]
+    for before, now, command in zip(commands, commands[1:], commands[2:], strict=False):
+        steps = list(actuator.means(command, CONTROL_PERIOD / 3))
+        assert [dt for dt, _, _ in steps] == pytest.approx([CONTROL_PERIOD / 4] * 4, rel=1e-12)
+        for k, (dt, count, mean) in enumerate(steps):
+            target, total = 1.1 * (before if k < 2 else now), 0.0
+            for _ in range(fine):
+                middle = torque + 0.5 * dt / fine * (target - torque) / 0.001
+                torque += dt / fine * (target - middle) / 0.001
+                total += middle / fine
+            assert count == 1 and mean == pytest.approx(total, rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -159,6 +182,11 @@ def test_torque_is_limited():
 def test_settings_out_of_range(settings: dict[str, Any], message: str):
     with pytest.raises(ValueError, match=message):
         load_model(ArmParams(), **settings)
+
+
+def test_a_model_without_what_it_cannot_express_is_refused():
+    with pytest.raises(ValueError, match=r"cannot express kinematic_error=0\.0003"):
+        load_model(ArmParams(kinematic_error=0.0003))
 
 
 # Its motion
@@ -242,6 +270,7 @@ except Exception as error:
     raise SystemExit
 import numpy as np
 from beltarm_env import ArmParams
+from beltarm_env.mujoco.drive import Actuator  # noqa: E402
 from beltarm_env.mujoco.model import load_model, place_hand, write_state
 params = ArmParams()
 data = mujoco.MjData(load_model(params))

@@ -14,6 +14,7 @@ import numpy as np
 
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats
+from beltarm_env.mujoco.drive import check_expressible
 from beltarm_env.timing import CONTROL_PERIOD
 
 try:
@@ -48,6 +49,8 @@ def load_model(
 ) -> MjModel:
     """Make the MuJoCo model of one full arm. Its only control is the motor torque [N m], at the motor's shaft.
 
+    What comes before that torque, and the drift of friction, is the caller's: `engine.MuJoCoArm` has it.
+
     | of the arm | in MuJoCo |
     |---|---|
     | M_a1 | link 1, a rod of link 2's mass or what M_a1 allows; `armature` of joint 1: G^2 M_a1 less that rod |
@@ -56,7 +59,7 @@ def load_model(
     | what m_2 leaves of S; m_p | point masses (S - 6 M2(0)) / (4 l^2) and m_p in the body `load`, at joint 3 |
     | V_a1, tau_c | `damping` G^2 V_a1 and `frictionloss` G tau_c of joint 1 |
     | K_s, D_s | `stiffness` and `damping` of the tendon `belt` |
-    | G, torque limit | `gear` and `ctrlrange` of the actuator `motor` |
+    | G, torque limit times 1 + k | `gear` and `ctrlrange` of the actuator `motor` |
     | l, l_3 | `pos` of `link_2` and `load`; the geoms |
 
     MuJoCo's dry friction is regularised. With impedance d and rate b, a motor that should stick creeps at
@@ -77,8 +80,9 @@ def load_model(
             for the others. MuJoCo's own default is about 100, a time constant of 0.02 s.
 
     Raises:
-        ValueError: If a setting is out of range.
+        ValueError: If a setting is out of range, or the arm has an effect of the drive that MuJoCo cannot express.
     """
+    check_expressible(params.row()[None])
     if integrator not in _INTEGRATORS:
         raise ValueError(f"integrator must be one of {', '.join(_INTEGRATORS)}, got {integrator!r}")
     method, share = _INTEGRATORS[integrator]
@@ -112,7 +116,8 @@ def _set_motor(spec: MjSpec, params: ArmParams) -> None:
     spec.joint("joint_1").frictionloss = params.gear_ratio * params.coulomb_friction
     motor = spec.actuator("motor")
     motor.gear[0] = params.gear_ratio
-    motor.ctrlrange = [-params.torque_limit, params.torque_limit]
+    largest = (1 + params.torque_constant_error) * params.torque_limit
+    motor.ctrlrange = [-largest, largest]
 
 
 def _set_damping_and_stiffness(model: MjModel, params: ArmParams) -> None:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import params_columns, params_table
-from beltarm_env.mujoco.model import load_model, mujoco, read_state, write_state
+from beltarm_env.mujoco.drive import EXPRESSIBLE
+from beltarm_env.mujoco.engine import MuJoCoArm
 from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from eval.verification.event_located import tip
 
@@ -21,7 +23,10 @@ REGIMES = {
     "smooth": "no Coulomb friction",
     "moves": "the benchmark's moves",
     "stick-slip": "back and forth",
+    "drive": "back and forth behind a drive",
 }
+DRIVE = {name: DRIVE_RANGES[name][1] for name in EXPRESSIBLE}
+"""What MuJoCo can express of the drive as it is built, at the upper ends of the training ranges."""
 STEPS = (1, 2, 4, 8)
 """MuJoCo steps per control period."""
 SETTINGS = {
@@ -51,7 +56,7 @@ class Motion:
     """One arm, its torques and where the kernel's full arm goes."""
 
     params: ArmParams
-    torques: Floats  # [N m]     (T,)
+    torques: Floats  # commanded [N m]     (T,)
     start: Floats  # x at the beginning     (4,)
     tips: Floats  # after each sample [m]     (T, 2)
     stops: int  # samples in which the motor came to rest
@@ -61,18 +66,19 @@ def motions(regime: str, arms: int, seed: int) -> list[Motion]:
     """Arms, torques and where the kernel takes them.
 
     Args:
-        regime: "smooth", without Coulomb friction; "moves", as the benchmark has them; or "stick-slip", a torque that
-            goes back and forth.
+        regime: "smooth", without Coulomb friction; "moves", as the benchmark has them; "stick-slip", a torque that goes
+            back and forth; or "drive", the same through `DRIVE`.
         arms: Number of arms.
         seed: Of the first arm; arm i has seed + i.
     """
-    env = BeltArmVectorEnv(arms, randomization="train")
+    env = BeltArmVectorEnv(arms, randomization="ideal")
     env.reset(seed=seed)
-    params = [replace(p, coulomb_friction=0.0) if regime == "smooth" else p for p in env.params]
+    changes = {"smooth": {"coulomb_friction": 0.0}, "drive": DRIVE}.get(regime, {})
+    params = [replace(p, **changes) for p in env.params]
     moves = env.moves
     starts = np.zeros((arms, 4))
     starts[:, 0] = [p.gear_ratio for p in params] * moves[:, 0]
-    if regime == "stick-slip":
+    if regime in ("stick-slip", "drive"):
         starts[:, 0] = params[0].gear_ratio * np.pi / 4
         periods = 2 * np.pi * CONTROL_PERIOD * np.arange(EPISODE_STEPS)[:, None]
         friction = np.array([p.coulomb_friction for p in params])
@@ -109,15 +115,12 @@ def _in_the_kernel(params: list[ArmParams], starts: Floats, torques: Floats) -> 
 
 
 def distance(motion: Motion, steps: int, **settings: object) -> float:
-    """Largest distance of MuJoCo's tip from the kernel's [m]."""
-    model = load_model(motion.params, CONTROL_PERIOD / steps, **settings)  # pyright: ignore[reportArgumentType]
-    data = mujoco.MjData(model)
-    write_state(data, motion.params, motion.start)
+    """Largest distance of MuJoCo's tip from the kernel's [m], with some MuJoCo steps per sample."""
+    arm = MuJoCoArm(motion.params, steps, **settings)
+    arm.begin(motion.start)
     worst = 0.0
     for torque, there in zip(motion.torques.tolist(), motion.tips, strict=True):
-        data.ctrl[0] = torque
-        mujoco.mj_step(model, data, steps)
-        worst = max(worst, float(np.linalg.norm(tip(motion.params, read_state(data, motion.params)) - there)))
+        worst = max(worst, float(np.linalg.norm(tip(motion.params, arm.advance(torque)) - there)))
     return worst
 
 
@@ -128,7 +131,7 @@ def crosscheck(arms: int, seed: int) -> list[EngineDistance]:
         cases = motions(regime, arms, seed)
         stops = sum(motion.stops for motion in cases)
         for name, setting in SETTINGS.items():
-            if regime == "smooth" and "friction_rate" in setting:
+            if regime in ("smooth", "drive") and "friction_rate" in setting:
                 continue
             worst = [1e3 * max(distance(motion, steps, **setting) for motion in cases) for steps in STEPS]
             results.append(EngineDistance(regime, name, stops, dict(zip(STEPS, worst, strict=True))))

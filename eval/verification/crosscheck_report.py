@@ -11,7 +11,7 @@ from beltarm_env.mujoco.model import mujoco
 from eval.style.colours import COLOURS
 from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
-from eval.verification.crosscheck import REGIMES, EngineDistance
+from eval.verification.crosscheck import DRIVE, REGIMES, EngineDistance
 
 
 def _table(results: list[EngineDistance]) -> str:
@@ -23,12 +23,16 @@ def _table(results: list[EngineDistance]) -> str:
     return markdown_table(["MuJoCo", *(f"{count} per sample" for count in steps)], rows)
 
 
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"`{name}` {value:g}" for name, value in values.items())
+
+
 def markdown(results: list[EngineDistance], arms: int, seed: int, seconds: float) -> str:
     """The content of summary.md."""
     parts = [
         "# The full arm in two engines",
         f'Largest distance of MuJoCo\'s tip from that of the kernel (`model="lagrangian"`) over 1.8 s and {arms} arms '
-        'of the training ranges, given the same torques without feedback. `model="mujoco"` has RK4 with two steps per '
+        'of the ideal ranges, given the same torques without feedback. `model="mujoco"` has RK4 with two steps per '
         "sample; d = 0.9 and b = 100/s are MuJoCo's own friction settings.",
     ]
     for regime, what in REGIMES.items():
@@ -46,6 +50,9 @@ def markdown(results: list[EngineDistance], arms: int, seed: int, seconds: float
         "pull on the motor would cause without friction. Raising d alone removes the creep but not the late stop. With "
         "b = 2 per time step, which RK4 bears with a margin, both shrink with the step. The kernel has neither: it "
         "locates the instant of stopping.",
+        f"The drive has {_listed(DRIVE)}: of all that MuJoCo can express, the upper ends of the training ranges. A "
+        "command that arrives within a sample cuts it in two pieces with steps of their own, so that one step per "
+        "sample is here two. Behind the lag, MuJoCo gets the mean torque of each step, which is of second order.",
         f"`{command_line()}`, seeds {seed} to {seed + arms - 1}, MuJoCo {mujoco.__version__}, beltarm {commit()}, "
         f"{seconds:.0f} s.",
     ]
@@ -56,7 +63,7 @@ def save_picture(results: list[EngineDistance], path: Path) -> None:
     """Distance over the number of steps, a panel per regime."""
     names = list(dict.fromkeys(found.setting for found in results))
     steps = list(results[0].distances)
-    figure, axes = plt.subplots(1, len(REGIMES), figsize=(11, 4.2), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, len(REGIMES), figsize=(13, 4.2), sharey=True, layout="constrained")
     for axis, (regime, what) in zip(axes, REGIMES.items(), strict=True):
         for found in results:
             if found.regime == regime:
