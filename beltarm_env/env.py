@@ -261,6 +261,11 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         return self._batch.states[0]
 
     @property
+    def motor_torque(self) -> float:
+        """True torque of the motor now [N m], ripple not counted: what the drive has made of the commands."""
+        return float(self._batch.motor_torques[0])
+
+    @property
     def params(self) -> ArmParams:
         """Physical constants of this episode's arm."""
         return self._batch.params(0)

@@ -84,12 +84,12 @@ class Recording:
     """n episodes of T steps; row k is the sample after step k + 1. SI units."""
 
     state: Floats  # x [rad, rad/s]        (T, n, 4)
-    torque: Floats  # [N m]                (T, n)
+    torque: Floats  # commanded [N m]      (T, n)
     tip_error: Floats  # radial, lateral [m]     (T, n, 2)
     tip_velocity_error: Floats  # [m/s]     (T, n, 2)
     cost: Floats  # of the whole episode    (n,)
     finished: Flags  # False where the arm left the workspace, and stayed where it was    (n,)
-    params: Floats  # columns as `ArmParams`     (n, 12)
+    params: Floats  # columns as `ArmParams`     (n, len(FIELDS))
     moves: Floats  # start, goal [rad], duration, ramp time [s]     (n, 4)
 
     @property

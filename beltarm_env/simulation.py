@@ -19,7 +19,7 @@ from beltarm_env.physics.substeps import check_integrable, integration_substeps
 
 @compiled
 def load_arms(block: Floats, table: Floats, model: Model) -> None:
-    """Put constants, rows as the fields of `ArmParams`, shape (12, n), into the first n lanes of a block."""
+    """Put constants, rows as the fields of `ArmParams`, shape (len(FIELDS), n), into the first n lanes of a block."""
     for j in range(table.shape[1]):
         plant = plant_of(table[:, j])
         store_plant(block, j, plant)
@@ -54,6 +54,8 @@ def _advance(
 class ArmSimulation:
     """Simulation of any number of arms by one control period, with the friction and the integrator of the environment.
 
+    The drive is ideal, whatever the arms' constants say of theirs: torques act at once, and as they are commanded.
+
     Args:
         params: One set of constants for each arm, or one for all.
         num_arms: How many arms, if `params` is one set.
@@ -77,7 +79,7 @@ class ArmSimulation:
         _load_blocks(self._blocks, table, self._model)
 
     def set_table(self, table: Floats) -> None:
-        """Replace the constants by others near those before: columns as `ArmParams`, shape (n, 12).
+        """Replace the constants by others near those before: columns as `ArmParams`, shape (n, len(FIELDS)).
 
         Raises:
             ValueError: If these are more arms than there is room for, which is as many as at the beginning.

@@ -282,6 +282,11 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         return self._batch.states
 
     @property
+    def motor_torques(self) -> Floats:
+        """True torques of the motors now [N m], shape (num_envs,), ripple not counted."""
+        return self._batch.motor_torques
+
+    @property
     def params(self) -> list[ArmParams]:
         """Physical constants of each arm."""
         return [self._batch.params(arm) for arm in range(self.num_envs)]

@@ -147,7 +147,7 @@ class ArmIdentifier:
         self._filter = ArmFilter(params, self.uncertainty)
 
     def table(self, belief: Belief) -> Floats:
-        """Estimated constants of the arms, columns as `ArmParams`, shape (n, 12)."""
+        """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
         return self._filter.table(belief.logs.T).T.copy()
 
     def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:

@@ -28,7 +28,7 @@ class LinearArms(NamedTuple):
 
 
 def linear_arms(table: Floats) -> LinearArms:
-    """Linear models of n arms; columns of `table` as `ArmParams`, shape (n, 12)."""
+    """Linear models of n arms; columns of `table` as `ArmParams`, shape (n, len(FIELDS))."""
     return LinearArms(*sample_models(table, ANGLES, CONTROL_PERIOD))
 
 
