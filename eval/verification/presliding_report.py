@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 from baselines.tools.provenance import command_line, commit
 from beltarm_env.metrics import METRICS
 from eval.comparison.estimates import estimate, interquartile_mean
+from eval.style.axes import mark_one_two_five
 from eval.style.colours import COLOURS
 from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
@@ -113,6 +114,8 @@ def answer(study: Study) -> str:
         f"located friction and with bristles, with opposite signs): {verdict} The cost of the controllers with which "
         f"no arm leaves the workspace ({', '.join(f'`{name}`' for name in study.steady)}) changes by "
         f"{max(steady, key=abs, default=0.0):+.1f} % at most.",
+        "The answer holds for these controllers and gains. With the others the nudge alone changes arms as much as "
+        "bristles do, so that what bristles change is hardly told from chance.",
         "Pairs of controllers, and the largest change among those with which no arm leaves, and among the others:",
         "\n".join(_line(study, metric, friction) for metric in JUDGED for friction in (NUDGED, *_BRISTLES)),
     ]
@@ -168,6 +171,7 @@ def save_picture(study: Study, path: Path) -> None:
         axes.plot(places, [one.iqm for one in found], "o-", color=colour, ms=4, label=controller)
     axes.set_xticks(places, list(shown))
     axes.set_yscale("log")
+    mark_one_two_five(axes.yaxis)
     axes.set_xlabel("friction: located, or breakaway deflection of LuGre friction at the motor")
     axes.set_ylabel("cost, interquartile mean")
     axes.grid(alpha=0.3, which="both")
