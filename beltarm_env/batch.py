@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -29,7 +29,6 @@ from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference
 from beltarm_env.timing import CONTROL_PERIOD
 
 if TYPE_CHECKING:
-    from beltarm_env.mujoco.engine import MuJoCoArms
     from beltarm_env.mujoco.renderer import MuJoCoRenderer
     from beltarm_env.rendering.renderer import Renderer
 
@@ -51,6 +50,18 @@ TOTALS = (
 """Episode summary, added to `info` at its end: costs with the charge for steps not taken, tip errors [m]."""
 
 
+class Engine(Protocol):
+    """Protocol of what moves the arms of a batch in place of the kernels."""
+
+    def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
+        """Begin new episodes for arms with parameters (n, fields) from states (n, 4)."""
+        ...
+
+    def advance(self, actions: Floats) -> Floats:
+        """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
+        ...
+
+
 def new_renderer(model: str, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
     """Make what draws an arm of this model."""
     if model == "mujoco":
@@ -62,7 +73,7 @@ def new_renderer(model: str, render_mode: Literal["human", "rgb_array"], fps: in
     return Renderer(render_mode, fps)
 
 
-def _engine(model: str, num_arms: int) -> MuJoCoArms | None:
+def _engine(model: str, num_arms: int) -> Engine | None:
     if model != "mujoco":
         return None
     from beltarm_env.mujoco.engine import MuJoCoArms

@@ -132,6 +132,18 @@ def rollout(
             torque limit, or it returns another shape or NaN.
     """
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
+    return record(controller, env, seed=seed, options=options)
+
+
+def record(
+    controller: Controller,
+    env: BeltArmVectorEnv,
+    *,
+    seed: int | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Recording:
+    """Run one episode on each arm of an environment, whose autoreset is disabled; otherwise as `rollout`."""
+    num_arms = env.num_envs
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
     params, moves = env.params_table, env.moves
     check_data_sheet(nominal_params(controller), params, type(controller).__name__)

@@ -31,6 +31,8 @@ CROSSCHECK = SeedRange(4_000_000, 1_000)
 """The full arm in two engines."""
 REPETITION = SeedRange(4_100_000, 1_000)
 """Iterative learning."""
+PRESLIDING = SeedRange(4_200_000, 1_000)
+"""Friction with bristles beside the located one."""
 ABLATIONS = SeedRange(4_300_000, 10_000)
 """Scores of the ablations."""
 GAIN_SEARCH = SeedRange(5_000_000, 500_000)
