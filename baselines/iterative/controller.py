@@ -140,7 +140,7 @@ class IterativeController(AdaptiveController):
         return np.stack(states, axis=1)
 
     def _law(self, table: Floats, states: Floats, torques: Floats, moves: Floats) -> Law:
-        """Law of the next trial, from constants (n, len(FIELDS)), states (n, T, 4) and torques (n, T) of the last one."""
+        """Law of the next trial, from constants (n, len(FIELDS)), and states (n, T, 4), torques (n, T) of the last."""
         before = np.column_stack([np.zeros(len(torques)), torques[:, :-1]])
         path = np.concatenate([states, before[:, :, None]], axis=2)
         law = Law(torques.copy(), np.empty(path.shape), path, np.empty(torques.shape, np.bool_))

@@ -91,7 +91,7 @@ def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
 
     Args:
         moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        table: Constants of the arms, columns as `ArmParams`: shape (n, len(FIELDS)), or (1, 12) for one arm in all of them.
+        table: Constants of the arms, columns as `ArmParams`: shape (n, len(FIELDS)), or of one row for all of them.
         weights: Of the errors and of the torque.
     """
     count = len(moves)
