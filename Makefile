@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops tune learning readme
+.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive tune learning readme
 
 ##@ Use
 
@@ -70,6 +70,9 @@ paper: $(READY)  ## Regenerate the paper's figures and tables in docs/paper
 
 loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines
 	$(BIN)/python eval/baselines.py --out docs/baselines $(ARGS)
+
+drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/drive; takes five minutes
+	$(BIN)/python eval/drive.py --out docs/drive $(ARGS)
 
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
 	$(BIN)/python baselines/tune.py --all $(ARGS)

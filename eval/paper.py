@@ -2,7 +2,8 @@
 
 Writes the motor's and the tip's motion with and without vibration feedback (Figs. 4b and 8b), root loci (Fig. 6), a map
 of the damping over K4 and M2, and tables.md: ringing before and after, poles, and the alternatives to everything that
-the paper does not print. docs/paper.md says what follows from them.
+the paper does not print. docs/paper.md says what follows from them. drive.md and its pictures show what becomes of the
+conclusion on a drive that is not ideal.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ try:
     from baselines.tools.files import require_writable, write_text
     from beltarm_env.task.reference import MoveShape
     from eval.reproduction.assumptions import USUAL_MOVE
+    from eval.reproduction.drive_page import drive_markdown
+    from eval.reproduction.drive_plots import save_drive_pictures
+    from eval.reproduction.drives import run_drives
     from eval.reproduction.loop import ServoGains
     from eval.reproduction.response_plots import save_pictures
     from eval.reproduction.runs import check_move
@@ -37,7 +41,7 @@ class Config:
     """Regenerate the paper's figures and conclusion."""
 
     out: Path = Path("results/paper")
-    """Folder for tables.md and the pictures."""
+    """Folder for tables.md, drive.md and the pictures."""
     k4: float = _TABLE_2.k4
     """Gain K4 of the torsional velocity [N m s/rad], 0 to 1; Table 2 has 0.15."""
     natural_frequency: float = _TABLE_2.natural_frequency
@@ -89,9 +93,14 @@ def report(config: Config) -> None:
     require_writable(config.out)
     study = run_study(gains, move)
     pictures = save_pictures(study, config.out)
-    write_text(config.out / "tables.md", markdown(study, pictures, time.perf_counter() - began))
+    tables = markdown(study, pictures, time.perf_counter() - began)
+    drives = run_drives(gains, move)
+    of_drives = drive_markdown(drives)  # before a file of the commit changes
+    pictures += save_drive_pictures(drives, config.out)
+    write_text(config.out / "tables.md", tables)
+    write_text(config.out / "drive.md", of_drives)
     print(f"Does K4 = {gains.k4:g} remove the tip's ringing?", answer_table(study), sep="\n\n")
-    print(f"written to {config.out}: tables.md, {len(pictures)} pictures", flush=True)
+    print(f"written to {config.out}: tables.md, drive.md, {len(pictures)} pictures", flush=True)
 
 
 def main() -> None:

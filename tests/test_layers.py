@@ -19,7 +19,7 @@ FLOORS = {
     "agents": ("residual", "policy", "runs", "learners"),
     "eval": (
         *("style", "comparison", "views"),
-        *("verification loops", "reproduction", "learning repetition speed"),
+        *("verification loops drives", "reproduction", "learning repetition speed"),
     ),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.
@@ -91,8 +91,9 @@ def test_commands_are_thin():
                 assert classes in ([], ["Config"]) and len(functions) <= 2, f"{module} has {classes + functions}"
 
 
-def test_folders_hold_a_dozen_modules_at_most():
+def test_folders_hold_a_dozen_modules_at_most_beside_commands():
     for package in PACKAGES:
         for folder in {path.parent for _, path in modules(package)}:
-            count = len([path for path in folder.glob("*.py") if path.name != "__init__.py"])
-            assert count <= (16 if folder.name == "eval" else 13), f"{folder.relative_to(ROOT)} has {count} modules"
+            inside = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+            count = len([path for path in inside if not is_command(path)])
+            assert count <= 13, f"{folder.relative_to(ROOT)} has {count} modules"

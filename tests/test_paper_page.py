@@ -53,6 +53,7 @@ PICTURES = {
     *("responses_standard.png", "responses_standard_as_analysed.png", "responses_to_0.png"),
     *("root_locus_90.png", "root_locus_0.png", "damping_map.png", "assumptions.png", "moves.png"),
 }
+DRIVE_PICTURES = {"drive.png", "drive_ratios.png"}
 
 
 class Regenerated(NamedTuple):
@@ -79,8 +80,8 @@ def regenerated(tmp_path_factory: pytest.TempPathFactory) -> Regenerated:
 class TestTables:
     def test_everything_is_written(self, regenerated: Regenerated):
         folder = regenerated.folder
-        assert {path.name for path in folder.iterdir()} == {"tables.md", *PICTURES}
-        for name in PICTURES:
+        assert {path.name for path in folder.iterdir()} == {"tables.md", "drive.md", *PICTURES, *DRIVE_PICTURES}
+        for name in (*PICTURES, *DRIVE_PICTURES):
             picture = (folder / name).read_bytes()
             assert picture.startswith(b"\x89PNG") and len(picture) < 150_000
 
@@ -99,11 +100,20 @@ class TestTables:
             if block.startswith("|"):
                 assert len({line.count("|") for line in block.splitlines()}) == 1, block
 
-    def test_committed_tables_show_the_same_numbers(self, regenerated: Regenerated):
+    def test_the_page_of_the_drive_is_well_formed(self, regenerated: Regenerated):
+        text = (regenerated.folder / "drive.md").read_text(encoding="utf-8")
+        assert set(re.findall(r"!\[[^]]*\]\(([^)]*)\)", text)) == DRIVE_PICTURES
+        assert not re.search(r"\b(nan|inf)\b", text)
+        for block in text.split("\n\n"):
+            if block.startswith("|"):
+                assert len({line.count("|") for line in block.splitlines()}) == 1, block
+
+    @pytest.mark.parametrize("page", ["tables.md", "drive.md"])
+    def test_committed_tables_show_the_same_numbers(self, page: str, regenerated: Regenerated):
         """All but the provenance; another processor may round a last digit differently."""
         number = re.compile(r"\d+(?:\.\d+)?")
         new, committed = (
-            (folder / "tables.md").read_text(encoding="utf-8").rsplit("\n\n", 1)[0]
+            (folder / page).read_text(encoding="utf-8").rsplit("\n\n", 1)[0]
             for folder in (regenerated.folder, ROOT / "docs/paper")
         )
         assert number.sub("#", new) == number.sub("#", committed), "run `make paper`"

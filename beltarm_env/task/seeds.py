@@ -35,12 +35,16 @@ PRESLIDING = SeedRange(4_200_000, 1_000)
 """Friction with bristles beside the located one."""
 ABLATIONS = SeedRange(4_300_000, 10_000)
 """Scores of the ablations."""
+DRIVE_SIZES = SeedRange(4_400_000, 10_000)
+"""Arms whose drives get better and worse, effect by effect."""
 GAIN_SEARCH = SeedRange(5_000_000, 500_000)
 """Trials of the gains' tuner; the clairvoyant optimum's scenarios are among them."""
 GAIN_CHOICE = SeedRange(5_500_000, 500_000)
 """Choice among the tuner's best."""
 PAPER_MOVES = SeedRange(6_000_000, 300)
 """Random moves of the paper's reproduction."""
+PAPER_DRIVES = SeedRange(6_100_000, 100)
+"""Drives of the paper's arm: phases, orders and signs."""
 PROTOCOL_CHECK = SeedRange(6_900_000, 5)
 """Arms that a controller of one's own is checked on."""
 VALIDATION = SeedRange(7_000_000, 500_000)

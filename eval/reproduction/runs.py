@@ -12,6 +12,8 @@ from baselines import PaperController
 from baselines.reading import read
 from baselines.servo.paper import PaperGains, PaperMemory
 from beltarm_env import ArmParams
+from beltarm_env.arm import params_columns
+from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import check_moves
 from beltarm_env.task.reference import TRAPEZOID, MoveShape
@@ -92,9 +94,19 @@ def is_allowed(move: MoveShape) -> bool:
     return True
 
 
-def run_moves(conditions: Conditions, gains: ServoGains, moves: list[MoveShape] | SeedRange) -> Recording:
-    """Run given moves side by side, or those that the environment draws from each of some seeds."""
-    options: dict[str, Any] = {"params": asdict(conditions.arm)}
+def run_moves(
+    conditions: Conditions, gains: ServoGains, moves: list[MoveShape] | SeedRange, arms: Floats | None = None
+) -> Recording:
+    """Run given moves side by side, or those that the environment draws from each of some seeds.
+
+    Args:
+        conditions: Arm and servo.
+        gains: Of the servo.
+        moves: What to run.
+        arms: An arm for each move in place of the conditions' one, which the controller goes on taking them for;
+            columns as `ArmParams`, shape (n, len(FIELDS)).
+    """
+    options: dict[str, Any] = {"params": asdict(conditions.arm) if arms is None else params_columns(arms)}
     if isinstance(moves, SeedRange):
         seed, count = moves
     else:

@@ -1,0 +1,90 @@
+"""Controllers on a drive that is not ideal: `python eval/drive.py` measures them over the size of each effect.
+
+One effect at a time, and all together, from none to twice the upper end of the training range. Writes summary.md,
+results.json and pictures of cost, tip error and residual vibration.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from baselines.tools.command import require_bounds, run_command, stop_without
+
+try:
+    import torch
+    import tyro
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from baselines.tools.files import require_writable, write_text
+    from baselines.tools.parallel import default_jobs
+    from baselines.tools.provenance import command_line, software
+    from beltarm_env.task.seeds import DRIVE_SIZES
+    from eval.drives.page import as_json, costs_table, markdown
+    from eval.drives.pictures import save_pictures
+    from eval.drives.study import MOST_ARMS, SIZES, check_sizes, choose_methods, run_study
+except ModuleNotFoundError as error:
+    stop_without("eval/drive.py", error)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Measure controllers over the size of each effect of the drive."""
+
+    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Controllers to measure; all shipped ones by default."""
+    out: Path = Path("results/drive")
+    """Folder for summary.md, results.json and the pictures."""
+    arms: int = 64
+    """Arms, 4 to 1000."""
+    sizes: tuple[float, ...] = SIZES
+    """Sizes of the effects over the upper ends of their training ranges: above 0, at most 2, 1 among them."""
+    jobs: int | None = None
+    """Number of processes; by default one per core."""
+
+
+def report(config: Config) -> None:
+    """Measure everything and write it to the folder.
+
+    Raises:
+        ValueError: If a name or an option is not allowed.
+        OSError: If the folder cannot be written to, or a process died.
+    """
+    began = time.perf_counter()
+    require_bounds(config, arms=(4, MOST_ARMS), jobs=(1, 256))
+    check_sizes(config.sizes)
+    methods = choose_methods(config.names)
+    require_writable(config.out)
+    torch.set_num_threads(1)  # the networks are too small for more
+    provenance = {"command": command_line(), **software("numpy", "numba", "torch"), "seed": DRIVE_SIZES.first}
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("controllers and effects", total=None)
+        study = run_study(
+            methods,
+            config.arms,
+            config.sizes,
+            config.jobs or default_jobs(),
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    pictures = save_pictures(study, config.out)
+    origin = f"`{provenance['command']}`, beltarm {provenance['version']} ({provenance['commit']})"
+    write_text(config.out / "results.json", as_json(study, provenance))
+    page = markdown(study, pictures, f"{origin}, {time.perf_counter() - began:.0f} s.")
+    write_text(config.out / "summary.md", page)
+    print(costs_table(study))
+    print(f"written to {config.out}: summary.md, results.json, {len(pictures)} pictures")
+
+
+def main() -> None:
+    """Command line."""
+    run_command(__file__, Config, report, __doc__)
+
+
+if __name__ == "__main__":
+    main()
