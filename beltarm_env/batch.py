@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from beltarm_env import observation
-from beltarm_env.arm import COLUMN, FIELDS, ArmParams
+from beltarm_env.arm import COLUMN, FIELDS, WHOLE, ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, tip_errors
@@ -52,6 +52,10 @@ TOTALS = (
 
 class Engine(Protocol):
     """Protocol of what moves the arms of a batch in place of the kernels."""
+
+    def check(self, table: Floats) -> None:
+        """Refuse arms with parameters (n, fields) that it cannot move, by a ValueError."""
+        ...
 
     def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
         """Begin new episodes for arms with parameters (n, fields) from states (n, 4)."""
@@ -170,8 +174,8 @@ class ArmBatch:
         table = draw_table(self._bounds, np.delete(uniforms[:, :-SENSOR_DRAWS], of_move, axis=1))
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
-            for extreme in (column.min(), column.max()):
-                ArmParams(**{name: float(extreme)})
+            for given in np.unique(column) if name in WHOLE else (column.min(), column.max()):
+                ArmParams(**{name: float(given)})
             table[:, FIELDS.index(name)] = column
         if given_params:
             check_integrable(table, self.model)

@@ -113,6 +113,12 @@ def test_whole_numbers_are_drawn_with_equal_shares():
     assert (np.abs(counts / 2000 - 1 / 9) < 0.03).all()
 
 
+def test_a_ripple_between_whole_numbers_is_refused_in_the_middle_of_a_batch():
+    env = BeltArmVectorEnv(3)
+    with pytest.raises(ValueError, match=r"torque_ripple_order must be a whole number, got 5\.5"):
+        env.reset(options={"params": {"torque_ripple_order": [4.0, 5.5, 8.0]}})
+
+
 def test_words_for_the_ranges():
     for word, ranges in (("off", {}), ("ideal", IDEAL_RANGES), ("train", TRAIN_RANGES)):
         env = BeltArmVectorEnv(50, randomization=word)  # pyright: ignore[reportArgumentType]

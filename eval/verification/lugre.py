@@ -163,6 +163,9 @@ class LuGreArms:
         self._bristles, self._stiffness, self._damping = np.zeros((3, batch.num_arms))
         self._sample = np.zeros(batch.num_arms, np.int64)
 
+    def check(self, table: Floats) -> None:
+        """Take all arms."""
+
     def begin(self, arms: Integers, table: Floats, states: Floats) -> None:
         """Begin new episodes for arms with parameters (n, fields), with bristles that are not deflected."""
         breakaway = table[:, COLUMN.coulomb_friction] * (1 + table[:, COLUMN.static_friction_excess])
