@@ -149,7 +149,7 @@ def test_a_ripple_has_whole_periods_per_turn():
 @pytest.mark.parametrize(
     ("params", "words"),
     [
-        ({"kinematic_error": 0.003}, ("kinematic_error", "0.003", "0.00284")),
+        ({"kinematic_error": 0.0055}, ("kinematic_error", "0.0055", "0.00517")),
         (
             {"static_friction_excess": 1.0, "stribeck_speed": 0.1, "motor_inertia": 1e-6},
             ("stribeck_speed", "0.1", "5000", "raise"),

@@ -109,7 +109,7 @@ def lagrange(model: str, params: ArmParams) -> tuple[Callable[..., Any], Callabl
 @pytest.mark.parametrize("model", MODELS)
 def test_motion_follows_from_the_equations_of_links_and_motor(model: str):
     """The motor's equation with the harmonic drive's torque Lambda on link 1, from which g Lambda goes back."""
-    params = ArmParams(**{**UPPER_ENDS, "kinematic_error_phase": 0.7})
+    params = ArmParams(**{**UPPER_ENDS, "kinematic_error": 0.0005, "kinematic_error_phase": 0.7})
     rng = np.random.default_rng(1)
     for _ in range(50):
         joint, speed, torsion, torsion_rate, torque, friction = rng.uniform(-1, 1, 6) * [1, 80, 0.05, 2, 0.3, 0.1]

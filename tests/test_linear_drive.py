@@ -93,7 +93,7 @@ def test_sampled_model_is_made_of_exponentials(latency: float, lag: float, model
     arm, by_torque, _ = state_space(p, 0.6, model)
     for k, command in enumerate(commands):
         for duration, age in ((late, math.floor(latency) + 1), (1 - late, math.floor(latency))):
-            target = 1.08 * (commands[k - age] if k >= age else 0.0)
+            target = 1.10 * (commands[k - age] if k >= age else 0.0)
             held = np.zeros((6, 6))  # x, tau, target
             held[:4, :4] = arm
             held[:4, 4 if lag else 5] = by_torque[:, 0]

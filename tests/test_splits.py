@@ -46,7 +46,7 @@ SHIFTED: dict[str, dict[str, tuple[float, float]]] = {
     "drive": {
         "torque_ripple": (1.3 * 0.006, 1.8 * 0.006),
         "static_friction_excess": (0.65, 0.9),
-        "kinematic_error": (0.00065, 0.0009),
+        "kinematic_error": (0.00039, 0.00054),
         "current_loop_time_constant": (0.0013, 0.0018),
         "command_latency": (1.95 * 0.0015, 2.7 * 0.0015),
     },

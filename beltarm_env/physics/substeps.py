@@ -83,13 +83,13 @@ def check_drives(table: Floats) -> None:
         ValueError: If a kinematic error would nearly turn joint 1 backward, or friction falls too quickly with speed.
     """
     at = dict(zip(FIELDS, table.T, strict=True))
-    slack = 4 * at["kinematic_error"] * at["gear_ratio"]
+    slack = 2.2 * at["kinematic_error"] * at["gear_ratio"]
     if (slack > 1).any():
         arm = int(np.argmax(slack))
         raise ValueError(
-            f"kinematic_error {at['kinematic_error'][arm]:.3g} rad takes more than half of joint 1's speed away, twice "
-            f"per turn of the motor: with gear_ratio {at['gear_ratio'][arm]:.3g} at most "
-            f"{0.25 / at['gear_ratio'][arm]:.3g} can be integrated"
+            f"kinematic_error {at['kinematic_error'][arm]:.3g} rad takes nine tenths of joint 1's speed or more away, "
+            f"twice per turn of the motor: with gear_ratio {at['gear_ratio'][arm]:.3g} at most "
+            f"{1 / 2.2 / at['gear_ratio'][arm]:.3g} can be integrated"
         )
     level = at["coulomb_friction"] * (1 + at["friction_variation"]) * (1 + at["static_friction_excess"])
     push = 2 * at["torque_limit"] * (1 + at["torque_constant_error"]) + level + at["torque_ripple"]
