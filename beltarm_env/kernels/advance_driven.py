@@ -124,14 +124,14 @@ def _advance_built(block: Floats, work: Floats, actions: Floats, count: int, mod
         _step(block, work, count, model)
         _change_modes(block, work, count, model)
         _put_back_all(block, work, count)
-        pending = _close_ranks(block, work, count)
+        pending = _close_ranks(block, work, count, True)
         for _ in range(MOST_STEPS):
             if pending == 0:
                 break
             _step(work, work, _pad(work, pending), model)
             _change_modes(work, work, pending, model)
             _put_back_finished(block, work, pending)
-            pending = _close_ranks(work, work, pending)
+            pending = _close_ranks(work, work, pending, False)
 
 
 @compiled
@@ -229,8 +229,11 @@ def _put_back_finished(block: Floats, work: Floats, count: int) -> None:
 
 
 @compiled
-def _close_ranks(arms: Floats, work: Floats, count: int) -> int:
-    """Close the ranks in `work` to the arms that are not done, with their coefficients from `arms`."""
+def _close_ranks(arms: Floats, work: Floats, count: int, move_all: bool) -> int:
+    """Close the ranks in `work` to the arms that are not done.
+
+    Their coefficients come from `arms`: those of all of them, or, where that is `work` itself, of those that move up.
+    """
     unfinished = 0  # counted first, because that loop is vectorised
     for i in range(count):
         unfinished += 1 if work[_REMAINING * LANES + i] > 0.0 else 0
@@ -239,12 +242,15 @@ def _close_ranks(arms: Floats, work: Floats, count: int) -> int:
     pending = 0
     for i in range(count):
         if work[_REMAINING * LANES + i] > 0.0:
-            for row in range(at.PLANT):
-                work[row * LANES + pending] = work[row * LANES + i]
-            for row in range(at.PLANT, at.SUBSTEPS + 1):
-                work[row * LANES + pending] = arms[row * LANES + i]
-            for row in range(_TORQUE, _ROWS):
-                work[row * LANES + pending] = work[row * LANES + i]
+            if pending < i:
+                for row in range(at.PLANT):
+                    work[row * LANES + pending] = work[row * LANES + i]
+                for row in range(_TORQUE, _ROWS):
+                    work[row * LANES + pending] = work[row * LANES + i]
+            if move_all | (pending < i):
+                for row in range(at.PLANT, at.MOVE):
+                    work[row * LANES + pending] = arms[row * LANES + i]
+                work[at.SUBSTEPS * LANES + pending] = arms[at.SUBSTEPS * LANES + i]
             pending += 1
     return pending
 

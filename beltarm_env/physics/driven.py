@@ -36,9 +36,10 @@ from beltarm_env.physics.state import ArmState
 from beltarm_env.timing import CONTROL_PERIOD
 
 _ROOT_ITERATIONS = 10  # of bracketed Newton; the margin is a cubic and an exponential
+_CLOSE = 1e-13  # of roots, as a share of the step
 _NEGLIGIBLE = 1e-10  # [rad/s] or [N m]: a margin that dips less below zero has not been left
 _SLOW = 10.0  # [rad/s] at the motor: friction that falls with speed and ripple multiply errors here
-_SLOW_STEP = 3.75e-4  # [s]
+_SLOW_STEP = 5e-4  # [s]
 
 
 class Lag(NamedTuple):
@@ -246,16 +247,14 @@ def _lowest(m: Margin, first_slope: float, last_slope: float) -> float:
 
 @inlined
 def exit_fraction(m: Margin) -> float:
-    """Return where on (0, 1) the margin falls below zero, or 1 if it does not: bracketed Newton iterations.
-
-    The number of iterations is fixed, without an early exit, so that many roots are found side by side.
-    """
+    """Return where on (0, 1) the margin falls below zero, or 1 if it does not: bracketed Newton iterations."""
     _, first_slope = _margin_at(m, 0.0)
     at_end, last_slope = _margin_at(m, 1.0)
     dips = (at_end >= 0.0) & (first_slope < 0.0) & (last_slope > 0.0)
     bottom = _lowest(m, first_slope, last_slope) if dips else 1.0
     lowest, _ = _margin_at(m, bottom)
-    left = lowest < (-_NEGLIGIBLE if dips else 0.0)
+    if lowest >= (-_NEGLIGIBLE if dips else 0.0):
+        return 1.0
     start = m.c0 + m.amplitude
     low, high = 0.0, bottom
     u = bottom * start / (start - lowest) if start > 0.0 else 0.5 * bottom  # breaking away starts at zero speed
@@ -264,16 +263,19 @@ def exit_fraction(m: Margin) -> float:
         low = u if value > 0.0 else low
         high = high if value > 0.0 else u
         newton = u - value / (slope if slope != 0.0 else 1.0)
+        before = u
         u = newton if (newton >= low) & (newton <= high) else 0.5 * (low + high)
-    return u if left else 1.0
+        if abs(u - before) < _CLOSE:
+            break
+    return u
 
 
 @inlined
 def needed_rate(x: ArmState, motor: float, lag: Lag, direction: float, plant: Plant, drive: Drive) -> float:
     """Return the steps per second that ripple, and friction's fall with speed, have to be resolved with [1/s].
 
-    Two radians of ripple, and one of twice the motor's angle, per step; where friction depends on the speed, a quarter
-    of omega_a + omega_s.
+    Two radians of ripple, and one of twice the motor's angle, per step; where friction depends on the speed, a share
+    1 / (4 s) of omega_a + omega_s.
 
     Args:
         x: State.
@@ -286,8 +288,8 @@ def needed_rate(x: ArmState, motor: float, lag: Lag, direction: float, plant: Pl
     speed, change = abs(x.motor_speed), abs(motor) + abs(lag.excess) * plant.inverse_motor_inertia
     order = drive.ripple_order if drive.ripple > 0.0 else 0.0
     by_turning = (0.5 * order if order > 4.0 else 2.0) * speed
-    by_friction = 4 * change * drive.inverse_stribeck_speed / (1 + speed * drive.inverse_stribeck_speed)
-    by_friction = by_friction if drive.static_excess > 0.0 else 0.0
+    u = drive.inverse_stribeck_speed
+    by_friction = 4 * drive.static_excess * change * u / (1 + speed * u)
     touchy = (direction != 0.0) & (speed < _SLOW) & ((drive.static_excess > 0.0) | (drive.ripple > 0.0))
     by_slowness = 1 / _SLOW_STEP if touchy else 0.0
     fastest = by_turning if by_turning > by_friction else by_friction
