@@ -15,8 +15,8 @@ help:  ## Show this list
 	@awk '/^##@/ { printf "\n%s\n", substr($$0, 5) } \
 		/^[a-z]+:.*## / { split($$0, part, ":.*## "); printf "  make %-9s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 
-compare: $(READY)  ## Compare all controllers on 70 scenarios of every split: report.html, pictures in results/compare
-	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 70)
+compare: $(READY)  ## Compare all controllers on 50 scenarios of every split: report.html, pictures in results/compare
+	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 50)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 	$(BIN)/python train/ppo.py $(ARGS)
