@@ -38,6 +38,9 @@ _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial 
 DRAWS = len(FIELDS) + MOVE_DRAWS + SENSOR_DRAWS
 """Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
 _BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, the drive, the sensors
+_OF_MOVE = slice(_BEFORE_MOVE, _BEFORE_MOVE + MOVE_DRAWS)
+_OF_ARM = np.r_[:_BEFORE_MOVE, _OF_MOVE.stop : len(FIELDS) + MOVE_DRAWS]
+_DRIVE_COLUMNS = np.array(DRIVE_COLUMNS)
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -140,6 +143,7 @@ class ArmBatch:
         check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self.driven: at.Driven = IDEAL
+        self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
         self.delays = _delays(delay, num_arms)
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
@@ -169,9 +173,8 @@ class ArmBatch:
         given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 
-        of_move = slice(_BEFORE_MOVE, _BEFORE_MOVE + MOVE_DRAWS)
         of_sensors = uniforms[:, -SENSOR_DRAWS:]
-        table = draw_table(self._bounds, np.delete(uniforms[:, :-SENSOR_DRAWS], of_move, axis=1))
+        table = draw_table(self._bounds, uniforms[:, _OF_ARM])
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for given in np.unique(column) if name in WHOLE else (column.min(), column.max()):
@@ -187,7 +190,7 @@ class ArmBatch:
             given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
             if not np.isfinite(column).all():
                 raise ValueError(f"move[{name!r}] must be finite, got {value!r}")
-        moves = draw_moves(self.profile, uniforms[:, of_move], given)
+        moves = draw_moves(self.profile, uniforms[:, _OF_MOVE], given)
         if given_move:
             check_moves(self.profile, moves)
 
@@ -195,7 +198,8 @@ class ArmBatch:
         if options.get("state") is not None:
             states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
-        self.driven = BUILT if np.any(self.table[:, DRIVE_COLUMNS]) else IDEAL
+        self._built[arms] = table[:, _DRIVE_COLUMNS].any(axis=1)
+        self.driven = BUILT if self._built.any() else IDEAL
         sensing = self.resolution, self.delays, of_sensors
         begin_episodes(self.blocks, arms, table, moves, states, *sensing, self.model)
         if self.engine is not None:

@@ -120,5 +120,6 @@ def draw_table(bounds: Floats, uniforms: Floats) -> Floats:
     for name in WHOLE:
         k = FIELDS.index(name)
         low, high = np.ceil(bounds[0, k]), np.floor(bounds[1, k])
-        table[:, k] = np.minimum(low + np.floor(uniforms[:, k] * (high - low + 1)), high)
+        if low < high:
+            table[:, k] = np.minimum(low + np.floor(uniforms[:, k] * (high - low + 1)), high)
     return table
