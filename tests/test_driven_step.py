@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from beltarm_env import ArmParams
-from beltarm_env.physics.drive import angles_near, angles_of, belt_stiffness, decay, drive_of, turned, wrapped
+from beltarm_env.physics.drive import angles_near, angles_of, belt_stiffness, decay, drive_of, turned
 from beltarm_env.physics.driven import Margin, driven_step, exit_fraction, first_slope, lag_of, leaves_mode, step_length
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.trigonometry import wrapped
 from beltarm_env.task.ranges import DRIVE_RANGES
 
 PARAMS = ArmParams(**{name: high for name, (_, high) in DRIVE_RANGES.items()})

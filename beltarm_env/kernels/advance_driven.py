@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN, plant_of
+from beltarm_env.arm import COLUMN, Plant
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
@@ -36,6 +36,10 @@ Floats = NDArray[np.float64]
 
 MOST_STEPS = 20_000
 """Of a piece; an arm that takes more is left where it is."""
+
+# Rows of the plant's coefficients that drift.
+_VISCOUS_NOW = at.PLANT + Plant._fields.index("viscous_friction")
+_COULOMB_NOW = at.PLANT + Plant._fields.index("coulomb_friction")
 
 _VECTOR = 8  # arms that the widest vector units take at once
 
@@ -67,9 +71,8 @@ def begin_drive(block: Floats, lane: int, row: Floats) -> None:
     block[at.LATE * LANES + lane] = late
     block[at.SPLIT * LANES + lane] = min((samples - late) * CONTROL_PERIOD, CONTROL_PERIOD)
     block[at.GAIN * LANES + lane] = 1 + row[COLUMN.torque_constant_error]
-    plant = plant_of(row)
-    block[at.VISCOUS * LANES + lane] = plant.viscous_friction
-    block[at.COULOMB * LANES + lane] = plant.coulomb_friction
+    block[at.VISCOUS * LANES + lane] = row[COLUMN.motor_viscous_friction]
+    block[at.COULOMB * LANES + lane] = row[COLUMN.coulomb_friction]
     block[at.DRIFT * LANES + lane] = row[COLUMN.friction_drift] / EPISODE_STEPS
 
 
@@ -114,8 +117,8 @@ def _advance_built(block: Floats, work: Floats, actions: Floats, count: int, mod
         limit = load_plant(block, j).torque_limit
         block[at.TARGETS * LANES + j] = actions[j] * limit * block[at.GAIN * LANES + j]
         worn = 1 + block[at.DRIFT * LANES + j] * (block[at.STEP * LANES + j] + 0.5)
-        block[(at.PLANT + 2) * LANES + j] = block[at.VISCOUS * LANES + j] * worn
-        block[(at.PLANT + 3) * LANES + j] = block[at.COULOMB * LANES + j] * worn
+        block[_VISCOUS_NOW * LANES + j] = block[at.VISCOUS * LANES + j] * worn
+        block[_COULOMB_NOW * LANES + j] = block[at.COULOMB * LANES + j] * worn
     latest = 0.0
     for j in range(count):
         latest = max(latest, block[at.SPLIT * LANES + j])

@@ -20,10 +20,7 @@ from typing import Any, NamedTuple
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics.state import ArmState, belt_torque
-from beltarm_env.physics.trigonometry import sin_cos
-
-_TURN = 2 * math.pi
-_ROUNDER = 1.5 * 2.0**52  # adding it pushes the fraction out of a float64
+from beltarm_env.physics.trigonometry import sin_cos, wrapped
 
 DRIVE_COLUMNS = tuple(FIELDS.index(name) for name in DRIVE_EFFECTS)
 """Columns of a table of arms that are all zero where the drive is ideal."""
@@ -73,13 +70,6 @@ def drive_of(row: Any) -> Drive:
         softening=row[COLUMN.belt_stiffening] * row[COLUMN.belt_stiffness],
         knee=knee * knee,
     )
-
-
-@inlined
-def wrapped(angle: float) -> float:
-    """Return the angle less whole turns, within -pi and pi [rad]."""
-    turns = angle * (1 / _TURN)
-    return angle - _TURN * ((turns + _ROUNDER) - _ROUNDER)
 
 
 class Angles(NamedTuple):

@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 from beltarm_env.jit import inlined
+
+_TURN = 2 * math.pi
+_ROUNDER = 1.5 * 2.0**52  # adding it pushes the fraction out of a float64
+
+
+@inlined
+def wrapped(angle: float) -> float:
+    """Return the angle less whole turns, within -pi and pi [rad]."""
+    turns = angle * (1 / _TURN)
+    return angle - _TURN * ((turns + _ROUNDER) - _ROUNDER)
 
 
 @inlined

@@ -15,14 +15,13 @@ from __future__ import annotations
 
 from beltarm_env.jit import inlined
 from beltarm_env.physics.state import ArmState
-from beltarm_env.physics.trigonometry import sin_cos
+from beltarm_env.physics.trigonometry import sin_cos, wrapped
 from beltarm_env.timing import CONTROL_PERIOD
 
 ENCODER_COUNTS = 4000
 """Counts per motor revolution: 1000 pulses, four edges each."""
 
 _ROUNDER = 1.5 * 2.0**52  # adding it pushes the fraction out of a float64
-_PI = 3.141592653589793
 
 
 @inlined
@@ -47,7 +46,7 @@ def around_half_a_turn(angle: float) -> tuple[float, float]:
 
     Whole periods are taken off first, because `sin_cos` is for small angles; so it is for angles of up to 1000 rad.
     """
-    return sin_cos(2.0 * (angle - _PI * ((angle * (1 / _PI) + _ROUNDER) - _ROUNDER)))
+    return sin_cos(wrapped(2.0 * angle))
 
 
 @inlined
