@@ -38,7 +38,7 @@ def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: st
             traces, colours, lambda run: 1000 * np.linalg.norm(run.tip_error[:, 0], axis=1), "tip error (mm)"
         ),
         "residual.png": lambda: _residual_plot(traces, colours),
-        "torque.png": lambda: _time_plot(traces, colours, lambda run: run.torque[:, 0], "motor torque (N m)"),
+        "torque.png": lambda: _time_plot(traces, colours, lambda run: run.torque[:, 0], "torque command (N m)"),
     }
     caption = f"Scenarios of the {comparison.scenario_set.title}"
     figures = {name: partial(_captioned, draw, caption) for name, draw in of_traces.items()} if traces else {}
