@@ -42,8 +42,9 @@ FRICTIONLESS = ArmParams(coulomb_friction=0.0)
 STEPS = 500
 SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
-TOLERANCE = {"adaptive": 1e-3}
-"""Its filter takes derivatives by differences over steps at which the arm is not quite linear."""
+TOLERANCE = {"adaptive": 0.06}
+"""Its filter takes derivatives by differences over steps at which the arm is not quite linear, and for a while takes
+some of a torque for ripple."""
 each_controller = pytest.mark.parametrize("name", CONTROLLERS)
 
 
@@ -160,7 +161,9 @@ class TestMargins:
 
     def test_coulomb_friction_plays_no_part(self, name: str):
         for k in (0, 45):
-            loop, other = (loop_model(c, k, ArmParams()) for c in (CONTROLLERS[name](), frictionless(name)))
+            loop, other = (
+                loop_model(c, k, ArmParams()) for c in (CONTROLLERS[name](params=ArmParams()), frictionless(name))
+            )
             np.testing.assert_allclose(closed_poles(loop), closed_poles(other), rtol=1e-6, atol=1e-6)
 
     @pytest.mark.parametrize("k", range(0, 46, 9))

@@ -283,7 +283,7 @@ class TestGains:
     def test_range_is_checked_and_named(self):
         with pytest.raises(ValueError, match=r"PreviewGains.torque_weight must lie within 0.01 and 10000, got -1"):
             PreviewGains(torque_weight=-1)
-        with pytest.raises(ValueError, match=r"AdaptiveGains.swing_doubt must lie within 0.03 and 1, got nan"):
+        with pytest.raises(ValueError, match=r"AdaptiveGains.swing_doubt must lie within 0.05 and 1, got nan"):
             AdaptiveGains(swing_doubt=math.nan)
         with pytest.raises(TypeError, match=r"PreviewGains.torque_noise must be a number, got '3'"):
             replace(PreviewGains(), torque_noise="3")

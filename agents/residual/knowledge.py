@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium import spaces
 
-from baselines.estimation.arm_ekf import IDENTIFIED
+from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.estimation.identification import Belief, IdentifyingController
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, beginning, read

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.estimation.identification import Belief
-from baselines.estimation.observer import QUANTUM
 from baselines.gains import tuned
 from baselines.iterative.lesson import Law, Lesson, Notes
 from baselines.iterative.norm_optimal import Linearisation, norm_weights, optimal_change
@@ -117,17 +116,18 @@ class IterativeController(AdaptiveController):
             belief = self._identified(reading, start, belief)
         assert belief is not None
         moves = readings[0].move.copy()
-        new = Lesson(moves, belief.logs, belief.covariance[:, 4:, 4:].copy(), None)
+        new = Lesson(moves, belief.constants, belief.covariance[:, 4:, 4:].copy(), None)
         if self.learn_torque:
             table = self._identifier.table(belief)
             law = self._law(table, self._states(new, readings), notes.torques(self.params), moves)
-            new = Lesson(moves, new.logs, new.covariance, law)
+            new = Lesson(moves, new.constants, new.covariance, law)
         left = np.any([reading.step != k for k, reading in enumerate(readings)], axis=0)
-        return (self.lesson or self._nothing(moves)).kept(left, new) if left.any() else new
+        return (self.lesson or self._nothing(readings[0])).kept(left, new) if left.any() else new
 
-    def _nothing(self, moves: Floats) -> Lesson:
-        prior = self._identifier.uncertainty.covariance(QUANTUM)[4:, 4:]
-        return Lesson(moves, np.zeros((len(moves), len(prior))), np.repeat(prior[None], len(moves), axis=0), None)
+    def _nothing(self, first: Reading) -> Lesson:
+        """Lesson of arms of which nothing is known, from the first reading of a trial."""
+        prior = self._identifier.update(None, first, np.ones(len(first.step), np.bool_))
+        return Lesson(first.move.copy(), prior.constants, prior.covariance[:, 4:, 4:].copy(), None)
 
     def _states(self, lesson: Lesson, readings: list[Reading]) -> Floats:
         """States of the trial, shape (n, T, 4), estimated anew with the constants of the lesson."""

@@ -28,13 +28,13 @@ class Lesson:
     """Constants and torques learnt for n arms, each with its move."""
 
     moves: Floats  # start, goal [rad], duration, ramp time [s]; shape (n, 4)
-    logs: Floats  # ln of the identified constants over their nominal values, shape (n, 6)
-    covariance: Floats  # of these, shape (n, 6, 6)
+    constants: Floats  # as `Belief.constants`, shape (n, SIZE - 4)
+    covariance: Floats  # of these, shape (n, SIZE - 4, SIZE - 4)
     law: Law | None  # None: only the arm was learnt
 
     def recalled(self, belief: Belief, which: Flags) -> Belief:
         """Belief with the learnt constants of some arms; `which` has shape (n,)."""
-        return belief.with_constants(which, self.logs, self.covariance)
+        return belief.with_constants(which, self.constants, self.covariance)
 
     def torque(self, planned: Floats, belief: Belief, reading: Reading) -> Floats:
         """Torque [N m], shape (n,): that of the law where it holds, the planned one elsewhere."""
@@ -53,8 +53,8 @@ class Lesson:
         if law:
             idle = law._replace(holds=np.zeros_like(law.holds))
             law = Law(*(chosen(which, old, now) for old, now in zip(self.law or idle, law, strict=True)))
-        logs, covariance = chosen(which, self.logs, new.logs), chosen(which, self.covariance, new.covariance)
-        return Lesson(new.moves, logs, covariance, law)
+        constants = chosen(which, self.constants, new.constants)
+        return Lesson(new.moves, constants, chosen(which, self.covariance, new.covariance), law)
 
     def knows(self, reading: Reading) -> Flags:
         """Whether each arm makes the move of its lesson, shape (n,)."""

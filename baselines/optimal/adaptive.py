@@ -1,16 +1,19 @@
-"""Adaptive preview LQG: the arm is identified while it moves, and the move replanned for the identified arm.
+"""Adaptive preview LQG: arm and drive are identified while the arm moves, and the move replanned for them.
 
-    tau_m = tau_ff[k] - K[k] (x - x_ref[k]) + tau_c dir
+    tau_m = tau_ff[k + D] - K[k + D] (x^ - x_ref[k + D]) - d + c tau_f dir
 
-as in `baselines.optimal.preview`, with state, tau_c and the arm's constants from `baselines.estimation.identification`,
-which also finds the encoder's delay and resolution. Every 30 ms the rest of the move is replanned for arms whose
-estimated constants have changed by more than 2 % (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control,
-1995). At an episode's start the arm is nominal: nothing is carried over from one episode to the next.
+as in `baselines.optimal.preview`, with everything from `baselines.estimation.identification`. A command acts D samples
+after it is given, so plan and state are those of that time: x^ is predicted over the delay under the commands given
+before, and the loop that remains is the plan's own (O. J. M. Smith, Chem. Eng. Progress 53, 1957, for a plant that is
+simulated from an estimated state). d is ripple and whatever torque else the filter finds, tau_f the friction that it
+believes in, breakaway and its variation over the turn included. Its direction is that of the predicted speed. Below a
+small speed it is that of the torque asked for, over a ramp through zero: a torque too small to be meant does not make
+a motor at rest break away.
 
-Where that plan demands more than four times the torque limit, an optimal plan with a hundredfold weight of the torque
-takes over: saturation lowers the loop's gain, and beyond the halving that every LQ regulator tolerates the feedback may
-excite the vibration instead of damping it (after G. F. Wredenhagen, P. R. Belanger: Piecewise-linear LQ control for
-systems with input constraints, Automatica 30, 1994). It is computed on demand, for few arms need it.
+Every 30 ms the rest of the move is replanned for arms whose estimated constants have changed by more than 2 %
+(certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995). At an episode's start the arm is that of
+the design model: nothing is carried over from one episode to the next. The plan takes a belt that stiffens for one of
+its mean stiffness K_s, which it has at the torsion of a moderate move.
 """
 
 from __future__ import annotations
@@ -20,35 +23,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.controller import ClassicalController
-from baselines.estimation.arm_ekf import IDENTIFIED, Uncertainty
+from baselines.estimation.arm_ekf import Uncertainty
+from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
-from baselines.models.friction import breakaway_direction
-from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
+from baselines.optimal.plan import Plans, Weights, plan_moves, replanned
 from baselines.reading import Reading
-from beltarm_env import ArmParams
+from beltarm_env import EPISODE_STEPS, ArmParams, design_model
+from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
 
 _EVERY = 20  # samples between plans
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
-_BEYOND = 4.0  # torque over its limit from which the careful plan is used
-_DEARER = 100.0  # its weight of the torque over that of the other
-_FRICTION = IDENTIFIED.index("coulomb_friction")
 
 
 @dataclass(frozen=True)
 class AdaptiveGains(Gains):
     """Weights of the plan, prior uncertainty and noise of the identification."""
 
-    velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
-    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
-    swing_doubt: float = tunable(0.35, 0.03, 1.0, log=True)  # [-]      of ln S before anything is known
-    stiffness_doubt: float = tunable(0.12, 0.01, 0.5, log=True)  # [-]      of ln K_s
-    friction_doubt: float = tunable(0.17, 0.01, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
-    torque_noise: float = tunable(1e-3, 1e-5, 0.1, log=True)  # [N m]      process noise at the motor
-    acceleration_noise: float = tunable(1.0, 0.03, 100.0, log=True)  # [rad/s^2]  process noise of the torsion
-    friction_share: float = tunable(1.0, 0.5, 1.3)  # [-]        of tau_c that is compensated
+    velocity_weight: float = tunable(0.5, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
+    torque_weight: float = tunable(10.0, 1.0, 1e3, log=True)  # rho     [1/(N m)^2]
+    swing_doubt: float = tunable(0.3, 0.05, 1.0, log=True)  # [-]      of ln S before anything is known
+    stiffness_doubt: float = tunable(0.3, 0.05, 0.6, log=True)  # [-]      of ln K_s
+    friction_doubt: float = tunable(0.2, 0.05, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
+    torque_noise: float = tunable(3e-3, 3e-4, 0.03, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(1.0, 0.1, 10.0, log=True)  # [rad/s^2]  process noise of the torsion
+    disturbance_noise: float = tunable(5e-4, 5e-5, 1e-2, log=True)  # [N m]      unexplained torque that decays
+    friction_share: float = tunable(1.0, 0.5, 1.3)  # c  [-]     of the friction that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
+    rest_width: float = tunable(0.01, 1e-3, 0.1, log=True)  # [N m]      torque of the plan that is meant in full
 
     def uncertainty(self) -> Uncertainty:
         """Prior uncertainty and noise of the identification's filter."""
@@ -58,6 +61,7 @@ class AdaptiveGains(Gains):
             friction=self.friction_doubt,
             torque=self.torque_noise,
             acceleration=self.acceleration_noise,
+            disturbance=self.disturbance_noise,
         )
 
 
@@ -88,7 +92,8 @@ class PlanCache:
         """Cache with new plans for some arms, for their estimated constants."""
         if not which.any():
             return self
-        plans = replanned(self.plans, which, reading.move, identifier.table(belief), weights)
+        table = _planned_for(identifier.table(belief))
+        plans = replanned(self.plans, which, reading.move, table, weights)
         return PlanCache(plans, np.where(which[:, None], belief.logs, self.logs))
 
 
@@ -97,8 +102,7 @@ class AdaptiveMemory:
     """Belief about n arms, and their plans."""
 
     belief: Belief
-    bold: PlanCache
-    careful: PlanCache  # with the torque weighted more, for the arms that needed it
+    cache: PlanCache
 
 
 class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingController[AdaptiveMemory]):
@@ -106,49 +110,65 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
 
     Args:
         gains: Weights, prior uncertainty and noise.
-        params: The nominal arm.
+        params: The nominal arm; the design model if not given.
     """
 
     def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
+        super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
-        self._bold = Weights(self.gains.velocity_weight, self.gains.torque_weight)
-        self._careful = Weights(self.gains.velocity_weight, self.gains.torque_weight * _DEARER)
+        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
         self._identifier = ArmIdentifier(self.params, self.gains.uncertainty())
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
         return memory.belief
 
+    def resting_gain(self, joint: float) -> Floats:
+        """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
+        move = np.array([[joint, joint, 0.5, 0.2]])
+        table = _planned_for(nominal_row(self.params)[None])
+        return plan_moves(move, table, self._weights).gain[0, 0]
+
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         belief = self._identified(reading, begins, memory.belief if memory else None)
-        bold = memory.bold.drop(begins) if memory else PlanCache.empty(belief)
-        careful = memory.careful.drop(begins) if memory else PlanCache.empty(belief)
-        bold = bold.replan(bold.is_stale(belief, reading), reading, belief, self._identifier, self._bold)
-        torque = planned_torque(bold.plans, reading.step, belief.state)
-        beyond = np.abs(torque) > _BEYOND * self.params.torque_limit
-        due = beyond & careful.is_stale(belief, reading)
-        careful = careful.replan(due, reading, belief, self._identifier, self._careful)
-        for arm in np.flatnonzero(beyond):
-            only = slice(arm, arm + 1)
-            torque[only] = planned_torque(careful.plans[only], reading.step[only], belief.state[only])
-        direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
-        friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
-        return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)
+        cache = memory.cache.drop(begins) if memory else PlanCache.empty(belief)
+        cache = cache.replan(cache.is_stale(belief, reading), reading, belief, self._identifier, self._weights)
+        state = self._identifier.ahead(belief)
+        torque = _planned_torque(cache.plans, reading.step + belief.delay, state)
+        friction, others = self._identifier.motor_torques(belief, state)
+        asked = np.clip(torque / self.gains.rest_width, -1.0, 1.0)
+        direction = np.where(np.abs(state[:, 1]) > self.gains.friction_speed, np.sign(state[:, 1]), asked)
+        return torque + self.gains.friction_share * friction * direction - others, AdaptiveMemory(belief, cache)
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""
         return self._identifier.update(belief, reading, begins)
 
 
+def _planned_for(table: Floats) -> Floats:
+    """Constants that plans are made for: those of `table`, with the belt's mean stiffness."""
+    table[:, COLUMN.belt_stiffening] = 0.0
+    return table
+
+
+def _planned_torque(plans: Plans, time: Floats, state: Floats) -> Floats:
+    """tau_ff - K (x - x_ref) [N m] of n arms, each at its time [samples] and in its state, shape (n, 4)."""
+    step = np.minimum(time.astype(np.intp), EPISODE_STEPS - 2)
+    part = np.minimum(time - step, 1.0)[:, None]
+    rows, after = (np.array([plan[k] for plan, k in zip(plans, step + i, strict=True)]) for i in (0, 1))
+    rows = rows + part * (after - rows)
+    feedback = rows[:, 4:8] * (state - rows[:, :4])
+    return rows[:, 8] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
+
+
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:
     """Identification with the tuned gains of this controller.
 
     Args:
-        params: The nominal arm.
+        params: The nominal arm; the design model if not given.
 
     Raises:
         ValueError: If the file of gains is damaged or out of date.
     """
-    return ArmIdentifier(params or ArmParams(), tuned("adaptive", AdaptiveGains).uncertainty())
+    return ArmIdentifier(params or design_model(), tuned("adaptive", AdaptiveGains).uncertainty())

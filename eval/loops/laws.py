@@ -13,6 +13,7 @@ To add a controller, add its law to `LAWS`: `tests/test_loops.py` then holds it 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimation.arm_ekf import Uncertainty
+from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import RigidArm
@@ -36,6 +38,7 @@ from baselines.servo.paper import PaperController, TorsionSimulation
 from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.physics.sampled import sampled_state_space
 
 Floats = NDArray[np.float64]
 
@@ -144,22 +147,45 @@ def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
 
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
-    """Steady-state gain of the identification's filter for x with the constants held at the nominal, shape (4,)."""
+    """Steady-state gain of the identification's filter for [x; d] with the constants held, shape (5,)."""
     arm = LinearArms(*(part[k] for part in linear_arm(params)))
-    covariance = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
-    covariance += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
+    transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, uncertainty.kept]), np.zeros((5, 5))
+    transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
+    covariance[:4, :4] = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
+    covariance[:4, :4] += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
     covariance[0, 0] += QUANTUM**2 / 120
-    measured, rounding = np.array([[1.0, 0, 0, 0]]), np.array([[QUANTUM**2 / 12]])
-    _, before, _ = control.dlqe(arm.transition, np.eye(4), measured, covariance, rounding)
+    covariance[4, 4] = uncertainty.growth()[DISTURBANCE]
+    measured, rounding = np.array([[1.0, 0, 0, 0, 0]]), np.array([[QUANTUM**2 / 12]])
+    _, before, _ = control.dlqe(transition, np.eye(5), measured, covariance, rounding)
     return np.asarray(before)[:, 0] / (before[0, 0] + rounding[0, 0])
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
-    """State feedback of the plan on the identification's filter, held at the nominal constants."""
-    params, g = controller.params, controller.gains
-    uncertainty = Uncertainty(torque=g.torque_noise, acceleration=g.acceleration_noise)
-    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
-    return _state_feedback(params, k, gain, identification_gain(params, uncertainty, k))
+    """State feedback of the plan on the predicted state, the constants held at those of the design model.
+
+    Memory: x and d of the filter, the motor's torque and the commands under way; ripple is left out.
+    """
+    params, uncertainty = ArmParams.from_row(nominal_row(controller.params)), controller.gains.uncertainty()
+    lag = max(controller.params.current_loop_time_constant, SHORTEST * CONTROL_PERIOD)
+    a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), ANGLES[k])
+    gain = controller.resting_gain(ANGLES[k])
+    filter_gain = identification_gain(params, uncertainty, k)
+    by_torque = np.append(linear_arm(params).by_torque[k], np.zeros(len(a) - 4))
+    delay = (params.command_latency + lag) / CONTROL_PERIOD
+    whole = int(delay)
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        z, d = a @ memory[1:] + b[:, 0] * last + by_torque * memory[0], uncertainty.kept * memory[0]
+        innovation = angle - z[0]
+        z[:4] += filter_gain[:4] * innovation
+        d += filter_gain[4] * innovation
+        ahead = [z]
+        for _ in range(whole + 1):
+            ahead.append(a @ ahead[-1] + b[:, 0] * last + by_torque * d)
+        x = ahead[whole] + (delay - whole) * (ahead[whole + 1] - ahead[whole])
+        return float(-gain @ x[:4] - d), np.append(d, z)
+
+    return Law(1 + len(a), step)
 
 
 _horizon = lru_cache(maxsize=8)(horizon)
