@@ -106,7 +106,7 @@ def test_a_student_that_does_as_it_is_told_does_as_well_as_its_teacher(lesson: L
 
     taught, base = (np.mean(trial(c).cost) for c in (IterativeController(lesson), CONTROLLERS["adaptive"]()))
     own = np.mean(trial(Obedient(student(0.0, limit=2.0, hold=1), lesson)).cost)
-    assert own - taught < 0.2 * (base - taught)
+    assert own - taught < 0.5 * (base - taught)
 
 
 def test_arms_that_have_left_are_not_asked_about(lesson: Lesson):

@@ -11,7 +11,7 @@ learned late or never.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,12 +21,12 @@ from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.estimation.identification import Belief, IdentifyingController
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, beginning, read
-from beltarm_env import ArmParams
+from beltarm_env import ArmParams, design_model
 from beltarm_env import observation as layout
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import Entry
 from beltarm_env.physics.kinematics import tip_errors
-from beltarm_env.rollout import Controller, nominal_params
+from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params
 
 Knowledge = Literal["belief", "none"]
 
@@ -91,7 +91,8 @@ class InformedBase:
         self.knowledge: Knowledge = knowledge
         self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
         self._plant = (self.params or ArmParams()).plant()
-        self._identifier = tuned_identifier(self.params) if knowledge == "belief" else None
+        sheet = {name: getattr(self.params or ArmParams(), name) for name in DATA_SHEET}
+        self._identifier = tuned_identifier(replace(design_model(), **sheet)) if knowledge == "belief" else None
         entries = ENTRIES[knowledge]
         self._scales = np.array([entry.scale for entry in entries])
         self._bounds = np.array([entry.bound for entry in entries])

@@ -32,6 +32,7 @@ from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import integration_substeps
+from beltarm_env.physics.trigonometry import sin_cos, wrapped
 
 IDENTIFIED = (
     "arm_inertia_swing",
@@ -65,6 +66,7 @@ HIGHEST = np.array([300, 2000, 2, 200, 1.8, 0.9, 0.6, 1.6, 1.6, 0.9, LONGEST, 2,
 
 SHORTEST = 0.02
 """Of the time constant of a current loop [samples]."""
+_EARLIEST = 1e-6  # latency [samples]: all arms take both pieces of a sample, whoever is simulated beside them
 _REACH = 4  # samples over which the current loop remembers commands
 HISTORY = int(LONGEST) + 2 + _REACH
 """Commands of the past that the motion depends on."""
@@ -98,7 +100,7 @@ def believe(z: Floats, nominal: Floats, row: Floats) -> None:
         row[_ROWS[i]] *= np.exp(z[LOGS.start + i])
     lag = max(min(z[LAG], z[DELAY]), SHORTEST)
     row[COLUMN.current_loop_time_constant] = lag * CONTROL_PERIOD
-    row[COLUMN.command_latency] = max(z[DELAY] - lag, 0.0) * CONTROL_PERIOD
+    row[COLUMN.command_latency] = max(z[DELAY] - lag, _EARLIEST) * CONTROL_PERIOD
     row[COLUMN.friction_variation] = np.hypot(z[SINE], z[COSINE])
     row[COLUMN.friction_variation_phase] = np.arctan2(z[COSINE], z[SINE]) % (2 * np.pi)
     row[COLUMN.static_friction_excess] = max(nominal[COLUMN.static_friction_excess] + z[EXCESS], 0.0)
@@ -110,9 +112,10 @@ def ripple_shape(angle: float, speed: float, k: int) -> tuple[float, float]:
     """Mean sine and cosine of the ripple of ORDERS[k] over a sample that begins at a motor angle [rad], at a speed."""
     half = 0.5 * CONTROL_PERIOD * speed
     turn = ORDERS[k] * half
-    mean = np.sin(turn) / turn if abs(turn) > 1e-3 else 1.0
-    phase = ORDERS[k] * (angle + half)
-    return mean * np.sin(phase), mean * np.cos(phase)
+    sine_of_turn, _ = sin_cos(wrapped(turn))
+    mean = sine_of_turn / turn if abs(turn) > 1e-3 else 1.0
+    sine, cosine = sin_cos(wrapped(ORDERS[k] * (angle + half)))
+    return mean * sine, mean * cosine
 
 
 @inlined
