@@ -167,7 +167,7 @@ class TestDataSheet:
 
     @pytest.mark.parametrize("name", CONTROLLERS)
     def test_controller_made_for_an_arm_drives_it_as_the_nominal_one_its_own(self, name: str):
-        nominal = rollout(CONTROLLERS[name](), 1, seed=0, options={"move": EASY}).metrics()
+        nominal = rollout(CONTROLLERS[name](params=ArmParams()), 1, seed=0, options={"move": EASY}).metrics()
         controller = CONTROLLERS[name](params=ArmParams(**GEARED))
         geared = rollout(controller, 1, seed=0, options={"move": EASY, "params": GEARED}).metrics()
         for metric in ("tip_rms_mm", "cost"):

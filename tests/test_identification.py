@@ -99,9 +99,10 @@ class TestArm:
 
 
 class TestDrive:
-    def test_finds_the_delay_of_drives_as_they_are_built(self):
+    @pytest.mark.parametrize("nominal", [design_model(), ArmParams()])
+    def test_finds_the_delay_of_drives_as_they_are_built(self, nominal: ArmParams):
         env = batch(64, randomization="train")
-        error = followed(AdaptiveController(), env, 300).delay - true_delays(env)
+        error = followed(AdaptiveController(params=nominal), env, 300).delay - true_delays(env)
         assert np.sqrt(np.mean(error**2)) < 0.2
 
     def test_finds_how_friction_varies_over_the_turn(self):

@@ -37,6 +37,7 @@ from baselines.estimation.believed_arm import (
     LOWEST,
     ORDERS,
     RIPPLE,
+    SHORTEST,
     SIZE,
     STEPS,
     ripple_shape,
@@ -220,7 +221,7 @@ class ArmFilter:
         """Filters of nominal arms at rest at motor angles of shape (m,), measured with a resolution [rad]."""
         mean = np.zeros((SIZE, len(angles)))
         mean[0] = angles
-        mean[LAG] = self.params.current_loop_time_constant / CONTROL_PERIOD
+        mean[LAG] = max(self.params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
         mean[DELAY] = mean[LAG] + self.params.command_latency / CONTROL_PERIOD
         covariance = np.repeat(self.uncertainty.covariance(resolution)[:, :, None], len(angles), axis=2)
         return Tracks(mean, covariance, np.ones(len(angles)))

@@ -55,17 +55,16 @@ DIFFERENCED = RIPPLE.start
 
 STEPS = np.array([1e-2, 1e-1, 1e-4, 1e-2, *[1e-2] * len(IDENTIFIED), *[1e-2] * 6, 1e-3])
 """For these differences, shape (DIFFERENCED,)."""
-LONGEST = 6.0
-"""Longest delay [samples]."""
+SHORTEST, LONGEST = 0.02, 6.0
+"""Delay and, of the former, current loop [samples]. A shorter one would be none, and so would its derivative."""
 _RIPPLE = [0.02] * (RIPPLE.stop - RIPPLE.start)
 LOWEST = np.array(
-    [-300, -2000, -2, -200, -0.9, -1.4, -0.5, -2, -2, -0.7, 0, 0, -0.6, -0.6, -0.5, -0.3, -0.06, *np.negative(_RIPPLE)]
+    [-300, -2000, -2, -200, -0.9, -1.4, -0.5, -2, -2, -0.7, SHORTEST, SHORTEST, -0.6, -0.6, -0.5, -0.3, -0.06]
+    + [-most for most in _RIPPLE]
 )
 HIGHEST = np.array([300, 2000, 2, 200, 1.8, 0.9, 0.6, 1.6, 1.6, 0.9, LONGEST, 2, 0.6, 0.6, 1.5, 0.3, 0.06, *_RIPPLE])
 """Bounds of z, far beyond any arm of the benchmark: an arm within them can be integrated."""
 
-SHORTEST = 0.02
-"""Of the time constant of a current loop [samples]."""
 _EARLIEST = 1e-6  # latency [samples]: all arms take both pieces of a sample, whoever is simulated beside them
 _REACH = 4  # samples over which the current loop remembers commands
 HISTORY = int(LONGEST) + 2 + _REACH
@@ -98,7 +97,7 @@ def believe(z: Floats, nominal: Floats, row: Floats) -> None:
     row[:] = nominal
     for i in range(len(_ROWS)):
         row[_ROWS[i]] *= np.exp(z[LOGS.start + i])
-    lag = max(min(z[LAG], z[DELAY]), SHORTEST)
+    lag = min(z[LAG], z[DELAY])
     row[COLUMN.current_loop_time_constant] = lag * CONTROL_PERIOD
     row[COLUMN.command_latency] = max(z[DELAY] - lag, _EARLIEST) * CONTROL_PERIOD
     row[COLUMN.friction_variation] = np.hypot(z[SINE], z[COSINE])

@@ -48,7 +48,7 @@ class AdaptiveGains(Gains):
     friction_doubt: float = tunable(0.2, 0.05, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
     torque_noise: float = tunable(3e-3, 3e-4, 0.03, log=True)  # [N m]      process noise at the motor
     acceleration_noise: float = tunable(1.0, 0.1, 10.0, log=True)  # [rad/s^2]  process noise of the torsion
-    disturbance_noise: float = tunable(5e-4, 5e-5, 1e-2, log=True)  # [N m]      unexplained torque that decays
+    unexplained_torque: float = tunable(5e-4, 5e-5, 1e-2, log=True)  # [N m]      unexplained torque that decays
     friction_share: float = tunable(1.0, 0.5, 1.3)  # c  [-]     of the friction that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
     rest_width: float = tunable(0.01, 1e-3, 0.1, log=True)  # [N m]      torque of the plan that is meant in full
@@ -61,7 +61,7 @@ class AdaptiveGains(Gains):
             friction=self.friction_doubt,
             torque=self.torque_noise,
             acceleration=self.acceleration_noise,
-            disturbance=self.disturbance_noise,
+            disturbance=self.unexplained_torque,
         )
 
 

@@ -34,6 +34,7 @@ MEANING = {
     "torsion_noise": ("σ_α", "rad/s²"),
     "disturbance_noise": ("σ_d", "N m/√s"),
     "bias_noise": ("σ_d", "N m/√s"),
+    "unexplained_torque": ("σ_d", "N m"),
     "friction_share": ("κ", "share of τ_c"),
     "friction_speed": ("ω_0", "rad/s"),
     "swing_doubt": ("σ of ln S", "–"),
