@@ -23,6 +23,7 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorE
 from beltarm_env.arm import params_table
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.ranges import design_model
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +50,43 @@ class TestSimulation:
             states = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
         np.testing.assert_array_equal(states, env.state)
 
+    @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+    def test_with_drives_is_the_environment_bit_for_bit(self, model: str):
+        rng = np.random.default_rng(0)
+        env = batch(150, model=model, randomization="train")
+        latency = rng.uniform(0, 3 * CONTROL_PERIOD, 150)
+        latency[:4] = 0.0, CONTROL_PERIOD, 2 * CONTROL_PERIOD, 3 * CONTROL_PERIOD
+        env.reset(seed=SEED, options={"params": {"friction_drift": 0.0, "command_latency": latency}})
+        simulation = ArmSimulation(env.params, model=model)
+        states = simulation.at_rest(env.state[:, 0])
+        states[:, :4] = env.state
+        for _ in range(80):
+            action = rng.uniform(-0.6, 0.6, (150, 1)).astype(np.float32)
+            env.step(action)
+            before = states.copy()
+            following = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
+            np.testing.assert_array_equal(states, before, "what was given is left alone")
+            states = following
+        np.testing.assert_array_equal(states[:, :4], env.state)
+
+    def test_commands_under_way_are_states(self):
+        late = ArmParams(command_latency=1.5 * CONTROL_PERIOD, torque_constant_error=0.1)
+        simulation = ArmSimulation(late)
+        states = simulation.at_rest(np.array([60.0]))
+        for command in (0.1, 0.2, -0.1):
+            states = simulation.advance(states, np.array([command]))
+        np.testing.assert_allclose(states[0, 4:], [0.22, -0.11, 0.22, 0.11], rtol=1e-12)
+
+    def test_ahead_is_what_comes_and_a_straight_line_between_samples(self):
+        arms = [design_model(), ArmParams(), replace(design_model(), command_latency=0.004), design_model()]
+        simulation, torques = ArmSimulation(arms), np.full(4, 0.1)
+        states = simulation.at_rest(np.array([60.0, 61.0, 62.0, 63.0]))
+        once = simulation.advance(states, torques)
+        twice = simulation.advance(once, torques)
+        found = simulation.ahead(states, torques, np.array([0.0, 1.0, 2.0, 1.25]))
+        for arm, expected in enumerate((states, once, twice, once + 0.25 * (twice - once))):
+            np.testing.assert_allclose(found[arm], expected[arm, :4], rtol=1e-13)
+
     def test_other_constants_take_effect(self):
         simulation = ArmSimulation(ArmParams(), 2)
         start = np.tile([60.0, 0.0, 0.05, 0.0], (2, 1))
@@ -67,6 +105,8 @@ class TestSimulation:
     def test_mistakes_are_named(self):
         with pytest.raises(ValueError, match=r"states and torques must have shapes \(2, 4\) and \(2,\), got \(1, 4\)"):
             ArmSimulation(ArmParams(), 2).advance(np.zeros((1, 4)), np.zeros(2))
+        with pytest.raises(ValueError, match=r"states and torques must have shapes \(1, 8\) and \(1,\), got \(1, 4\)"):
+            ArmSimulation(design_model()).advance(np.zeros((1, 4)), np.zeros(1))
         with pytest.raises(ValueError, match="there is room for 136 arms, got 137"):
             ArmSimulation(ArmParams(), 2).set_table(params_table([ArmParams()] * 137))
         with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', got 'mujoco'"):
