@@ -110,10 +110,10 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     """
 
     def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
+        super().__init__(params or ArmParams())  # whose drive is ideal, as the identification takes it to be
         self.gains = gains or AdaptiveGains()
-        self._bold = Weights(self.gains.velocity_weight, self.gains.torque_weight)
-        self._careful = Weights(self.gains.velocity_weight, self.gains.torque_weight * _DEARER)
+        self._bold = Weights(self.gains.velocity_weight, self.gains.torque_weight, 0.0)
+        self._careful = Weights(self.gains.velocity_weight, self.gains.torque_weight * _DEARER, 0.0)
         self._identifier = ArmIdentifier(self.params, self.gains.uncertainty())
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
@@ -126,13 +126,14 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         bold = memory.bold.drop(begins) if memory else PlanCache.empty(belief)
         careful = memory.careful.drop(begins) if memory else PlanCache.empty(belief)
         bold = bold.replan(bold.is_stale(belief, reading), reading, belief, self._identifier, self._bold)
-        torque = planned_torque(bold.plans, reading.step, belief.state)
+        time, last = reading.step.astype(np.float64), np.zeros(len(begins))  # of which nothing depends: R = 0
+        torque = planned_torque(bold.plans, time, belief.state, last)
         beyond = np.abs(torque) > _BEYOND * self.params.torque_limit
         due = beyond & careful.is_stale(belief, reading)
         careful = careful.replan(due, reading, belief, self._identifier, self._careful)
         for arm in np.flatnonzero(beyond):
             only = slice(arm, arm + 1)
-            torque[only] = planned_torque(careful.plans[only], reading.step[only], belief.state[only])
+            torque[only] = planned_torque(careful.plans[only], time[only], belief.state[only], last[only])
         direction = breakaway_direction(belief.state[:, 1], torque, self.gains.friction_speed)
         friction = self.params.coulomb_friction * np.exp(belief.logs[:, _FRICTION])
         return torque + self.gains.friction_share * friction * direction, AdaptiveMemory(belief, bold, careful)

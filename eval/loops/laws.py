@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import RigidArm
 from baselines.optimal.adaptive import AdaptiveController
@@ -36,6 +37,7 @@ from baselines.servo.paper import PaperController, TorsionSimulation
 from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.physics.sampled import sampled_state_space
 
 Floats = NDArray[np.float64]
 
@@ -135,12 +137,36 @@ def _state_feedback(params: ArmParams, k: int, gain: Floats, filter_gain: Floats
     return Law(len(filter_gain), step)
 
 
+def _ahead_feedback(params: ArmParams, k: int, gain: Floats, noise: Noise) -> Law:
+    """-K (x when the command acts, net torque of the last sample) - d, with the motor sliding.
+
+    Memory: the arm behind its drive as `sampled_state_space` has it, d, and what was added to the net torque.
+    """
+    a, b, _ = sampled_state_space(params, float(ANGLES[k]))
+    filter_gain = kalman_gains(params, noise)[k]
+    whole, rest = divmod(dead_time(params) / CONTROL_PERIOD, 1.0)
+    size = len(a)
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        *_, disturbance, added = memory
+        z = a @ memory[:size] + b[:, 0] * (last + disturbance)
+        innovation = angle - z[0]
+        z[:4] += filter_gain[:4] * innovation
+        disturbance += filter_gain[4] * innovation
+        torques, ahead = b[:, 0] * (last + disturbance), z
+        for _ in range(int(whole)):
+            ahead = a @ ahead + torques
+        ahead = ahead + rest * (a @ ahead + torques - ahead)
+        net = float(-gain @ [*ahead[:4], last - added])
+        return net - disturbance, np.array([*z, disturbance, -disturbance])
+
+    return Law(size + 2, step)
+
+
 def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
     """State feedback of `lqg`, which is the gain of the plan of `preview` at rest, long before the episode's end."""
     params, g = controller.params, controller.gains
-    noise = Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
-    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
-    return _state_feedback(params, k, gain, kalman_gains(params, noise)[k])
+    return _ahead_feedback(params, k, feedback_gains(params, g.weights())[k], g.noise())
 
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
@@ -158,7 +184,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     """State feedback of the plan on the identification's filter, held at the nominal constants."""
     params, g = controller.params, controller.gains
     uncertainty = Uncertainty(torque=g.torque_noise, acceleration=g.acceleration_noise)
-    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
+    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight, 0.0))[k][:4]
     return _state_feedback(params, k, gain, identification_gain(params, uncertainty, k))
 
 
@@ -180,17 +206,10 @@ def horizon_gain(ahead: Horizon, angle: float) -> Floats:
 
 
 def mpc_law(controller: MpcController, k: int) -> Law:
-    """First torque of the horizon's plan; memory: the filter's and the net torque of the last sample."""
+    """First torque of the horizon's plan."""
     params, g = controller.params, controller.gains
-    update = _filter(params, k, kalman_gains(params, Noise(g.torque_noise, g.torsion_noise, g.bias_noise))[k])
-    gain = horizon_gain(_horizon(params, g.velocity_weight, g.change_weight), float(ANGLES[k]))
-
-    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
-        estimate = update(angle, last, memory[:5])
-        net = float(gain @ [*estimate[:4], memory[5]])
-        return net - estimate[4], np.append(estimate, net)
-
-    return Law(6, step)
+    gain = horizon_gain(_horizon(params, g.weights()), float(ANGLES[k]))
+    return _ahead_feedback(params, k, -gain, g.noise())
 
 
 LAWS: dict[type, Callable[[Any, int], Law]] = {
