@@ -10,6 +10,7 @@ import numpy as np
 from baselines.reading import Reading, beginning, read
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.task.ranges import design_model
 
 Memory = TypeVar("Memory")
 
@@ -18,14 +19,16 @@ class ClassicalController(ABC, Generic[Memory]):
     """Base of controllers on observations of `sensors`; a subclass writes `law`.
 
     Args:
-        params: The nominal arm, all that the controller knows of the plant. Its gear ratio and torque limit, which
-            observations and actions are scaled by, must be those of the arms that it drives.
+        params: The design model: all that the controller knows of the plant before it moves. By default it is the
+            middle of the training ranges, drive included (`beltarm_env.task.ranges.design_model`), for every tuned
+            controller alike; the paper's two know the paper's arm. Its gear ratio and torque limit, which observations
+            and actions are scaled by, must be those of the arms that it drives.
     """
 
     sensors: ClassVar[Literal["encoder", "full"]] = "encoder"
 
     def __init__(self, params: ArmParams | None) -> None:
-        self.params = params or ArmParams()
+        self.params = params or design_model()
 
     @abstractmethod
     def law(self, reading: Reading, begins: Flags, memory: Memory | None) -> tuple[Floats, Memory]:

@@ -59,6 +59,17 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     )
 
 
+def last_share(now: Reading, added: Floats | None, begins: Flags) -> Floats:
+    """Law's own share of the last command [N m], as far as the limit let it through; zero where an episode begins.
+
+    Args:
+        now: Measurements of n arms.
+        added: What was commanded beside it [N m], shape (n,); None before the first command.
+        begins: Which arms begin an episode, shape (n,).
+    """
+    return np.zeros(len(begins)) if added is None else np.where(begins, 0.0, now.last_command - added)
+
+
 def chosen(which: Flags, these: Any, others: Any) -> Any:
     """Rows of `these` for arms in `which`, shape (n,), and of `others` for the rest; arrays with the arms first."""
     return np.where(which.reshape(-1, *[1] * (these.ndim - 1)), these, others)

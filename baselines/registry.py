@@ -37,7 +37,7 @@ def tuned_controller(name: str, params: ArmParams | None = None) -> Any:
 
     Args:
         name: Of the controller.
-        params: The nominal arm.
+        params: The design model, see `baselines.controller`.
 
     Raises:
         ValueError: If the file of gains is damaged or out of date.

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -167,11 +168,13 @@ class TestDataSheet:
 
     @pytest.mark.parametrize("name", CONTROLLERS)
     def test_controller_made_for_an_arm_drives_it_as_the_nominal_one_its_own(self, name: str):
-        nominal = rollout(CONTROLLERS[name](params=ArmParams()), 1, seed=0, options={"move": EASY}).metrics()
-        controller = CONTROLLERS[name](params=ArmParams(**GEARED))
-        geared = rollout(controller, 1, seed=0, options={"move": EASY, "params": GEARED}).metrics()
+        known = CONTROLLERS[name]().params
+        runs = {}
+        for kind, arm in {"own": known, "geared": replace(known, **GEARED)}.items():
+            options = {"move": EASY, "params": asdict(arm)}
+            runs[kind] = rollout(CONTROLLERS[name](params=arm), 1, seed=0, options=options).metrics()
         for metric in ("tip_rms_mm", "cost"):
-            np.testing.assert_allclose(geared[metric], nominal[metric], rtol=0.15)
+            np.testing.assert_allclose(runs["geared"][metric], runs["own"][metric], rtol=0.15)
 
     @pytest.mark.parametrize(("field", "value"), GEARED.items())
     def test_other_arms_are_refused(self, field: str, value: float):

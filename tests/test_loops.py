@@ -21,6 +21,7 @@ from baselines.optimal.adaptive import AdaptiveMemory
 from baselines.servo.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.ranges import design_model
 from eval import baselines
 from eval.loops.gains import MEANING
 from eval.loops.laws import law_of
@@ -39,6 +40,7 @@ Floats = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parent.parent
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
+DRIVEN = replace(design_model(), coulomb_friction=0.0)
 STEPS = 500
 SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
@@ -57,12 +59,12 @@ def delayed(loop: control.StateSpace, samples: int) -> control.StateSpace:
     return loop * control.StateSpace(chain, first, last, 0, CONTROL_PERIOD)
 
 
-def frictionless(name: str) -> Any:
+def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
     """A controller with its gains that believes in an arm without Coulomb friction."""
     if name in ("paper", "rigid"):
-        return {"paper": PaperController, "rigid": rigid_controller}[name](FRICTIONLESS)
+        return {"paper": PaperController, "rigid": rigid_controller}[name](params)
     make: Any = TUNABLE[name].controller
-    return make(tuned(name, TUNABLE[name].gains), params=FRICTIONLESS)
+    return make(tuned(name, TUNABLE[name].gains), params=params)
 
 
 def resting_observation(joint: float, state: Floats, before: float, last_command: float, **at: float) -> Any:
@@ -88,14 +90,14 @@ def at_work(
     """
     begin = SETTLED.get(name, 300)
     joint = float(np.float32(ANGLES[k]))
-    plant, noise = ArmSimulation(FRICTIONLESS), 1e-8 * np.random.default_rng(0).standard_normal(begin + steps)
-    state = np.array([88 * joint, 0.0, 0.0, 0.0])
+    plant, noise = ArmSimulation(controller.params), 1e-8 * np.random.default_rng(0).standard_normal(begin + steps)
+    state = plant.at_rest(np.array([88 * joint]))[0]
     angles = [state[0]]
     memory, last = None, 0.0
     for i in range(begin + steps):
         angles.append(state[0])
         late = delay if i >= begin else 0
-        seen = np.array([angles[i + 1 - late], *state[1:]])
+        seen = np.array([angles[i + 1 - late], *state[1:4]])
         action, memory = controller.predict(resting_observation(joint, seen, angles[i - late], last), memory)
         if isinstance(memory, AdaptiveMemory):
             memory = replace(memory, belief=replace(memory.belief, count=np.array([QUANTUM])))
@@ -105,12 +107,12 @@ def at_work(
     return np.array(angles[begin + 1 :])
 
 
-def check_pulse(name: str, k: int, **changed: Any) -> None:
+def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS, **changed: Any) -> None:
     """Compare the motion after a pulse of torque with what python-control makes of the linear loop."""
-    controller, pulse = frictionless(name), 1e-6
+    controller, pulse = frictionless(name, params), 1e-6
     motion = at_work(name, controller, k, pulse, **changed) - at_work(name, controller, k, 0.0, **changed)
     law = delayed(changed.get("gain", 1.0) * law_model(law_of(controller, k)), changed.get("delay", 0))
-    closed: Any = control.feedback(sampled_arm(FRICTIONLESS, ANGLES[k]), cast("Any", law), sign=1)
+    closed: Any = control.feedback(sampled_arm(params, ANGLES[k]), cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
@@ -139,6 +141,12 @@ class TestAgainstTheController:
     def test_response_to_a_pulse_of_torque(self, name: str, k: int):
         check_pulse(name, k)
 
+    @pytest.mark.parametrize("k", [0, 30])
+    @pytest.mark.parametrize("latency", [0.0, 0.75, 1.6])
+    @pytest.mark.parametrize("name", ["ei", "lqg", "preview", "mpc"])
+    def test_response_behind_a_drive(self, name: str, latency: float, k: int):
+        check_pulse(name, k, replace(DRIVEN, command_latency=latency * CONTROL_PERIOD))
+
     @each_controller
     @pytest.mark.parametrize("beyond", [False, True])
     def test_at_the_edge_of_its_gain_margin(self, name: str, beyond: bool):
@@ -160,10 +168,10 @@ class TestMargins:
             assert np.abs(closed_poles(loop_model(controller, k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
 
     def test_coulomb_friction_plays_no_part(self, name: str):
+        controller = CONTROLLERS[name]()
+        without = frictionless(name, replace(controller.params, coulomb_friction=0.0))
         for k in (0, 45):
-            loop, other = (
-                loop_model(c, k, ArmParams()) for c in (CONTROLLERS[name](params=ArmParams()), frictionless(name))
-            )
+            loop, other = (loop_model(c, k, ArmParams()) for c in (controller, without))
             np.testing.assert_allclose(closed_poles(loop), closed_poles(other), rtol=1e-6, atol=1e-6)
 
     @pytest.mark.parametrize("k", range(0, 46, 9))

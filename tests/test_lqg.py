@@ -1,6 +1,7 @@
 """Flatness feed-forward and gain-scheduled LQG: the flat inverse, the gains, and the controller made of them."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,17 +12,22 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from baselines.estimation.observer import Noise, kalman_gains
+from baselines.estimation.observer import kalman_gains
 from baselines.gains import tuned
+from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.flatness import Corners, FlatMotion, flat_motion, smoothed
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.optimal.plan import Weights
 from baselines.optimal.tip_error import bounded_sine, softened_sine, tip_error_rows
-from beltarm_env import ArmParams, BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
+from beltarm_env.physics.sampled import sampled_state_space
 from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+from eval.loops.models import is_stable, loop_model
 
 Floats = NDArray[np.float64]
 
@@ -150,20 +156,30 @@ def tip_errors(angle: float, speed: float = 0.0) -> Floats:
     return np.array(tip_error_rows(angle, speed, bounded_sine(angle), ArmParams().plant()))
 
 
+def with_last_torque(transition: Floats, by_torque: Floats) -> tuple[Floats, Floats]:
+    """The arm with its last torque as a further state, and the change of the torque as input."""
+    size = len(by_torque)
+    a, b = np.eye(size + 1), np.append(by_torque, 1.0)
+    a[:size, :size], a[:size, size] = transition, by_torque
+    return a, b
+
+
 class TestFeedbackGains:
-    @pytest.mark.parametrize("weights", [Weights(), Weights(0.05, 100.0)])
+    @pytest.mark.parametrize("weights", [Weights(), Weights(0.05, 100.0, 3.0)])
     def test_are_the_optimum_of_the_riccati_equation(self, weights: Weights):
         tables = linear_arm(ArmParams())
         for k in (0, 22, 45):
-            a, b, gain = tables.transition[k], tables.by_torque[k], feedback_gains(ArmParams(), weights)[k]
-            c = tip_errors(float(ANGLES[k]))
-            q = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
+            a, b = with_last_torque(tables.transition[k], tables.by_torque[k])
+            gain = feedback_gains(ArmParams(), weights)[k] + [0, 0, 0, 0, 1]  # of the change
+            c, q = tip_errors(float(ANGLES[k])), np.zeros((5, 5))
+            q[:4, :4] = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
+            q[4, 4] = weights.torque
             closed = a - np.outer(b, gain)
-            # The cost of the loop itself, as an infinite sum by doubling: J = sum of closed^T^i (Q + rho K'K) closed^i.
-            cost, power = q + weights.torque * np.outer(gain, gain), closed
+            # The cost of the loop itself, as an infinite sum by doubling: J = sum of closed^T^i (Q + R K'K) closed^i.
+            cost, power = q + weights.change * np.outer(gain, gain), closed
             for _ in range(14):
                 cost, power = cost + power.T @ cost @ power, power @ power
-            to_go = weights.torque + b @ cost @ b
+            to_go = weights.change + b @ cost @ b
             np.testing.assert_allclose(gain, b @ cost @ a / to_go, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
 
     @pytest.mark.parametrize("speed", [0.0, 1.7])
@@ -188,9 +204,7 @@ class TestFeedbackGains:
 
     @pytest.mark.parametrize("gains", [LqgGains(), LqgGains(torque_weight=1e4), tuned("lqg", LqgGains)])
     def test_loops_are_stable_at_every_angle_and_between_tables(self, gains: LqgGains):
-        controls = feedback_gains(ArmParams(), Weights(gains.velocity_weight, gains.torque_weight))
-        noise = Noise(gains.torque_noise, gains.acceleration_noise, gains.disturbance_noise)
-        filters = kalman_gains(ArmParams(), noise)
+        controls, filters = feedback_gains(ArmParams(), gains.weights()), kalman_gains(ArmParams(), gains.noise())
         tables = linear_arm(ArmParams())
         measured = np.array([1.0, 0, 0, 0, 0])
         for k in range(len(ANGLES)):
@@ -198,15 +212,49 @@ class TestFeedbackGains:
             extended = np.eye(5)
             extended[:4, :4], extended[:4, 4] = a, b
             for other in (max(k - 1, 0), k, min(k + 1, len(ANGLES) - 1)):  # scheduled by an angle that is not the arm's
-                gain = np.append(controls[other], 1.0)  # on the estimates of x and d
-                assert np.abs(np.linalg.eigvals(a - np.outer(b, controls[other]))).max() < 1
-                correct = np.eye(5) - np.outer(filters[other], measured)
-                # [x; xhat]: tau = -gain xhat;  xhat+ = correct (extended xhat + b tau) + L (a x + b tau)[0]
-                drive = np.append(b, 0.0)
-                own = correct @ (extended - np.outer(drive, gain)) - np.outer(filters[other], b[0] * gain)
-                loop = np.block([[a, -np.outer(b, gain)], [np.outer(filters[other], a[0]), own]])
-                rates = np.abs(np.linalg.eigvals(loop))
-                assert rates.max() < 1
+                of_state, of_last = controls[other, :4], controls[other, 4]
+                # [x; v_last]: v = -K [x; v_last]
+                held = np.block([[a - np.outer(b, of_state), -of_last * b[:, None]], [-of_state, -of_last]])
+                assert np.abs(np.linalg.eigvals(held)).max() < 1
+                # [x; xhat, dhat; v_last] with tau = v - dhat
+                law = np.concatenate([np.zeros(4), -of_state, [-1.0, -of_last]])
+                arm = np.hstack([a, np.zeros((4, 6))]) + np.outer(b, law)
+                predicted = np.hstack([np.zeros((5, 4)), extended, np.zeros((5, 1))]) + np.outer([*b, 0.0], law)
+                corrected = predicted + np.outer(filters[other], arm[0] - measured @ predicted)
+                last = law + np.eye(10)[8]  # v = tau + dhat
+                assert np.abs(np.linalg.eigvals(np.vstack([arm, corrected, last]))).max() < 1
+
+    @pytest.mark.parametrize("latency", [0.0, 0.75, 1.5, 2.9])
+    @pytest.mark.parametrize("k", [0, 20, 45])
+    def test_feedback_on_the_state_ahead_is_as_good_as_on_the_actuators_states(self, latency: float, k: int):
+        params = replace(design_model(), command_latency=latency * CONTROL_PERIOD, belt_stiffening=0.0)
+        weights, angle = Weights(0.3, 1.0, 30.0), float(ANGLES[k])
+        transition, by_command, _ = sampled_state_space(params, angle)
+        a, b = with_last_torque(transition, by_command[:, 0])
+        c, q = tip_errors(angle), np.zeros_like(a)
+        q[:4, :4] = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
+        q[-1, -1] = weights.torque
+        to_go = solve_discrete_are(a, b[:, None], q, np.array([[weights.change]]))
+        late = dead_time(params) / CONTROL_PERIOD
+        step = np.linalg.matrix_power(a, int(late))  # with the last command held
+        ahead = step + (late - int(late)) * (a @ step - step)
+        gain = feedback_gains(params, weights)[k] + [0, 0, 0, 0, 1]
+        gain = gain[:4] @ ahead[:4] + gain[4] * np.eye(len(a))[-1]
+        closed = a - np.outer(b, gain)
+        cost = solve_discrete_lyapunov(closed.T, q + weights.change * np.outer(gain, gain))
+        pushed = np.zeros(len(a))
+        pushed[:4] = 0.01, 1.0, 1e-3, 0.05
+        assert 1 - 1e-9 < pushed @ cost @ pushed / (pushed @ to_go @ pushed) < 1.0001
+
+    def test_feedback_on_the_state_now_bears_no_late_command(self):
+        params = replace(design_model(), command_latency=1.5 * CONTROL_PERIOD)
+        weights, k = Weights(0.3, 0.01, 0.01), 20
+        transition, by_command, _ = sampled_state_space(params, float(ANGLES[k]))
+        gain = np.zeros(len(transition))
+        gain[:4] = feedback_gains(params, weights)[k, :4]
+        assert np.abs(np.linalg.eigvals(transition - np.outer(by_command[:, 0], gain))).max() > 1.01
+        law = LqgController(LqgGains(velocity_weight=0.3, torque_weight=0.01, change_weight=0.01), params)
+        assert is_stable(loop_model(law, k))
 
 
 def batch(count: int) -> BeltArmVectorEnv:

@@ -1,7 +1,7 @@
 """What the model-based controllers are made of: simulation, linear models, plans, filters; and the controllers."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import control
@@ -15,7 +15,7 @@ from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kal
 from baselines.gains import Gains, tunable, tuned
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.optimal.plan import Weights, plan_moves
+from baselines.optimal.plan import Weights, plan_moves, planned_torque, replanned
 from baselines.optimal.preview import PreviewController, PreviewGains
 from baselines.reading import read
 from baselines.yardsticks.privileged import PrivilegedController
@@ -23,6 +23,7 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorE
 from beltarm_env.arm import params_table
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.ranges import design_model
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +50,43 @@ class TestSimulation:
             states = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
         np.testing.assert_array_equal(states, env.state)
 
+    @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+    def test_with_drives_is_the_environment_bit_for_bit(self, model: str):
+        rng = np.random.default_rng(0)
+        env = batch(150, model=model, randomization="train")
+        latency = rng.uniform(0, 3 * CONTROL_PERIOD, 150)
+        latency[:4] = 0.0, CONTROL_PERIOD, 2 * CONTROL_PERIOD, 3 * CONTROL_PERIOD
+        env.reset(seed=SEED, options={"params": {"friction_drift": 0.0, "command_latency": latency}})
+        simulation = ArmSimulation(env.params, model=model)
+        states = simulation.at_rest(env.state[:, 0])
+        states[:, :4] = env.state
+        for _ in range(80):
+            action = rng.uniform(-0.6, 0.6, (150, 1)).astype(np.float32)
+            env.step(action)
+            before = states.copy()
+            following = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
+            np.testing.assert_array_equal(states, before, "what was given is left alone")
+            states = following
+        np.testing.assert_array_equal(states[:, :4], env.state)
+
+    def test_commands_under_way_are_states(self):
+        late = ArmParams(command_latency=1.5 * CONTROL_PERIOD, torque_constant_error=0.1)
+        simulation = ArmSimulation(late)
+        states = simulation.at_rest(np.array([60.0]))
+        for command in (0.1, 0.2, -0.1):
+            states = simulation.advance(states, np.array([command]))
+        np.testing.assert_allclose(states[0, 4:], [0.22, -0.11, 0.22, 0.11], rtol=1e-12)
+
+    def test_ahead_is_what_comes_and_a_straight_line_between_samples(self):
+        arms = [design_model(), ArmParams(), replace(design_model(), command_latency=0.004), design_model()]
+        simulation, torques = ArmSimulation(arms), np.full(4, 0.1)
+        states = simulation.at_rest(np.array([60.0, 61.0, 62.0, 63.0]))
+        once = simulation.advance(states, torques)
+        twice = simulation.advance(once, torques)
+        found = simulation.ahead(states, torques, np.array([0.0, 1.0, 2.0, 1.25]))
+        for arm, expected in enumerate((states, once, twice, once + 0.25 * (twice - once))):
+            np.testing.assert_allclose(found[arm], expected[arm, :4], rtol=1e-13)
+
     def test_other_constants_take_effect(self):
         simulation = ArmSimulation(ArmParams(), 2)
         start = np.tile([60.0, 0.0, 0.05, 0.0], (2, 1))
@@ -67,6 +105,8 @@ class TestSimulation:
     def test_mistakes_are_named(self):
         with pytest.raises(ValueError, match=r"states and torques must have shapes \(2, 4\) and \(2,\), got \(1, 4\)"):
             ArmSimulation(ArmParams(), 2).advance(np.zeros((1, 4)), np.zeros(2))
+        with pytest.raises(ValueError, match=r"states and torques must have shapes \(1, 8\) and \(1,\), got \(1, 4\)"):
+            ArmSimulation(design_model()).advance(np.zeros((1, 4)), np.zeros(1))
         with pytest.raises(ValueError, match="there is room for 136 arms, got 137"):
             ArmSimulation(ArmParams(), 2).set_table(params_table([ArmParams()] * 137))
         with pytest.raises(ValueError, match="model must be one of 'lumped', 'lagrangian', got 'mujoco'"):
@@ -87,6 +127,10 @@ class TestLinearModels:
                 np.testing.assert_allclose(tables.by_torque[i, k], stepped[:4, 4], rtol=1e-11)
                 np.testing.assert_allclose(tables.by_acceleration[i, k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
 
+    def test_belt_has_its_mean_stiffness(self):
+        for part, mean in zip(linear_arm(ArmParams(belt_stiffening=0.2)), linear_arm(ArmParams()), strict=True):
+            np.testing.assert_array_equal(part, mean)
+
     def test_tables_are_interpolated_and_end_where_the_arm_does(self):
         table = linear_arm(ArmParams()).by_torque
         between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
@@ -94,23 +138,24 @@ class TestLinearModels:
 
 
 MOVE = np.array([[0.3, 1.1, 0.8, 0.2]])
+WEIGHTS = Weights(0.3, 2.0, 20.0)
 
 
-def linear_run(torques: Floats | None, gains: float = 1.0) -> tuple[float, Floats]:
+def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WEIGHTS) -> tuple[float, Floats]:
     """Cost of the plan's own problem, by simulating its linear model along the move: independent of its recursion."""
-    arm, weights = ArmParams(), Weights()
+    arm = ArmParams()
     plan = plan_moves(MOVE, params_table([arm]), weights)
     tables = linear_arm(arm)
     times = CONTROL_PERIOD * np.arange(EPISODE_STEPS + 1)
     env = batch(1)
     env.reset(options={"move": dict(zip(("start", "goal", "duration", "ramp_time"), MOVE[0].tolist(), strict=True))})
     references = np.array([np.ravel(env.reference(float(t)))[:2] for t in times])
-    x, cost, applied = np.array([GEAR * MOVE[0, 0], 0.0, 0.0, 0.0]), 0.0, np.empty(EPISODE_STEPS)
+    x, cost, applied, last = np.array([GEAR * MOVE[0, 0], 0.0, 0.0, 0.0]), 0.0, np.empty(EPISODE_STEPS), 0.0
     for k in range(EPISODE_STEPS):
         angle, speed = references[k]
         a, b, e = (at_angle(part, np.array([angle]))[0] for part in tables)
         m2 = 0.01 + 0.06 * math.sin(angle) ** 2
-        torque = plan.torque[0, k] - gains * plan.gain[0, k] @ (x - plan.reference[0, k])
+        torque = plan.torque[0, k] - gains * plan.gain[0, k] @ np.append(x - plan.reference[0, k], last)
         torque = torque if torques is None else torques[k]
         x = a @ x + b * torque + e * 0.06 * math.sin(angle) * math.cos(angle) * speed**2 / m2
         applied[k] = torque
@@ -120,7 +165,9 @@ def linear_run(torques: Floats | None, gains: float = 1.0) -> tuple[float, Float
         reach, slope = 0.5 * math.cos(angle) + 0.1, -0.5 * math.sin(angle)
         position = slope * dphi, reach * z[2]
         velocity = slope * dphi_dot - 0.5 * math.cos(angle) * speed * dphi, reach * z[3] + slope * speed * z[2]
-        cost += np.square(position).sum() / 0.01**2 + 0.3 * np.square(velocity).sum() / 0.2**2 + torque**2
+        cost += np.square(position).sum() / 0.01**2 + 0.3 * np.square(velocity).sum() / 0.2**2
+        cost += weights.torque * torque**2 + weights.change * (torque - last) ** 2
+        last = torque
     return float(cost), applied
 
 
@@ -136,17 +183,34 @@ class TestPlan:
         assert linear_run(None, gains=0.8)[0] > best
 
     def test_gain_at_rest_is_that_of_the_infinite_horizon(self):
-        plan = plan_moves(np.array([[0.3, 0.8, 0.5, 0.1]]), params_table([ArmParams()]), Weights())
+        plan = plan_moves(np.array([[0.3, 0.8, 0.5, 0.1]]), params_table([ArmParams()]), WEIGHTS)
         tables = linear_arm(ArmParams())
-        a, b = (at_angle(part, np.array([0.8]))[0] for part in tables[:2])
+        by_state, by_torque = (at_angle(part, np.array([0.8]))[0] for part in tables[:2])
+        a, b = np.eye(5), np.append(by_torque, 1.0)  # the last torque as fifth state, its change as input
+        a[:4, :4], a[:4, 4] = by_state, by_torque
         radial, reach = 0.5 * math.sin(0.8), 0.5 * math.cos(0.8) + 0.1
         of_angles = [[-radial / GEAR, 0, radial, 0], [0, 0, reach, 0]]
         c = np.array([*of_angles, [0, -radial / GEAR, 0, radial], [0, 0, 0, reach]])
-        q = c.T @ np.diag([1e4, 1e4, 0.3 / 0.04, 0.3 / 0.04]) @ c
+        q = np.zeros((5, 5))
+        q[:4, :4], q[4, 4] = c.T @ np.diag([1e4, 1e4, 0.3 / 0.04, 0.3 / 0.04]) @ c, WEIGHTS.torque
         state_cost = a.T @ q @ a
         state_cost = (state_cost + state_cost.T) / 2
-        gain, _, _ = control.dlqr(a, b[:, None], state_cost, np.array([[1.0 + b @ q @ b]]), (a.T @ q @ b)[:, None])
-        np.testing.assert_allclose(plan.gain[0, 500], np.asarray(gain)[0], rtol=1e-4)
+        price = np.array([[WEIGHTS.change + b @ q @ b]])
+        gain, _, _ = control.dlqr(a, b[:, None], state_cost, price, (a.T @ q @ b)[:, None])
+        np.testing.assert_allclose(plan.gain[0, 500], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
+
+    def test_is_read_between_samples(self):
+        table = params_table([ArmParams()])
+        plans = replanned(None, np.ones(1, np.bool_), MOVE, table, WEIGHTS)
+        x, last = np.array([[GEAR * 0.4, 30.0, 0.01, 0.0]]), np.array([0.05])
+
+        def torque(time: float) -> float:
+            return float(planned_torque(plans, np.array([time]), x, last)[0])
+
+        row = plans[0][100]
+        assert torque(100.0) == pytest.approx(row[9] - row[4:9] @ np.append(x[0] - row[:4], last), rel=1e-12)
+        assert torque(100.5) == pytest.approx(0.5 * (torque(100.0) + torque(101.0)), abs=1e-3)
+        assert torque(1199.0) == torque(1300.0)
 
     def test_every_arm_has_its_own(self):
         table = params_table([ArmParams(), ArmParams(payload_mass=0.2)])
@@ -212,6 +276,40 @@ class TestObserver:
         true, believed = np.array(rings).T
         assert np.ptp(true) > 0.01, "rings"
         assert np.abs(true - believed).max() < 0.03 * np.ptp(true)
+
+    @staticmethod
+    def observed(params: ArmParams, start: list[float], noise: Noise, command: Any, steps: int) -> list[Floats]:
+        """True states, their estimates, and those for when a command acts: shapes (steps, 4)."""
+        env = batch(1, encoder_counts=10_000_000)
+        observations, _ = env.reset(options={"params": asdict(params), "state": start})
+        observer, estimate, rows = StickSlipObserver(params, noise), None, []
+        for k in range(steps):
+            estimate = observer.update(estimate, read(observations, params), np.array([k == 0]))
+            rows.append((env.state[0], estimate.state[0], estimate.ahead[0]))
+            observations, *_ = env.step(np.array([[command(k) / 0.3]], np.float32))
+        return [np.array(part) for part in zip(*rows, strict=True)]
+
+    def test_finds_the_torsion_of_the_design_model_behind_its_drive(self):
+        noise = Noise(torque=1e-4, acceleration=100.0, disturbance=1e-4)
+        start = [GEAR * 0.8, 0.0, 0.03, 0.0]  # the observer begins without torsion
+        true, found, _ = self.observed(design_model(), start, noise, lambda k: 0.12 * math.sin(0.02 * k), 900)
+        errors = np.abs(found - true)
+        assert errors[0, 2] == pytest.approx(0.03)
+        assert errors[600:, 2].max() < 3e-4
+
+    @pytest.mark.parametrize("latency", [0.0, 0.75, 1.0, 2.9])
+    def test_state_ahead_is_the_one_that_comes(self, latency: float):
+        params = replace(design_model(), command_latency=latency * CONTROL_PERIOD)
+        start = [GEAR * 0.8, 0.0, 0.0, 0.0]
+        true, found, ahead = self.observed(params, start, Noise(), lambda k: 0.15 if k < 60 else -0.15, 150)
+        assert (np.abs(found - true).max(axis=0) < [1e-4, 0.02, 1e-5, 2e-3]).all()
+        late = latency + params.current_loop_time_constant / CONTROL_PERIOD
+        whole, part = int(late), late - int(late)
+        for first in (20, 80):  # where the command has not changed for a while
+            later = true[first + whole : first + whole + 30], true[first + whole + 1 : first + whole + 31]
+            expected = later[0] + part * (later[1] - later[0])
+            errors = np.abs(ahead[first : first + 30] - expected).max(axis=0)
+            assert (errors < [1e-3, 0.02, 1e-5, 2e-3]).all()
 
 
 class TestControllers:

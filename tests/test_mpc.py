@@ -10,6 +10,7 @@ from baselines.models.linear import ANGLES
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.horizon import _set_up, horizon, plan
 from baselines.optimal.mpc import MpcController, MpcGains
+from baselines.optimal.plan import Weights
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
@@ -78,7 +79,7 @@ def test_active_set_finds_the_minimum_of_the_quadratic_program(limit: float):
 
 
 def test_without_limits_in_reach_the_plan_is_lqr():
-    ahead = horizon(ArmParams(), 0.3, 1.0, np.ones(30, np.int64))
+    ahead = horizon(ArmParams(), Weights(0.3, 2.0, 1.0), np.ones(30, np.int64))
     row = 28
     move = np.array([[0.1, ANGLES[row], 0.7, 0.15]])
     z = np.array([0.1, 0.2, 1e-3, 0.01, 0.02])
@@ -99,7 +100,7 @@ def test_without_limits_in_reach_the_plan_is_lqr():
 
 def test_prediction_is_the_arm_without_friction():
     params = ArmParams(coulomb_friction=0.0)
-    ahead = horizon(params, 0.3, 1.0)
+    ahead = horizon(params, Weights(0.3, 0.0, 1.0))
     move, time = MoveShape(0.3, 1.2, 0.8, 0.2), 0.1
     problem = empty_problem(len(ahead.lengths))
     _set_up(problem, ahead, move, time, 0.0)
@@ -159,17 +160,17 @@ def test_nothing_is_remembered_beyond_an_episode(controller: MpcController):
 def test_memory_passed_in_is_left_alone(controller: MpcController):
     seen = observations(steps=5)
     _, memory = controller.predict(seen[0])
-    before = memory.net_torque.copy(), memory.estimate.state.copy(), memory.estimate.disturbance.copy()
+    before = memory.added.copy(), memory.estimate.arm.copy(), memory.estimate.disturbance.copy()
     controller.predict(seen[1], memory)
-    after = memory.net_torque, memory.estimate.state, memory.estimate.disturbance
+    after = memory.added, memory.estimate.arm, memory.estimate.disturbance
     for one, other in zip(before, after, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_estimated_torsion_follows_the_true_one_on_the_nominal_arm(controller: MpcController):
+def test_estimated_torsion_follows_the_true_one_on_the_nominal_arm():
     env = BeltArmVectorEnv(8, autoreset_mode="Disabled")
     seen, _ = env.reset(seed=SEED)
-    memory = None
+    controller, memory = MpcController(params=ArmParams()), None
     errors, true = [], []
     for _ in range(400):
         action, memory = controller.predict(seen, memory)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from baselines.models.friction import FrictionGains, commanded_direction
+from baselines.models.friction import FrictionGains, commanded_direction, friction_level, smooth_direction
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import Motion, RigidArm
@@ -27,12 +28,12 @@ from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, reference_at
 
 NOMINAL = ArmParams()
-SERVOS: dict[str, Callable[[], Any]] = {
+SERVOS: dict[str, Callable[..., Any]] = {
     "retuned": RetunedController,
     "smooth": SmoothController,
-    "zv": lambda: ShapingController(kind="zv"),
-    "zvd": lambda: ShapingController(kind="zvd"),
-    "ei": lambda: ShapingController(kind="ei"),
+    "zv": partial(ShapingController, kind="zv"),
+    "zvd": partial(ShapingController, kind="zvd"),
+    "ei": partial(ShapingController, kind="ei"),
     "disturbance": DisturbanceController,
 }
 ALL_GAINS = (RetunedGains, SmoothGains, ShapingGains, ExtraInsensitiveGains, DisturbanceGains)
@@ -87,7 +88,7 @@ class TestEveryServo:
 
     @pytest.mark.parametrize("name", SERVOS)
     def test_does_better_than_the_paper_on_the_nominal_arm(self, name: str):
-        runs = [rollout(make(), 64, seed=5_000_000) for make in (PaperController, SERVOS[name])]
+        runs = [rollout(make(params=NOMINAL), 64, seed=5_000_000) for make in (PaperController, SERVOS[name])]
         paper, servo = (run.metrics() for run in runs)
         if name == "smooth":  # which does not even try to follow the task's profile closely
             assert np.median(servo["residual_pp_mm"]) < 0.4 * np.median(paper["residual_pp_mm"])
@@ -178,6 +179,20 @@ class TestComputedTorque:
 
 
 class TestFriction:
+    def test_level_falls_from_breakaway_to_coulomb_friction(self):
+        row = ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row()
+        found = friction_level(row, np.array([0.0, 5.0, -5.0, 1e6]))
+        np.testing.assert_allclose(found, [0.032 * 1.4, 0.032 * 1.2, 0.032 * 1.2, 0.032])
+        both = np.stack([row, ArmParams().row()])
+        np.testing.assert_allclose(friction_level(both, np.zeros(2)), [0.032 * 1.4, 0.032])
+
+    def test_direction_goes_through_zero_on_a_ramp_of_speed_and_torque(self):
+        speed, torque = (
+            np.array([0.0, 0.0, 0.0, 0.5, 9.0, 0.5, -9.0]),
+            np.array([0.0, 0.01, -9.0, 0.0, -0.01, -0.01, 0.0]),
+        )
+        np.testing.assert_allclose(smooth_direction(speed, torque, 1.0, 0.02), [0, 0.5, -1, 0.5, 1, 0, -1])
+
     def test_direction_is_commanded_while_moving_and_pushed_at_rest(self):
         speed, acceleration = np.array([2.0, -0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
         push = np.array([-9.0, 9.0, -9.0, 9.0, -0.005, 0.0])
@@ -198,7 +213,7 @@ class TestFriction:
 class TestRetuned:
     def test_torque_is_equation_11(self):
         p, gains = NOMINAL, RetunedGains(torsion_speed=0.2, angle=30.0, speed=15.0, friction=1.0)
-        controller, memory = RetunedController(gains), None
+        controller, memory = RetunedController(gains, NOMINAL), None
         for seen in observations(steps=60):
             action, memory = controller.predict(seen, memory)
             now = read(seen, p)
@@ -213,7 +228,7 @@ class TestRetuned:
             np.testing.assert_allclose(action[moving, 0], np.clip(torque / 0.3, -1, 1)[moving], atol=1e-6)
 
     def test_torsion_is_simulated_as_the_paper_does(self):
-        retuned, paper, of_retuned, of_paper = RetunedController(), PaperController(), None, None
+        retuned, paper, of_retuned, of_paper = RetunedController(None, NOMINAL), PaperController(), None, None
         for k, seen in enumerate(observations()):
             start = np.array([k in (0, 40), k == 0, k == 0, k == 0, k == 0])
             _, of_retuned = retuned.predict(seen, of_retuned, start)
@@ -347,7 +362,7 @@ class TestShapedMoves:
     def test_shaping_quietens_the_nominal_arm(self):
         shaped, paper = (
             rollout(controller, 64, seed=5_000_000).metrics()["residual_pp_mm"]
-            for controller in (ShapingController(kind="zv"), PaperController())
+            for controller in (ShapingController(params=NOMINAL, kind="zv"), PaperController())
         )
         assert np.median(shaped) < 0.2 * np.median(paper)
 
@@ -373,7 +388,7 @@ class TestPid:
         torques = {}
         for error in (0.0, 0.2):
             seen[:, observation.index("motor_angle_error")] = error / 1.5
-            action, _ = SmoothController(SmoothGains(friction=0.0)).predict(seen)
+            action, _ = SmoothController(SmoothGains(friction=0.0), NOMINAL).predict(seen)
             torques[error] = 0.3 * action[0, 0]
         inertia = RigidArm(NOMINAL).inertia(read(seen, NOMINAL).reference_angle)[0]
         assert torques[0.2] - torques[0.0] == pytest.approx(inertia * base.angle * 0.2, rel=1e-4)
@@ -435,7 +450,7 @@ class TestDisturbanceObserver:
 
     def test_torsion_torque_feedback_damps(self):
         quiet, stiff = (
-            rollout(DisturbanceController(DisturbanceGains(reaction_gain=gain)), 64, seed=5_000_000)
+            rollout(DisturbanceController(DisturbanceGains(reaction_gain=gain), NOMINAL), 64, seed=5_000_000)
             for gain in (5.0, 0.1)
         )
         assert np.median(quiet.metrics()["tip_acc_rms"]) < 0.8 * np.median(stiff.metrics()["tip_acc_rms"])

@@ -1,8 +1,8 @@
 """State of the arm from encoder and commanded torque: a Kalman filter that models stiction.
 
-The prediction is the nominal arm itself, Coulomb friction included, one control period on:
+The prediction is the design model itself, its drive and its friction included, one control period on:
 
-    x^- = f(x, tau_m + d)
+    x^- = f(x, u + d)
 
 with a slowly changing disturbance torque d at the motor, for friction and inertia that differ from the nominal. The
 correction is the error of the predicted encoder angle, weighted,
@@ -10,12 +10,18 @@ correction is the error of the predicted encoder angle, weighted,
     [x; d] = [x^-; d] + L(theta_1) (theta_a - x^-_1)
 
 with the steady-state gain L of the linear arm (by the discrete algebraic Riccati equation), tabulated over the joint
-angle. The encoder's rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the
-motor, a torsional acceleration (stiffness and inertia that differ) and the random walk of d.
+angle. The motor's torque and the commands that are under way are states of f too, and known: they are not corrected.
+The encoder's rounding, a quantum q, counts as white noise of variance q^2 / 12. Process noise is a torque at the motor,
+a torsional acceleration (stiffness and inertia that differ) and the random walk of d.
 
 While the motor sticks, the encoder carries no information about the torsion: then only the angle is corrected, and
 torsion and its rate follow the model alone. If the encoder moves by more than two counts, the filter takes the motor to
-slide. See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
+slide.
+
+The estimate is that of now. Beside it stands the state at the time at which a command of now will act, predicted by f
+over the dead time of the drive (`baselines.models.actuator`) under the commands that are known.
+
+See B. D. O. Anderson, J. B. Moore: Optimal Filtering, 1979.
 """
 
 from __future__ import annotations
@@ -26,11 +32,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.simulation import ArmSimulation
+from beltarm_env.simulation import ArmSimulation, X
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
 QUANTUM = 2 * np.pi / ENCODER_COUNTS
@@ -54,9 +61,15 @@ class Noise:
 class Estimate:
     """Estimated states of n arms."""
 
-    state: Floats  # x = [theta_a, omega_a, theta_s, omega_s], shape (n, 4)
+    arm: Floats  # x = [theta_a, omega_a, theta_s, omega_s] now and the drive's states, as `ArmSimulation` has them
+    ahead: Floats  # x at the time at which a command of now acts, shape (n, 4)
     disturbance: Floats  # d [N m], shape (n,)
-    simulation: ArmSimulation = field(repr=False)  # of n nominal arms; has no state of its own
+    simulation: ArmSimulation = field(repr=False)  # of n arms of the design model; has no state of its own
+
+    @property
+    def state(self) -> Floats:
+        """Estimate of x now, shape (n, 4)."""
+        return self.arm[:, :X]
 
 
 @lru_cache(maxsize=64)
@@ -78,36 +91,40 @@ def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
 
 
 class StickSlipObserver:
-    """Kalman filter for arms with nominal parameters `params`."""
+    """Kalman filter for arms with design parameters `params`."""
 
     def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
         self.params = params
         self._gains = kalman_gains(params, noise or Noise())
+        self._delay = dead_time(params) / CONTROL_PERIOD
 
     def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> Estimate:
         """Bring the estimate up to this sample.
 
         Args:
             estimate: That of the last sample; None at the beginning.
-            reading: Measurements, and the torque held since the last sample.
+            reading: Measurements, and the torque commanded since the last sample.
             begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
         """
-        at_rest = np.zeros((len(begins), 4))
-        at_rest[:, 0] = reading.motor_angle
+        simulation = estimate.simulation if estimate else ArmSimulation(self.params, len(begins))
+        at_rest = simulation.at_rest(reading.motor_angle)
         if estimate is None:
-            return Estimate(at_rest, np.zeros(len(begins)), ArmSimulation(self.params, len(begins)))
-        state, disturbance = self._corrected(estimate, reading)
-        state = np.where(begins[:, None], at_rest, state)
-        return Estimate(state, np.where(begins, 0.0, disturbance), estimate.simulation)
+            return Estimate(at_rest, at_rest[:, :X], np.zeros(len(begins)), simulation)
+        arm, disturbance = self._corrected(estimate, reading)
+        arm, disturbance = np.where(begins[:, None], at_rest, arm), np.where(begins, 0.0, disturbance)
+        held = np.where(begins, 0.0, reading.last_command) + np.where(arm[:, 1] != 0, disturbance, 0.0)
+        ahead = simulation.ahead(arm, held, np.full(len(begins), self._delay))
+        return Estimate(arm, ahead, disturbance, simulation)
 
     def _corrected(self, estimate: Estimate, reading: Reading) -> tuple[Floats, Floats]:
-        moving = estimate.state[:, 1] != 0
+        moving = estimate.arm[:, 1] != 0
         torque = reading.last_command + np.where(moving, estimate.disturbance, 0.0)
-        predicted = estimate.simulation.advance(estimate.state, torque)
+        predicted = estimate.simulation.advance(estimate.arm, torque)
         innovation = reading.motor_angle - predicted[:, 0]
         gains = at_angle(self._gains, predicted[:, 0] / self.params.gear_ratio)
         sticks = (predicted[:, 1] == 0) & (np.abs(innovation) <= _SLIDES)
         gains[sticks] = _AT_REST, 0.0, 0.0, 0.0, 0.0
-        state = predicted + gains[:, :4] * innovation[:, None]
-        disturbance = estimate.disturbance + gains[:, 4] * innovation
-        return np.clip(state, -_LARGEST, _LARGEST), np.clip(disturbance, -_LARGEST_TORQUE, _LARGEST_TORQUE)
+        x = predicted[:, :X] + gains[:, :X] * innovation[:, None]
+        predicted[:, :X] = np.clip(x, -_LARGEST, _LARGEST)
+        disturbance = estimate.disturbance + gains[:, X] * innovation
+        return predicted, np.clip(disturbance, -_LARGEST_TORQUE, _LARGEST_TORQUE)

@@ -65,7 +65,7 @@ class MotorLearningController(ClassicalController[PaperMemory]):
     """
 
     def __init__(self, lesson: FeedForward | None = None, params: ArmParams | None = None) -> None:
-        super().__init__(params)
+        super().__init__(params or ArmParams())
         self.lesson = lesson
         self._paper = PaperController(self.params)
 

@@ -23,15 +23,17 @@ Int. J. Control 65, 1996; S. Gunnarsson, M. Norrlof: On the design of ILC algori
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from baselines.optimal.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
-from beltarm_env.arm import plant_of
+from beltarm_env.arm import DRIVE_EFFECTS, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
+from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
@@ -107,10 +109,11 @@ def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floa
 
 
 class Linearisation:
-    """Linearisation of trials of arms that are nominally `params`."""
+    """Linearisation of trials of arms that are nominally `params`; torques act at once, as of an ideal drive."""
 
     def __init__(self, params: ArmParams, steps: int) -> None:
-        self._simulation = ArmSimulation(params, _COPIES * steps)
+        ideal = replace(params, **dict.fromkeys(DRIVE_EFFECTS, 0.0))
+        self._simulation = ArmSimulation(ideal, _COPIES * steps)
         self._steps = steps
 
     def about(self, states: Floats, torques: Floats, task: Floats, row: Floats) -> Trial:
@@ -134,7 +137,9 @@ class Linearisation:
         for j, move in enumerate(_MOVES):
             inputs[:, 2 * j + 1, j] += move
             inputs[:, 2 * j + 2, j] -= move
-        self._simulation.set_table(np.repeat(row[None], _COPIES * self._steps, axis=0))
+        ideal = row.copy()
+        ideal[list(DRIVE_COLUMNS)] = 0.0
+        self._simulation.set_table(np.repeat(ideal[None], _COPIES * self._steps, axis=0))
         ends = self._simulation.advance(inputs[:, :, :4].reshape(-1, 4), inputs[:, :, 4].ravel())
         ends = ends.reshape(self._steps, _COPIES, 4)
         slopes = (ends[:, 1::2] - ends[:, 2::2]) / (2 * _MOVES[:, None])

@@ -1,20 +1,27 @@
-"""Compensation of Coulomb friction: the direction in which the motor is to slide.
+"""Compensation of dry friction: how strong it is, and the direction in which the motor is to slide.
 
-While the motor turns, friction tau_f is tau_c against the motion. Where the motor rests, there is no motion to go by.
-Two laws say which way it is to break away:
+Friction of a sliding motor falls with its speed, and is greatest where the motor is to break away (`beltarm_env.physics
+.friction`). Of the design model,
 
-`commanded_direction`, for servos. The commanded direction is known without noise. Where the reference rests, there is
-none, and what is compensated is the friction against which the feedback pushes, over a ramp through zero:
+    F(omega_a) = tau_c (1 + s / (1 + (omega_a / omega_s)^2))
 
-    tau_f = c tau_c sign(theta_ref')                 while the reference moves
-    tau_f = c tau_c clip(push / width, -1, 1)        while it rests
+While the motor turns, friction acts against the motion. Where the motor rests, there is no motion to go by. Two laws
+say which way it is to break away, and both go through zero on a ramp: a push beyond `width` [N m] breaks the motor away
+from where it sticks, one of a few encoder counts does not, and nothing chatters at rest.
 
-A push beyond `width` [N m] then breaks the motor away from where it sticks; one of a few encoder counts does not. c is
-the share of the nominal tau_c that is compensated: too little leaves the motor stuck off its goal, too much makes it
-hunt around it.
+`commanded_direction`, for servos: the commanded direction is known without noise. Where the reference rests, what is
+compensated is the friction against which the feedback pushes.
 
-`breakaway_direction`, for controllers that estimate the motor's speed or plan it: tau_f = c tau_c sign(omega_a) above a
-small speed, and below it the sign of the torque asked of the motor.
+    tau_f = c F(G theta_ref') sign(theta_ref')             while the reference moves
+    tau_f = c F(0) clip(push / width, -1, 1)               while it rests
+
+`smooth_direction`, for controllers that estimate the motor's speed: the estimate and the torque asked of the motor add
+up, so that either alone decides where it is large.
+
+    tau_f = c F(omega_a) clip(omega_a / omega_0 + tau / width, -1, 1)
+
+c is the share of the design model's friction that is compensated: too little leaves the motor stuck off its goal, too
+much makes it hunt around it.
 """
 
 from __future__ import annotations
@@ -26,6 +33,7 @@ import numpy as np
 from baselines.gains import Gains, tunable
 from baselines.models.rigid_arm import Motion
 from beltarm_env import CONTROL_PERIOD
+from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 
 _RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
@@ -35,8 +43,19 @@ _RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned sp
 class FrictionGains(Gains):
     """Gains of the friction compensation; base of the gains of servo controllers."""
 
-    friction: float = tunable(0.95, 0.0, 2.0)  # c  [-]  share of the nominal tau_c
+    friction: float = tunable(0.95, 0.0, 2.0)  # c  [-]  share of the design model's friction
     rest_width: float = tunable(0.005, 0.0001, 0.3, log=True)  # [N m]  push compensated in full while at rest
+
+
+def friction_level(constants: Floats, motor_speed: Floats) -> Floats:
+    """Return F [N m], dry friction at motor speeds [rad/s] of shape (n,); at rest, what it takes to break away.
+
+    Args:
+        constants: Of the arm, shape (len(FIELDS),), or of each of n arms, shape (n, len(FIELDS)).
+        motor_speed: Shape (n,).
+    """
+    coulomb, excess = constants[..., COLUMN.coulomb_friction], constants[..., COLUMN.static_friction_excess]
+    return coulomb * (1 + excess / (1 + np.square(motor_speed / constants[..., COLUMN.stribeck_speed])))
 
 
 def commanded_direction(wanted: Motion, push: Floats, width: float) -> Floats:
@@ -50,6 +69,18 @@ def commanded_direction(wanted: Motion, push: Floats, width: float) -> Floats:
     speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
     pushed = np.minimum(np.maximum(push / width, -1.0), 1.0)
     return np.where(np.abs(speed) < _RESTING, pushed, np.sign(speed))
+
+
+def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: float) -> Floats:
+    """Direction in which friction is to be overcome, from -1 to 1.
+
+    Args:
+        motor_speed: Estimated [rad/s], shape (n,).
+        torque: Asked of the motor, friction left out [N m], shape (n,).
+        slow: omega_0, the speed that decides alone [rad/s].
+        width: The torque that does [N m].
+    """
+    return np.minimum(np.maximum(motor_speed / slow + torque / width, -1.0), 1.0)
 
 
 def breakaway_direction(speed: Floats, torque: Floats, slow: float) -> Floats:

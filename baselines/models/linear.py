@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant, params_table
+from beltarm_env.arm import COLUMN, Plant, params_table
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.linear import sample_models
@@ -28,8 +28,10 @@ class LinearArms(NamedTuple):
 
 
 def linear_arms(table: Floats) -> LinearArms:
-    """Linear models of n arms; columns of `table` as `ArmParams`, shape (n, len(FIELDS))."""
-    return LinearArms(*sample_models(table, ANGLES, CONTROL_PERIOD))
+    """Linear models of n arms, the belt with its mean stiffness; columns of `table` as `ArmParams`."""
+    mean = table.copy()
+    mean[:, COLUMN.belt_stiffening] = 0.0
+    return LinearArms(*sample_models(mean, ANGLES, CONTROL_PERIOD))
 
 
 def linear_arm(params: ArmParams) -> LinearArms:

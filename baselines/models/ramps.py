@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.models.rigid_arm import Motion
+from baselines.reading import Reading
+from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
 
 
@@ -39,6 +41,15 @@ def motion_at(ramps: Ramps, start: Floats, time: Floats, smooth: bool = False) -
         _total(ramps.speed * height),
         _total(ramps.speed / ramps.time * slope),
     )
+
+
+def task_motion(now: Reading, lead: float = 0.0) -> Motion:
+    """Motion of the task's trapezoid, `lead` seconds after this sample."""
+    start, goal, duration, ramp = now.move.T
+    cruise = (goal - start) / (duration - ramp)
+    onsets = np.column_stack([np.zeros_like(ramp), duration - ramp])
+    trapezoid = Ramps(onsets, np.column_stack([ramp, ramp]), np.column_stack([cruise, -cruise]))
+    return motion_at(trapezoid, start, CONTROL_PERIOD * now.step.astype(np.float64) + lead)
 
 
 def _total(columns: Floats) -> Floats:

@@ -28,11 +28,6 @@ class Motion(NamedTuple):
     acceleration: Floats  # [rad/s^2]
 
 
-def task_motion(now: Reading) -> Motion:
-    """Reference of the task at this sample."""
-    return Motion(now.reference_angle, now.reference_speed, now.reference_acceleration)
-
-
 def motor_errors(now: Reading, wanted: Motion, params: ArmParams) -> tuple[Floats, Floats]:
     """Errors of the motor's angle [rad] and speed [rad/s]: those of a motion of the joint minus the measured ones.
 

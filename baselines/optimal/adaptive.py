@@ -27,9 +27,9 @@ from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
-from baselines.optimal.plan import Plans, Weights, plan_moves, replanned
+from baselines.optimal.plan import Plans, Weights, plan_moves, planned_torque, replanned
 from baselines.reading import Reading
-from beltarm_env import EPISODE_STEPS, ArmParams, design_model
+from beltarm_env import ArmParams, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
 
@@ -116,7 +116,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
-        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight)
+        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight, 0.0)
         self._identifier = ArmIdentifier(self.params, self.gains.uncertainty())
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
@@ -127,7 +127,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
         move = np.array([[joint, joint, 0.5, 0.2]])
         table = _planned_for(nominal_row(self.params)[None])
-        return plan_moves(move, table, self._weights).gain[0, 0]
+        return plan_moves(move, table, self._weights).gain[0, 0, :4]
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
@@ -135,7 +135,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         cache = memory.cache.drop(begins) if memory else PlanCache.empty(belief)
         cache = cache.replan(cache.is_stale(belief, reading), reading, belief, self._identifier, self._weights)
         state = self._identifier.ahead(belief)
-        torque = _planned_torque(cache.plans, reading.step + belief.delay, state)
+        last = np.zeros(len(begins))  # on which nothing depends: the plan does not weigh the change of the torque
+        torque = planned_torque(cache.plans, reading.step + belief.delay, state, last)
         friction, others = self._identifier.motor_torques(belief, state)
         asked = np.clip(torque / self.gains.rest_width, -1.0, 1.0)
         direction = np.where(np.abs(state[:, 1]) > self.gains.friction_speed, np.sign(state[:, 1]), asked)
@@ -150,16 +151,6 @@ def _planned_for(table: Floats) -> Floats:
     """Constants that plans are made for: those of `table`, with the belt's mean stiffness."""
     table[:, COLUMN.belt_stiffening] = 0.0
     return table
-
-
-def _planned_torque(plans: Plans, time: Floats, state: Floats) -> Floats:
-    """tau_ff - K (x - x_ref) [N m] of n arms, each at its time [samples] and in its state, shape (n, 4)."""
-    step = np.minimum(time.astype(np.intp), EPISODE_STEPS - 2)
-    part = np.minimum(time - step, 1.0)[:, None]
-    rows, after = (np.array([plan[k] for plan, k in zip(plans, step + i, strict=True)]) for i in (0, 1))
-    rows = rows + part * (after - rows)
-    feedback = rows[:, 4:8] * (state - rows[:, :4])
-    return rows[:, 8] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
 
 
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:

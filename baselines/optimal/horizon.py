@@ -12,7 +12,8 @@ u_last],
     z+ = F z + g v + h,    F = [A b; 0 1],    g = [b; 1],    h = [c; 0].
 
 Cost. The tip's errors, linear in e (`baselines.optimal.tip_error`), are squared, over 10 mm and 200 mm/s as in the
-environment's cost, and summed at the end of every step, m-fold, with weights 1 and q_v; R v^2 is added once per step.
+environment's cost, and summed at the end of every step, m-fold, with weights 1 and w_v, and so is rho u^2; R v^2 is
+added once per step.
 After the last step comes the LQR's cost-to-go at the reference's angle (from the discrete algebraic Riccati equation),
 about the torsion and torque of the reference.
 
@@ -30,6 +31,7 @@ from scipy.linalg import solve_discrete_are
 
 from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
+from baselines.optimal.plan import Weights
 from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
@@ -51,14 +53,13 @@ class Horizon(NamedTuple):
     by_acceleration: Floats  # a    (lengths, 46, 4)
     final: Floats  # cost-to-go after the last step    (46, 5, 5)
     error_weights: tuple[float, float]  # of squared position [1/m^2] and velocity errors [s^2/m^2]
+    torque_weight: float  # rho    [1/(N m)^2]
     change_weight: float  # R    [1/(N m)^2]
 
 
-def horizon(
-    params: ArmParams, velocity_weight: float, change_weight: float, lengths: NDArray[np.int64] = STEPS
-) -> Horizon:
+def horizon(params: ArmParams, weights: Weights, lengths: NDArray[np.int64] = STEPS) -> Horizon:
     """Tabulate the problem for an arm."""
-    plant, weights = params.plant(), error_weights(velocity_weight)
+    plant, of_errors = params.plant(), error_weights(weights.velocity)
     arm = linear_arm(params)
     single = np.zeros((len(ANGLES), SIZE + 1, SIZE + 1))  # over one sample, of z and an acceleration, both held
     single[:, :4, :4], single[:, :4, 4], single[:, :4, 5] = arm.transition, arm.by_torque, arm.by_acceleration
@@ -68,9 +69,10 @@ def horizon(
     final = np.empty((len(ANGLES), SIZE, SIZE))
     for k, angle in enumerate(ANGLES):
         weight = np.zeros((SIZE, SIZE))
-        add_tip_cost(weight, float(angle), 0.0, softened_sine(float(angle)), plant, weights)
+        add_tip_cost(weight, float(angle), 0.0, softened_sine(float(angle)), plant, of_errors)
+        weight[4, 4] = weights.torque
         step = single[k, :SIZE, :SIZE]
-        final[k] = solve_discrete_are(step, step[:, 4:], weight, [[change_weight]]) - weight
+        final[k] = solve_discrete_are(step, step[:, 4:], weight, [[weights.change]]) - weight
     return Horizon(
         plant,
         lengths.astype(np.int64),
@@ -78,8 +80,9 @@ def horizon(
         np.ascontiguousarray(powers[..., :SIZE, :SIZE]),
         np.ascontiguousarray(powers[..., :4, SIZE]),
         final,
-        weights,
-        change_weight,
+        of_errors,
+        weights.torque,
+        weights.change,
     )
 
 
@@ -104,6 +107,7 @@ def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Refe
     position, velocity = ahead.error_weights
     length = float(ahead.lengths[k])
     sine, weights = softened_sine(end.angle), (length * position, length * velocity)
+    p.weight[k, 4, 4] = length * ahead.torque_weight
     add_tip_cost(p.weight[k], end.angle, end.speed, sine, ahead.plant, weights)
 
 

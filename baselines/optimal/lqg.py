@@ -1,20 +1,20 @@
 """Flatness feed-forward and gain-scheduled LQG: the link along a smoothed move, and feedback about it.
 
-    tau_m = tau_flat(t + h/2) - K(theta_1,ref) (x - x_flat(t)) - d + tau_c dir
+    tau_m = tau_flat(t + h/2) + v - d + tau_f,    v = -K(theta_1,ref) [x - x_flat(t); v_last]
 
-State and torque of the smoothed move come from the flat output, see `baselines.optimal.flatness`; the torque is the one
-in the middle of the sample over which it is held. Estimates x and d are those of `baselines.estimation.observer`, a
-Kalman filter on the encoder that models stiction. The gain is the steady-state optimum (LQR) of the linear arm at each
-of 46 joint angles, interpolated at the angle of the reference. It minimises
+at the time t at which the command acts. State and torque of the smoothed move come from the flat output, see
+`baselines.optimal.flatness`; the torque is the one in the middle of the sample over which it is held. Estimates x, of
+the state at t, and d are those of `baselines.estimation.observer`, a Kalman filter on the encoder that models stiction.
+The gain is the steady-state optimum (LQR) of the linear arm at each of 46 joint angles, interpolated at the angle of
+the reference. It minimises
 
-    sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2
+    sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho v^2 + R (v - v_last)^2
 
 with the tip's errors about an arm at rest at the angle, linear in z = x - x_flat (`baselines.optimal.tip_error`).
 
 `baselines.optimal.preview` weighs the same errors, but over the whole move at once: its gains vary with time, and its
 feed-forward is the optimum for the trapezoid itself. Here the move is first made one that the arm can follow; how
-smooth it is, in periods of the belt's mode, is tuned. Friction is compensated in the direction in which the flat motor
-moves, and where it rests in that of the torque asked of it.
+smooth it is, in periods of the belt's mode, is tuned. Friction is compensated as in preview.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from scipy.linalg import solve, solve_discrete_are
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.gains import Gains, tunable
-from baselines.models.friction import breakaway_direction
+from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.flatness import Corners, flat_motion, smoothed
 from baselines.optimal.plan import Weights
 from baselines.optimal.preview import PreviewGains
-from baselines.optimal.tip_error import bounded_sine, error_weights, tip_error_rows
-from baselines.reading import Reading, chosen
+from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
+from baselines.reading import Reading, chosen, last_share
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
 
@@ -58,21 +58,26 @@ class LqgMemory:
 
     corners: Corners
     estimate: Estimate
+    added: Floats  # torque beside the feedback's [N m], shape (n,)
 
 
 @lru_cache(maxsize=64)
 def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
-    """Steady-state gains K of the torque on x - x_ref at each of `ANGLES`, shape (46, 4)."""
-    tables = linear_arm(params)
-    gains = np.empty((len(ANGLES), 4))
-    scales, plant = np.sqrt(np.repeat(error_weights(weights.velocity), 2)), params.plant()
+    """Steady-state gains K of the torque on [x - x_ref; tau_last] at each of `ANGLES`, shape (46, 5)."""
+    arm = linear_arm(params)
+    gains = np.empty((len(ANGLES), 5))
+    weigh, plant = error_weights(weights.velocity), params.plant()
+    transition, state_cost, price = np.zeros((5, 5)), np.zeros((5, 5)), np.array([[weights.change]])
+    transition[4, 4] = 1.0
     for k, angle in enumerate(ANGLES):
-        scaled = scales[:, None] * np.array(tip_error_rows(float(angle), 0.0, bounded_sine(float(angle)), plant))
-        state_cost = scaled.T @ scaled
-        transition, by_torque = tables.transition[k], tables.by_torque[k][:, None]
-        price = np.array([[weights.torque]])
-        to_go = solve_discrete_are(transition, by_torque, state_cost, price)
-        gains[k] = solve(by_torque.T @ to_go @ by_torque + price, by_torque.T @ to_go @ transition)[0]
+        state_cost[:] = 0.0
+        add_tip_cost(state_cost, float(angle), 0.0, bounded_sine(float(angle)), plant, weigh)
+        state_cost[4, 4] = weights.torque
+        transition[:4, :4], transition[:4, 4] = arm.transition[k], arm.by_torque[k]
+        by_change = transition[:, 4:]
+        to_go = solve_discrete_are(transition, by_change, state_cost, price)
+        gains[k] = solve(by_change.T @ to_go @ by_change + price, by_change.T @ to_go @ transition)[0]
+        gains[k, 4] -= 1.0  # from a law for the change to one for the torque
     return gains
 
 
@@ -81,12 +86,14 @@ class LqgController(ClassicalController[LqgMemory]):
 
     Args:
         gains: Smoothness, weights and noise.
-        params: The nominal arm.
+        params: The design model.
     """
 
     def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or LqgGains()
+        self._row = self.params.row()
+        self._lead = dead_time(self.params)
         self._feedback = feedback_gains(self.params, self.gains.weights())
         self._observer = StickSlipObserver(self.params, self.gains.noise())
 
@@ -94,15 +101,16 @@ class LqgController(ClassicalController[LqgMemory]):
         """Torque [N m] of one sample, see `ClassicalController`."""
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
         corners = self._resmoothed(memory.corners if memory else None, begins, reading.move)
-        time = CONTROL_PERIOD * reading.step.astype(np.float64)
+        time = CONTROL_PERIOD * reading.step.astype(np.float64) + self._lead
         wanted = flat_motion(corners, time, self.params).state
-        ahead = flat_motion(corners, time + 0.5 * CONTROL_PERIOD, self.params)
+        now = flat_motion(corners, time + 0.5 * CONTROL_PERIOD, self.params)
+        last = last_share(reading, memory.added if memory else None, begins)
         gain = at_angle(self._feedback, wanted[:, 0] / self.params.gear_ratio)
-        feedback = gain * (estimate.state - wanted)
-        torque = ahead.torque - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3])
-        direction = breakaway_direction(ahead.state[:, 1], torque, self.gains.friction_speed)
-        friction = self.gains.friction_share * self.params.coulomb_friction * direction
-        return torque - estimate.disturbance + friction, LqgMemory(corners, estimate)
+        feedback = gain[:, :4] * (estimate.ahead - wanted)
+        deviation = -(feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3]) - gain[:, 4] * last
+        torque = now.torque + deviation
+        added = now.torque + self.gains.friction(self._row, estimate.ahead[:, 1], torque) - estimate.disturbance
+        return deviation + added, LqgMemory(corners, estimate, added)
 
     def _resmoothed(self, corners: Corners | None, begins: Flags, moves: Floats) -> Corners:
         """Smoothed moves, with new ones for arms that begin an episode."""

@@ -6,8 +6,9 @@
 
 is solved for tau_d over each sample, with speeds as the encoder gives them, and filtered by Q(s) = g / (s + g), exactly
 discretised: d += (1 - exp(-g dt)) (tau_m - tau_known - M_a1 delta theta_a' / dt - d). Added to the torque it rejects
-the load as far as Q passes it. Known torques are viscous friction, Coulomb friction by the commanded direction, and
-what moves the links of a rigid arm on the reference; so tau_d is zero on a nominal arm that does not vibrate.
+the load as far as Q passes it. Known torques are viscous friction, dry friction by the commanded direction, and what
+moves the links of a rigid arm on the reference, both a dead time later (`baselines.models.actuator`), when the command
+acts; so tau_d is next to zero on an arm like the design model that does not vibrate.
 
 **Torsion-torque feedback** (resonance ratio control: Yuki, Murakami and Ohnishi 1993). On a vibrating arm the load is
 the reaction of the belt, tau_b / G. A second filter with the cut-off g_r > g passes the mode too; what it has beyond
@@ -36,8 +37,10 @@ import numpy as np
 
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
-from baselines.models.friction import FrictionGains, commanded_direction
-from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
+from baselines.models.actuator import dead_time
+from baselines.models.friction import FrictionGains, commanded_direction, friction_level
+from baselines.models.ramps import task_motion
+from baselines.models.rigid_arm import RigidArm, motor_errors
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
@@ -70,13 +73,15 @@ class DisturbanceController(ClassicalController[DisturbanceMemory]):
 
     Args:
         gains: Of servo and observer.
-        params: The nominal arm, all that the controller knows of the plant.
+        params: The design model.
     """
 
     def __init__(self, gains: DisturbanceGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or DisturbanceGains()
         self._arm = RigidArm(self.params)
+        self._row = self.params.row()
+        self._lead = dead_time(self.params)
         self._share = 1 - np.exp(-self.gains.observer * CONTROL_PERIOD)
         self._fast_share = 1 - np.exp(-self.gains.reaction * CONTROL_PERIOD)
 
@@ -86,14 +91,15 @@ class DisturbanceController(ClassicalController[DisturbanceMemory]):
         """Torque [N m] of one sample, see `ClassicalController`."""
         p, gains = self.params, self.gains
         load, fast_load = self._observe(memory, begins, reading)
-        wanted = task_motion(reading)
+        wanted, led = task_motion(reading), task_motion(reading, self._lead)
         error, speed_error = motor_errors(reading, wanted, p)
         servo = p.motor_inertia * (gains.angle * error + gains.speed * speed_error)
         push = servo - (gains.reaction_gain - 1) * (fast_load - load)
-        direction = commanded_direction(wanted, push, gains.rest_width)
-        friction = gains.friction * p.coulomb_friction * direction + p.motor_viscous_friction * reading.motor_speed
-        known = friction + self._arm.link_torque(wanted)
-        torque = p.motor_inertia * p.gear_ratio * wanted.acceleration + push + known + load
+        direction = commanded_direction(led, push, gains.rest_width)
+        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        friction = level * direction + p.motor_viscous_friction * reading.motor_speed
+        known = friction + self._arm.link_torque(led)
+        torque = p.motor_inertia * p.gear_ratio * led.acceleration + push + known + load
         return torque, DisturbanceMemory(load, fast_load, reading.motor_speed, known, np.abs(direction) < 1)
 
     def _observe(self, memory: DisturbanceMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Floats]:

@@ -116,7 +116,7 @@ class PaperController(ClassicalController[PaperMemory]):
     """
 
     def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
-        super().__init__(params)
+        super().__init__(params or ArmParams())
         self.gains = gains or PaperGains()
         self._simulation = TorsionSimulation(self.params)
 

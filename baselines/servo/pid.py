@@ -4,9 +4,10 @@
     push = M(theta_r) (K_p (e + K_i integral of e dt) + K_v e'),    e = G theta_r - theta_a
 
 with the planned joint angle theta_r [rad], the inertia M = M_a1 + M2 / G^2 at the motor shaft, and tau_f as in
-`baselines.models.friction`. The derivative acts on the measured speed; differenced over a sample, that is the filtered
-derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it further
-(conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
+`baselines.models.friction`. What is fed forward is that of a dead time later (`baselines.models.actuator`), when the
+command acts; the errors are of now. The derivative acts on the measured speed; differenced over a sample, that is the
+filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
+further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
 The PID ignores the belt: `SmoothController` and `ShapingController` plan motions that do not excite it.
 """
@@ -20,7 +21,8 @@ import numpy as np
 
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
-from baselines.models.friction import FrictionGains, commanded_direction
+from baselines.models.actuator import dead_time
+from baselines.models.friction import FrictionGains, commanded_direction, friction_level
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import RigidArm, motor_errors
 from baselines.reading import Reading, chosen
@@ -50,7 +52,7 @@ class PidServo(ClassicalController[PidMemory]):
 
     Args:
         gains: Of the servo.
-        params: The nominal arm, all that the controller knows of the plant.
+        params: The design model.
         smooth: Whether ramps are smooth rather than linear.
     """
 
@@ -58,6 +60,8 @@ class PidServo(ClassicalController[PidMemory]):
         super().__init__(params)
         self._gains, self._smooth = gains, smooth
         self._arm = RigidArm(self.params)
+        self._row = self.params.row()
+        self._lead = dead_time(self.params)
 
     @abstractmethod
     def plan(self, moves: Floats) -> Ramps:
@@ -67,13 +71,14 @@ class PidServo(ClassicalController[PidMemory]):
         """Torque [N m] of one sample, see `ClassicalController`."""
         integral, ramps = self._recall(memory, begins, reading)
         time = CONTROL_PERIOD * reading.step.astype(np.float64)
-        wanted = motion_at(ramps, reading.move[:, 0], time, self._smooth)
+        wanted, led = (motion_at(ramps, reading.move[:, 0], time + lead, self._smooth) for lead in (0.0, self._lead))
         error, speed_error = motor_errors(reading, wanted, self.params)
         p, gains, inertia = self.params, self._gains, self._arm.inertia(wanted.angle)
         push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
-        viscous = p.motor_viscous_friction * p.gear_ratio * wanted.speed
-        friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
-        torque = self._arm.torque(wanted) + viscous + friction + push
+        viscous = p.motor_viscous_friction * p.gear_ratio * led.speed
+        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        friction = level * commanded_direction(led, push, gains.rest_width)
+        torque = self._arm.torque(led) + viscous + friction + push
         winding = (np.abs(torque) > p.torque_limit) & (torque * error > 0)
         return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), ramps)
 

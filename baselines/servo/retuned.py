@@ -5,7 +5,8 @@ The structure is that of (11): computed torque, PD and torsional-velocity feedba
     tau_m = M(theta_ref) u_1 + 1/2 M2' theta_ref'^2 / G + V_a1 theta_a' + tau_f - K_4 theta_s'
     u_1 = theta_a_ref'' + K_v (theta_a_ref' - theta_a') + K_p (theta_a_ref - theta_a)                       (9)
 
-with nominal parameters and theta_s' from the paper's simulation of the arm on encoder data (`TorsionSimulation`).
+with the design model's parameters, and theta_s' from the paper's simulation of the arm on encoder data
+(`TorsionSimulation`).
 Different from `PaperController`:
 
 - M(theta) = M_a1 + M2(theta) / G^2 is the inertia of motor and links, as in (4), where (11) has the motor's alone. With
@@ -13,6 +14,7 @@ Different from `PaperController`:
 - tau_f has a law at rest. It follows the push of the feedback, M (K_v ... + K_p ...) - K_4 theta_s', so that neither
   the PD nor the vibration feedback is swallowed by stiction. With Table 2's gains and no such law the motor can rest
   up to tau_c / (M_a1 K_p) = 20 rad away, 13 degrees at the joint.
+- What is fed forward is that of a dead time later (`baselines.models.actuator`), when the command acts.
 - All gains are tuned.
 
 What they trade: K_4 damps by accelerating the motor against theta_s', which it can as long as the PD is slower than the
@@ -25,8 +27,10 @@ from dataclasses import dataclass
 
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
-from baselines.models.friction import FrictionGains, commanded_direction
-from baselines.models.rigid_arm import RigidArm, motor_errors, task_motion
+from baselines.models.actuator import dead_time
+from baselines.models.friction import FrictionGains, commanded_direction, friction_level
+from baselines.models.ramps import task_motion
+from baselines.models.rigid_arm import RigidArm, motor_errors
 from baselines.reading import Reading
 from baselines.servo.paper import PaperMemory, TorsionSimulation
 from beltarm_env import ArmParams
@@ -47,23 +51,26 @@ class RetunedController(ClassicalController[PaperMemory]):
 
     Args:
         gains: Feedback gains.
-        params: The nominal arm, all that the controller knows of the plant.
+        params: The design model.
     """
 
     def __init__(self, gains: RetunedGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or RetunedGains()
         self._arm = RigidArm(self.params)
+        self._row = self.params.row()
+        self._lead = dead_time(self.params)
         self._simulation = TorsionSimulation(self.params)
 
     def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         p, gains, speed = self.params, self.gains, reading.motor_speed
         memory = self._simulation.follow(memory, begins, speed / p.gear_ratio, reading.motor_angle / p.gear_ratio)
-        wanted = task_motion(reading)
+        wanted, led = task_motion(reading), task_motion(reading, self._lead)
         error, speed_error = motor_errors(reading, wanted, p)
         servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
         push = servo - gains.torsion_speed * memory.torsion_rate
-        friction = gains.friction * p.coulomb_friction * commanded_direction(wanted, push, gains.rest_width)
-        torque = self._arm.torque(wanted) + p.motor_viscous_friction * speed + friction + push
+        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        friction = level * commanded_direction(led, push, gains.rest_width)
+        torque = self._arm.torque(led) + p.motor_viscous_friction * speed + friction + push
         return torque, memory

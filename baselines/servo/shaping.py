@@ -81,7 +81,7 @@ class ShapingController(PidServo):
 
     Args:
         gains: Of servo and shaper, of the type that `GAINS` has for the kind.
-        params: The nominal arm, all that the controller knows of the plant.
+        params: The design model.
         kind: "zv", "zvd" or "ei".
 
     Raises:

@@ -41,7 +41,7 @@ class SmoothController(PidServo):
 
     Args:
         gains: Of servo and profile.
-        params: The nominal arm, all that the controller knows of the plant.
+        params: The design model.
     """
 
     def __init__(self, gains: SmoothGains | None = None, params: ArmParams | None = None) -> None:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import RigidArm
 from baselines.optimal.adaptive import AdaptiveController
@@ -31,7 +32,6 @@ from baselines.optimal.horizon import Horizon, horizon
 from baselines.optimal.horizon import plan as plan_horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.mpc import MpcController
-from baselines.optimal.plan import Weights
 from baselines.optimal.preview import PreviewController
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.paper import PaperController, TorsionSimulation
@@ -116,34 +116,36 @@ def disturbance_law(controller: DisturbanceController, k: int) -> Law:
     return Law(4, step)
 
 
-def _filter(params: ArmParams, k: int, gain: Floats) -> Callable[[float, float, Floats], Floats]:
-    """One sample of the steady-state Kalman filter of x, or of [x; d], with the motor sliding."""
-    arm = LinearArms(*(part[k] for part in linear_arm(params)))
+def _ahead_feedback(params: ArmParams, k: int, gain: Floats, noise: Noise) -> Law:
+    """-K (x when the command acts, net torque of the last sample) - d, with the motor sliding.
 
-    def update(angle: float, last: float, estimate: Floats) -> Floats:
-        predicted = arm.transition @ estimate[:4] + arm.by_torque * (last + estimate[4:].sum())
-        return np.append(predicted, estimate[4:]) + gain * (angle - predicted[0])
-
-    return update
-
-
-def _state_feedback(params: ArmParams, k: int, gain: Floats, filter_gain: Floats) -> Law:
-    """-K x, and -d where a filter of gain (5,) rather than (4,) estimates it; memory: the estimates."""
-    update = _filter(params, k, filter_gain)
+    Memory: the arm behind its drive as `sampled_state_space` has it, d, and what was added to the net torque.
+    """
+    a, b, _ = sampled_state_space(params, float(ANGLES[k]))
+    filter_gain = kalman_gains(params, noise)[k]
+    whole, rest = divmod(dead_time(params) / CONTROL_PERIOD, 1.0)
+    size = len(a)
 
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
-        estimate = update(angle, last, memory)
-        return float(-gain @ estimate[:4] - estimate[4:].sum()), estimate
+        *_, disturbance, added = memory
+        z = a @ memory[:size] + b[:, 0] * (last + disturbance)
+        innovation = angle - z[0]
+        z[:4] += filter_gain[:4] * innovation
+        disturbance += filter_gain[4] * innovation
+        torques, ahead = b[:, 0] * (last + disturbance), z
+        for _ in range(int(whole)):
+            ahead = a @ ahead + torques
+        ahead = ahead + rest * (a @ ahead + torques - ahead)
+        net = float(-gain @ [*ahead[:4], last - added])
+        return net - disturbance, np.array([*z, disturbance, -disturbance])
 
-    return Law(len(filter_gain), step)
+    return Law(size + 2, step)
 
 
 def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
     """State feedback of `lqg`, which is the gain of the plan of `preview` at rest, long before the episode's end."""
     params, g = controller.params, controller.gains
-    noise = Noise(g.torque_noise, g.acceleration_noise, g.disturbance_noise)
-    gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
-    return _state_feedback(params, k, gain, kalman_gains(params, noise)[k])
+    return _ahead_feedback(params, k, feedback_gains(params, g.weights())[k], g.noise())
 
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
@@ -206,17 +208,10 @@ def horizon_gain(ahead: Horizon, angle: float) -> Floats:
 
 
 def mpc_law(controller: MpcController, k: int) -> Law:
-    """First torque of the horizon's plan; memory: the filter's and the net torque of the last sample."""
+    """First torque of the horizon's plan."""
     params, g = controller.params, controller.gains
-    update = _filter(params, k, kalman_gains(params, Noise(g.torque_noise, g.torsion_noise, g.bias_noise))[k])
-    gain = horizon_gain(_horizon(params, g.velocity_weight, g.change_weight), float(ANGLES[k]))
-
-    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
-        estimate = update(angle, last, memory[:5])
-        net = float(gain @ [*estimate[:4], memory[5]])
-        return net - estimate[4], np.append(estimate, net)
-
-    return Law(6, step)
+    gain = horizon_gain(_horizon(params, g.weights()), float(ANGLES[k]))
+    return _ahead_feedback(params, k, -gain, g.noise())
 
 
 LAWS: dict[type, Callable[[Any, int], Law]] = {

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, root_scalar
 
 from baselines.models.linear import ANGLES
-from beltarm_env import CONTROL_PERIOD, ArmParams, state_space
+from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.physics.sampled import sampled_state_space
 from eval.loops.laws import Law, law_of
 
 Floats = NDArray[np.float64]
@@ -36,15 +37,15 @@ _FREQUENCIES = np.append(np.geomspace(0.05, 0.9999 * NYQUIST, 4000), NYQUIST)
 
 
 def sampled_arm(params: ArmParams, theta_1: float, model: str = "lumped") -> control.StateSpace:
-    """The arm at a joint angle [rad] from torque [N m] to motor angle [rad], torque held over a sample.
+    """The arm behind its drive at a joint angle [rad] from command [N m] to motor angle [rad].
 
     Args:
         params: The arm.
         theta_1: Joint angle [rad].
         model: Whose equations of motion it has, as of `state_space`.
     """
-    a, b, _ = state_space(params, theta_1, model)
-    return control.c2d(control.StateSpace(a, b, [[1.0, 0, 0, 0]], 0), CONTROL_PERIOD, method="zoh")
+    a, b, c = sampled_state_space(params, theta_1, model)
+    return control.StateSpace(a, b, c[:1], 0, CONTROL_PERIOD)
 
 
 def law_model(law: Law) -> control.StateSpace:
