@@ -200,7 +200,7 @@ def test_learning_alone_and_side_by_side_is_the_same(taught: tuple[Recording, Le
 def test_cost_falls_from_repetition_to_repetition():
     costs = [run["cost"].mean() for run in repeated(IterativeController, 6, 4, seed=SEED, randomization="ideal")]
     assert costs[1] < 0.95 * costs[0]
-    assert (np.diff(costs) < 0.005 * costs[0]).all()
+    assert (np.diff(costs) < 0.01 * costs[0]).all()
 
 
 def test_runs_are_reproducible():
