@@ -5,7 +5,7 @@ A law is written as the controller runs it, from one sample to the next, for dev
     (tau_m, memory) <- step(theta_a, omega_a by differencing, tau_m of the last sample, memory)
 
 Left out are Coulomb friction and its compensation, the encoder's resolution and the limits: of the torque, of integrals
-and of estimates. What is left is linear, so that `eval.loops.models` finds its matrices by probing it.
+and of estimates. What is left is linear, so that `baselines.loops.models` finds its matrices by probing it.
 
 To add a controller, add its law to `LAWS`: `tests/test_loops.py` then holds it against the controller itself.
 """
@@ -16,9 +16,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import control
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
@@ -36,8 +35,7 @@ from baselines.servo.paper import PaperController, TorsionSimulation
 from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
-
-Floats = NDArray[np.float64]
+from beltarm_env.arrays import Floats
 
 Step = Callable[[float, float, float, Floats], tuple[float, Floats]]
 
@@ -149,9 +147,9 @@ def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> 
     covariance = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
     covariance += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
     covariance[0, 0] += QUANTUM**2 / 120
-    measured, rounding = np.array([[1.0, 0, 0, 0]]), np.array([[QUANTUM**2 / 12]])
-    _, before, _ = control.dlqe(arm.transition, np.eye(4), measured, covariance, rounding)
-    return np.asarray(before)[:, 0] / (before[0, 0] + rounding[0, 0])
+    measured, rounding = np.array([[1.0], [0], [0], [0]]), np.array([[QUANTUM**2 / 12]])
+    before = solve_discrete_are(arm.transition.T, measured, covariance, rounding)
+    return before[:, 0] / (before[0, 0] + rounding[0, 0])
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
@@ -215,4 +213,5 @@ def law_of(controller: Any, k: int) -> Law:
     for kind, law in LAWS.items():
         if isinstance(controller, kind):
             return law(controller, k)
-    raise ValueError(f"no linear law for {type(controller).__name__}: add one to LAWS in eval/loops/laws.py")
+    remedy = "add one to LAWS in baselines/loops/laws.py, or tune with --no-margins"
+    raise ValueError(f"no linear law for {type(controller).__name__}: {remedy}")
