@@ -256,7 +256,7 @@ class TestController:
         _, fresh = controller.predict(first, None, np.array([True, True]))
         _, other = controller.predict(first[::-1], None, np.array([True, True]))
         memory, observations = other, first[::-1]
-        for _ in range(150):
+        for _ in range(60):
             action, memory = controller.predict(observations, memory, np.array([False, False]))
             observations, *_ = env.step(action)
         observations[1] = first[1]

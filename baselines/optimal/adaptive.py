@@ -41,11 +41,11 @@ class AdaptiveGains(Gains):
     """Weights of the plan, prior uncertainty and noise of the identification."""
 
     velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
-    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    torque_weight: float = tunable(100.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
     swing_doubt: float = tunable(0.35, 0.03, 1.0, log=True)  # [-]      of ln S before anything is known
     stiffness_doubt: float = tunable(0.12, 0.01, 0.5, log=True)  # [-]      of ln K_s
     friction_doubt: float = tunable(0.17, 0.01, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
-    torque_noise: float = tunable(1e-3, 1e-5, 0.1, log=True)  # [N m]      process noise at the motor
+    torque_noise: float = tunable(3e-3, 1e-5, 0.1, log=True)  # [N m]      process noise at the motor
     acceleration_noise: float = tunable(1.0, 0.03, 100.0, log=True)  # [rad/s^2]  process noise of the torsion
     friction_share: float = tunable(1.0, 0.5, 1.3)  # [-]        of tau_c that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides

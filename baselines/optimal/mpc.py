@@ -35,11 +35,11 @@ class MpcGains(Gains):
     """Weights of the predicted cost, and assumed noise of the estimator."""
 
     velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # q_v   [-]   of the tip's velocity; position has 1
-    change_weight: float = tunable(1.0, 1e-3, 1e3, log=True)  # R     [1/(N m)^2]   of the torque's change
+    change_weight: float = tunable(800.0, 1e-3, 1e3, log=True)  # R     [1/(N m)^2]   of the torque's change
     friction_share: float = tunable(1.0, 0.0, 1.3)  # kappa [-]   of tau_c that is compensated
-    torque_noise: float = tunable(3e-3, 1e-4, 0.1, log=True)  # [N m]   of the motor, from sample to sample
-    torsion_noise: float = tunable(5.0, 0.1, 100.0, log=True)  # [rad/s^2]   torsional acceleration, likewise
-    bias_noise: float = tunable(0.1, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]   random walk of the bias d
+    torque_noise: float = tunable(0.06, 1e-4, 0.1, log=True)  # [N m]   of the motor, from sample to sample
+    torsion_noise: float = tunable(10.0, 0.1, 100.0, log=True)  # [rad/s^2]   torsional acceleration, likewise
+    bias_noise: float = tunable(0.005, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]   random walk of the bias d
 
 
 @dataclass(frozen=True)

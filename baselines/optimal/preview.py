@@ -29,10 +29,10 @@ class PreviewGains(Gains):
     """Weights of the plan and noise of the filter."""
 
     velocity_weight: float = tunable(0.3, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
-    torque_weight: float = tunable(1.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
-    torque_noise: float = tunable(3e-3, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
+    torque_weight: float = tunable(30.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    torque_noise: float = tunable(0.03, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
     acceleration_noise: float = tunable(5.0, 0.1, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
-    disturbance_noise: float = tunable(0.1, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]  growth of d
+    disturbance_noise: float = tunable(0.005, 1e-3, 10.0, log=True)  # [N m/sqrt(s)]  growth of d
     friction_share: float = tunable(1.0, 0.0, 1.3)  # [-]        of tau_c that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the torque decides
 
