@@ -152,7 +152,7 @@ class TestCorners:
             assert believed.motor_inertia == arm.motor_inertia and believed.payload_mass == 0
             mine, theirs = believed.plant(), arm.plant()
             assert mine.inertia_swing == pytest.approx(theirs.inertia_swing, rel=1e-12)
-            assert mine.stiffness == pytest.approx(theirs.stiffness * (1 - arm.belt_stiffening), rel=1e-12)
+            assert mine.stiffness == theirs.stiffness
 
 
 class TestCondition:

@@ -116,11 +116,8 @@ def _laws(controller: Any, names: tuple[str, ...]) -> System:
 def believing(controller: Any, arm: ArmParams) -> Any:
     """A controller that identifies its arm, as it is once it has found the constants of this one."""
     mine = controller.params
-    share = (1 - arm.belt_stiffening) / (1 - mine.belt_stiffening)
-    load = 4 * mine.link_length**2 * (arm.payload_mass - mine.payload_mass)
     found = {name: getattr(arm, name) for name in IDENTIFIED}
-    found["belt_stiffness"] *= share  # about zero torsion, as the loop is
-    found["arm_inertia_swing"] += load
+    found["arm_inertia_swing"] += 4 * mine.link_length**2 * (arm.payload_mass - mine.payload_mass)
     return type(controller)(controller.gains, params=replace(mine, **found))
 
 

@@ -37,6 +37,8 @@ from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Floats
 
+_linear_arm = lru_cache(maxsize=16)(linear_arm)
+
 Step = Callable[[float, float, float, Floats], tuple[float, Floats]]
 
 
@@ -113,7 +115,7 @@ def disturbance_law(controller: DisturbanceController, k: int) -> Law:
 
 def _filter(params: ArmParams, k: int, gain: Floats) -> Callable[[float, float, Floats], Floats]:
     """One sample of the steady-state Kalman filter of x, or of [x; d], with the motor sliding."""
-    arm = LinearArms(*(part[k] for part in linear_arm(params)))
+    arm = LinearArms(*(part[k] for part in _linear_arm(params)))
 
     def update(angle: float, last: float, estimate: Floats) -> Floats:
         predicted = arm.transition @ estimate[:4] + arm.by_torque * (last + estimate[4:].sum())
@@ -142,8 +144,8 @@ def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
 
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
-    """Steady-state gain of the identification's filter for x with the constants held at the nominal, shape (4,)."""
-    arm = LinearArms(*(part[k] for part in linear_arm(params)))
+    """Steady-state gain of the identification's filter for x, its constants held at those of `params`, shape (4,)."""
+    arm = LinearArms(*(part[k] for part in _linear_arm(params)))
     covariance = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
     covariance += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
     covariance[0, 0] += QUANTUM**2 / 120
@@ -153,7 +155,7 @@ def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> 
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
-    """State feedback of the plan on the identification's filter, held at the nominal constants."""
+    """State feedback of the plan on the identification's filter, both for the arm that the controller believes in."""
     params, g = controller.params, controller.gains
     uncertainty = Uncertainty(torque=g.torque_noise, acceleration=g.acceleration_noise)
     gain = feedback_gains(params, Weights(g.velocity_weight, g.torque_weight))[k]
