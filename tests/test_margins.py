@@ -204,7 +204,7 @@ class Steady(SmoothController):
 @dataclass(frozen=True)
 class TwoGains(Gains):
     angle: float = tunable(60.0, 10.0, 10_000.0, log=True)
-    torsion_speed: float = tunable(0.0, 0.0, 0.2)
+    torsion_speed: float = tunable(0.001, 1e-4, 0.2, log=True)
 
 
 class Watched(RetunedController):
@@ -269,7 +269,7 @@ class TestTuner:
     def test_untuned_gains_that_fall_short_are_an_error(self, tmp_path: Path):
         @dataclass(frozen=True)
         class Wild(TwoGains):
-            torsion_speed: float = tunable(0.1, 0.0, 0.2)
+            torsion_speed: float = tunable(0.1, 1e-4, 0.2, log=True)
 
         with pytest.raises(ValueError, match=r"untuned gains fall short .*modulus=0.0.* change the defaults of Wild"):
             search(Tunable(Watched, Wild), MIN_BUDGET, 0, tmp_path / "journal", condition=MarginCondition())

@@ -53,7 +53,7 @@ RUNGS = (32, 64, 128)
 """Arms that a trial has run on when it is compared with the best; after the last it is complete."""
 MARGIN = 1.0
 """Standard errors by which a trial must be worse than the best to be pruned."""
-MAX_REFUSED = 4000
+MAX_REFUSED = 2000
 """Proposals that fall short of the margins, after which a search ends."""
 FINALISTS = 7
 MAX_CHOICE_ARMS = 1000
