@@ -27,8 +27,8 @@ from baselines.gains import FILE
 from baselines.loops.condition import MarginCondition
 from baselines.tools.command import require_bounds, require_known, run_command
 from baselines.tools.parallel import Interrupted
+from baselines.tuning.race import split_budget
 from baselines.tuning.run import journal_file, tune
-from baselines.tuning.search import split_budget
 
 
 @dataclass(frozen=True)

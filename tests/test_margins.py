@@ -24,7 +24,8 @@ from baselines.servo.pid import PidGains
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.servo.smooth import SmoothController
 from baselines.tools.parallel import Channel
-from baselines.tuning.search import MIN_BUDGET, SearchProgress, search
+from baselines.tuning.race import MIN_BUDGET
+from baselines.tuning.search import SearchProgress, search
 from beltarm_env import ArmParams, sampled_state_space
 from beltarm_env.task.ranges import TRAIN_RANGES, design_model
 

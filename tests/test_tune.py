@@ -20,16 +20,8 @@ from baselines import TUNABLE, PaperController, PaperGains
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from baselines.tune import Config, main
-from baselines.tuning.search import (
-    MAX_CHOICE_ARMS,
-    MIN_BUDGET,
-    RUNGS,
-    SearchProgress,
-    estimate,
-    hopeless,
-    search,
-    split_budget,
-)
+from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, estimate, hopeless, split_budget
+from baselines.tuning.search import SearchProgress, search
 from baselines.tuning.study import begin_anew, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH

@@ -18,14 +18,13 @@ which is looked at after each of `RUNGS` arms.
 and the untuned gains, on other arms; the best of these is the result, and its cost there is what is reported.
 
 **Margins.** Gains whose loop falls short of a `MarginCondition` are refused before anything is simulated. How far they
-fall short is a constraint, by which the estimator ranks them behind all that were not [3]; a search ends after
-`MAX_REFUSED` of them. The untuned gains have to pass.
+fall short is noted as a constraint, by which the estimator ranks them, and behind all that were not refused. A search
+ends after `MAX_REFUSED` of them. The untuned gains have to pass.
 
 The budget counts simulated control periods of single arms, those of pruned and failed trials too. It is never exceeded.
 
 [1] Bergstra, Bardenet, Bengio, Kégl: Algorithms for Hyper-Parameter Optimization, NeurIPS 2011.
 [2] Maron, Moore: Hoeffding Races: Accelerating Model Selection Search, NeurIPS 1993.
-[3] Watanabe, Hutter: c-TPE: Tree-Structured Parzen Estimator with Inequality Constraints, IJCAI 2023, section 2.
 """
 
 from __future__ import annotations
@@ -42,6 +41,7 @@ from optuna.trial import FrozenTrial, TrialState
 from baselines.gains import Tunable
 from baselines.loops.condition import MarginCondition, least_margins
 from baselines.tools.parallel import Channel, Interrupted
+from baselines.tuning.race import FINALISTS, RUNGS, estimate, hopeless, split_budget
 from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
@@ -49,16 +49,8 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
-RUNGS = (32, 64, 128)
-"""Arms that a trial has run on when it is compared with the best; after the last it is complete."""
-MARGIN = 1.0
-"""Standard errors by which a trial must be worse than the best to be pruned."""
 MAX_REFUSED = 2000
 """Proposals that fall short of the margins, after which a search ends."""
-FINALISTS = 7
-MAX_CHOICE_ARMS = 1000
-MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
-"""Steps for one trial and a choice."""
 WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
 _WITHOUT_LOOP = 2.0
@@ -87,46 +79,6 @@ class SearchResult:
     failed: int  # trials in which the controller raised an error or returned NaN
     refused: int  # proposals that fell short of the margins; not among the trials
     seconds: float  # of trials and choice
-
-
-class BudgetSplit(NamedTuple):
-    """Division of a budget of simulated steps."""
-
-    search: int  # steps
-    arms: int  # of the choice, for each finalist and for the untuned gains
-
-
-def split_budget(budget: int) -> BudgetSplit:
-    """Divide a budget: a fifth for the choice, at most `MAX_CHOICE_ARMS` arms.
-
-    Raises:
-        ValueError: If the budget is too small.
-    """
-    if budget < MIN_BUDGET:
-        raise ValueError(f"--budget must be at least {MIN_BUDGET} steps, enough for one trial, got {budget}")
-    each = (FINALISTS + 1) * EPISODE_STEPS
-    arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
-    return BudgetSplit(budget - arms * each, arms)
-
-
-def estimate(costs: Floats, best: Floats) -> float:
-    """Estimate a trial's mean cost on all arms from those that it has run on, and the best trial so far.
-
-    Args:
-        costs: Of the trial, shape (n,).
-        best: Of the best trial, shape (at least n,); empty if there is none.
-    """
-    if len(costs) == RUNGS[-1] or not len(best):
-        return float(costs.mean())
-    return float(best.mean() + (costs - best[: len(costs)]).mean())
-
-
-def hopeless(costs: Floats, best: Floats) -> bool:
-    """Whether a trial has lost the race against the best one; arguments as those of `estimate`."""
-    if not len(best):
-        return False
-    difference = costs - best[: len(costs)]
-    return bool(difference.mean() > MARGIN * difference.std(ddof=1) / np.sqrt(len(difference)))
 
 
 def search(
