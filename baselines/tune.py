@@ -4,6 +4,10 @@ Every controller gets the same optimiser, arms, objective and budget, see `basel
 what a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with where they come from. Each search keeps
 a journal, from which `--resume` goes on after an interruption. A new search begins with the untuned gains, never with
 tuned ones: otherwise budgets would add up.
+
+Gains are refused, before anything is simulated, where the linear loop falls short of modulus and delay margins on the
+design model or a corner of the training ranges. `--no-margins` searches without, into another file with `--out`: the
+difference in cost is the price of the margins.
 """
 
 from __future__ import annotations
@@ -20,10 +24,11 @@ from rich.console import Console
 
 from baselines import TUNABLE
 from baselines.gains import FILE
+from baselines.loops.condition import MarginCondition
 from baselines.tools.command import require_bounds, require_known, run_command
 from baselines.tools.parallel import Interrupted
+from baselines.tuning.race import split_budget
 from baselines.tuning.run import journal_file, tune
-from baselines.tuning.search import split_budget
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,8 @@ class Config:
     """File of gains; entries of other controllers are kept."""
     journals: Path = Path("results/tune")
     """Folder of the journals."""
+    margins: bool = True
+    """Refuse gains whose loop falls short of the margins in `baselines/loops/condition.py`. Without: what they cost."""
     resume: bool = False
     """Resume the searches that have a journal; those of the other controllers begin."""
 
@@ -75,6 +82,7 @@ def run(config: Config) -> None:
             out=config.out,
             journals=config.journals,
             resume=config.resume,
+            condition=MarginCondition() if config.margins else None,
             console=Console(),
         )
     except (Interrupted, KeyboardInterrupt):

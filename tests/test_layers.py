@@ -13,7 +13,7 @@ FLOORS = {
         *("simulation batch", "env", "vector_env", "rollout"),
     ),
     "baselines": (
-        *("tools", "gains reading", "controller models", "estimation", "servo optimal", "iterative yardsticks"),
+        *("tools", "gains reading", "controller models", "estimation", "servo optimal", "iterative yardsticks loops"),
         *("registry", "tuning"),
     ),
     "agents": ("residual", "policy", "runs", "learners"),

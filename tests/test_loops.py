@@ -11,11 +11,15 @@ import control
 import numpy as np
 import pytest
 from commands import mistake, stopped
+from delays import delayed
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
 from baselines.estimation.observer import QUANTUM
 from baselines.gains import tuned
+from baselines.loops.laws import law_of
+from baselines.loops.margins import Margins, margins, margins_from_poles
+from baselines.loops.models import Loop, System, closed_poles, is_stable, law_system, loop_at, sampled_arm
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveMemory
 from baselines.servo.paper import PaperController, rigid_controller
@@ -24,17 +28,6 @@ from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
 from eval import baselines
 from eval.loops.gains import MEANING
-from eval.loops.laws import law_of
-from eval.loops.models import (
-    NYQUIST,
-    closed_poles,
-    is_stable,
-    law_model,
-    loop_model,
-    margins,
-    response,
-    sampled_arm,
-)
 
 Floats = NDArray[np.float64]
 
@@ -50,13 +43,18 @@ some of a torque for ripple."""
 each_controller = pytest.mark.parametrize("name", CONTROLLERS)
 
 
-def delayed(loop: control.StateSpace, samples: int) -> control.StateSpace:
-    """Insert a delay of whole samples into the loop."""
-    if samples == 0:
-        return loop
-    chain = np.eye(samples, k=-1)
-    first, last = np.eye(samples)[:, :1], np.eye(samples)[-1:]
-    return loop * control.StateSpace(chain, first, last, 0, CONTROL_PERIOD)
+NYQUIST = np.pi / CONTROL_PERIOD
+
+
+def as_control(system: System) -> control.StateSpace:
+    """The same system for python-control."""
+    return control.StateSpace(system.a, system.b[:, None], system.c[None], system.d, CONTROL_PERIOD)
+
+
+def response(loop: Loop, frequencies: Floats) -> NDArray[np.complex128]:
+    """L at frequencies [rad/s], by python-control."""
+    z = np.exp(1j * frequencies * CONTROL_PERIOD)
+    return -np.asarray(as_control(loop.law)(z) * as_control(loop.arm)(z))
 
 
 def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
@@ -111,8 +109,9 @@ def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS, **changed: 
     """Compare the motion after a pulse of torque with what python-control makes of the linear loop."""
     controller, pulse = frictionless(name, params), 1e-6
     motion = at_work(name, controller, k, pulse, **changed) - at_work(name, controller, k, 0.0, **changed)
-    law = delayed(changed.get("gain", 1.0) * law_model(law_of(controller, k)), changed.get("delay", 0))
-    closed: Any = control.feedback(sampled_arm(params, ANGLES[k]), cast("Any", law), sign=1)
+    law = changed.get("gain", 1.0) * as_control(delayed(law_system(law_of(controller, k)), changed.get("delay", 0)))
+    arm = as_control(sampled_arm(FRICTIONLESS, ANGLES[k]))
+    closed: Any = control.feedback(arm, cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
@@ -150,13 +149,13 @@ class TestAgainstTheController:
     @each_controller
     @pytest.mark.parametrize("beyond", [False, True])
     def test_at_the_edge_of_its_gain_margin(self, name: str, beyond: bool):
-        gain = margins(loop_model(frictionless(name), 22)).gain_up * (1.02 if beyond else 0.98)
+        gain = margins(loop_at(frictionless(name), 22)).gain_up * (1.02 if beyond else 0.98)
         check_pulse(name, 22, gain=gain, steps=100)
 
     @each_controller
     @pytest.mark.parametrize("beyond", [False, True])
     def test_at_the_edge_of_its_delay_margin(self, name: str, beyond: bool):
-        delay = math.floor(margins(loop_model(frictionless(name), 22)).delay) + int(beyond)
+        delay = math.floor(margins(loop_at(frictionless(name), 22)).delay) + int(beyond)
         check_pulse(name, 22, delay=delay, steps=100)
 
 
@@ -165,33 +164,34 @@ class TestMargins:
     def test_all_poles_lie_inside_the_unit_circle_at_every_angle(self, name: str):
         controller = CONTROLLERS[name]()
         for k in range(len(ANGLES)):
-            assert np.abs(closed_poles(loop_model(controller, k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
+            assert np.abs(closed_poles(loop_at(controller, k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
 
     def test_coulomb_friction_plays_no_part(self, name: str):
         controller = CONTROLLERS[name]()
         without = frictionless(name, replace(controller.params, coulomb_friction=0.0))
         for k in (0, 45):
-            loop, other = (loop_model(c, k, ArmParams()) for c in (controller, without))
+            loop, other = (loop_at(c, k, ArmParams()) for c in (controller, without))
             np.testing.assert_allclose(closed_poles(loop), closed_poles(other), rtol=1e-6, atol=1e-6)
 
     @pytest.mark.parametrize("k", range(0, 46, 9))
     def test_poles_cross_the_unit_circle_at_the_margins(self, name: str, k: int):
-        loop = loop_model(CONTROLLERS[name](), k)
+        loop = loop_at(CONTROLLERS[name](), k)
         found = margins(loop)
+        up, down = float(found.gain_up), float(found.gain_down)
         assert found.stable
-        inside = np.geomspace(max(found.gain_down * 1.001, 1e-3), min(found.gain_up * 0.999, 1e3), 12)
-        assert all(is_stable(loop, gain) for gain in inside)
-        if found.gain_up < 1e3:
-            assert not is_stable(loop, found.gain_up * 1.001)
-        if found.gain_down > 1e-3:
-            assert not is_stable(loop, found.gain_down * 0.999)
+        inside = np.geomspace(max(down * 1.001, 1e-3), min(up * 0.999, 1e3), 12)
+        assert all(is_stable(loop, float(gain)) for gain in inside)
+        if up < 1e3:
+            assert not is_stable(loop, up * 1.001)
+        if down > 1e-3:
+            assert not is_stable(loop, down * 0.999)
         most = math.floor(found.delay)
-        assert is_stable(delayed(loop, most))
-        assert not is_stable(delayed(loop, most + 1))
+        assert is_stable(Loop(loop.law, delayed(loop.arm, most)))
+        assert not is_stable(Loop(loop.law, delayed(loop.arm, most + 1)))
 
     @pytest.mark.parametrize("k", [0, 45])
     def test_python_control_finds_the_same(self, name: str, k: int):
-        loop = loop_model(CONTROLLERS[name](), k)
+        loop = loop_at(CONTROLLERS[name](), k)
         frequencies = np.geomspace(0.05, NYQUIST, 8000)
         sampled = control.FrequencyResponseData(response(loop, frequencies), frequencies, smooth=True)
         gains, phases, _, _, crossings, _ = control.stability_margins(sampled, returnall=True)
@@ -209,14 +209,15 @@ class TestKnownLoops:
     """Margins of loops for which they are known in closed form."""
 
     @staticmethod
-    def integrator(gain: float) -> control.StateSpace:
-        return control.StateSpace([[1.0]], [[gain]], [[1.0]], 0, CONTROL_PERIOD)
+    def first_order(pole: float, gain: float) -> Margins:
+        """Of L = gain / (z - pole)."""
+        return margins_from_poles(np.array([complex(pole)]), np.array([complex(pole - gain)]))
 
     def test_an_integrator(self):
         # L = g / (z - 1): |L| = 1 at w with 2 sin(w / 2) = g, phase -90 degrees - w / 2; at Nyquist L = -g / 2.
         gain = 0.4
         w = 2 * math.asin(gain / 2)
-        found = margins(self.integrator(gain))
+        found = self.first_order(1.0, gain)
         assert found.gain_up == pytest.approx(2 / gain, rel=1e-9)
         assert found.gain_down == 0
         assert found.phase == pytest.approx(90 - math.degrees(w / 2), rel=1e-9)
@@ -224,15 +225,14 @@ class TestKnownLoops:
 
     def test_a_loop_that_is_unstable_by_itself(self):
         # z - 1.2 + g: stable for 0.2 < g < 2.2.
-        loop = control.StateSpace([[1.2]], [[0.5]], [[1.0]], 0, CONTROL_PERIOD)
-        found = margins(loop)
+        found = self.first_order(1.2, 0.5)
         assert found.gain_up == pytest.approx(2.2 / 0.5, rel=1e-6)
         assert found.gain_down == pytest.approx(0.2 / 0.5, rel=1e-6)
         # |1 + L| = |z - 0.7| / |z - 1.2| is monotonic between z = 1 and -1.
         assert found.modulus == pytest.approx(1.7 / 2.2, rel=1e-6)
 
     def test_an_unstable_loop_is_called_so(self):
-        assert not margins(self.integrator(2.1)).stable
+        assert not self.first_order(1.0, 2.1).stable
 
 
 def test_every_gain_has_a_symbol_and_a_unit():
@@ -256,7 +256,7 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
     page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
     for name in shown:
         assert f"\n### {name}\n" in page
-        assert page.count(f"\n| {name} | ") == 5
+        assert page.count(f"\n| {name} | ") == 6
     assert page.count("not ranked") == 3
     assert "nan" not in page
     printed = capsys.readouterr().out

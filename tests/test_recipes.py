@@ -25,11 +25,11 @@ import numpy as np
 from baselines import CONTROLLERS, TUNABLE
 from beltarm_env.rollout import rollout
 from eval.comparison.methods import classical_methods
-from eval.loops.models import loop_model
+from baselines.loops.models import loop_at
 new, shaped = (rollout(CONTROLLERS[name](), 2, seed=0).metrics() for name in ("trapezoid", "zv"))
 print(new["cost"].mean() < 3000, new["residual_pp_mm"].mean() > shaped["residual_pp_mm"].mean())
 print("trapezoid" in TUNABLE, "trapezoid" in [method.name for method in classical_methods()])
-print(loop_model(CONTROLLERS["trapezoid"](), 20).nstates > 4)
+print(loop_at(CONTROLLERS["trapezoid"](), 20).law.a.shape == (3, 3))
 """
     assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 5
 

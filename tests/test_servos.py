@@ -87,8 +87,11 @@ class TestEveryServo:
         assert np.abs(run.state[-200:, :, 2]).max() < 0.06  # and the belt rings no more than stiction hides
 
     @pytest.mark.parametrize("name", SERVOS)
-    def test_does_better_than_the_paper_on_the_nominal_arm(self, name: str):
-        runs = [rollout(make(params=NOMINAL), 64, seed=5_000_000) for make in (PaperController, SERVOS[name])]
+    def test_does_better_than_the_paper(self, name: str):
+        """On the nominal arm, or, by what its margins leave of its gain, on the arms that they are for."""
+        arms = "train" if name in ("retuned", "disturbance") else "off"
+        makers = (PaperController, SERVOS[name])
+        runs = [rollout(make(), 64, seed=5_000_000, randomization=arms) for make in makers]
         paper, servo = (run.metrics() for run in runs)
         if name == "smooth":  # which does not even try to follow the task's profile closely
             assert np.median(servo["residual_pp_mm"]) < 0.4 * np.median(paper["residual_pp_mm"])
@@ -204,7 +207,7 @@ class TestFriction:
         # Stiction would hold a PD of K_p = 50 up to tau_c / (M_a1 K_p) = 10 rad from its goal.
         errors = {}
         for share in (0.0, 0.95):
-            run = over_the_range(RetunedController(RetunedGains(friction=share)))
+            run = over_the_range(RetunedController(RetunedGains(angle=50.0, friction=share)))
             errors[share] = np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1])
         assert np.median(errors[0.0]) > 2.0
         assert np.median(errors[0.95]) < 0.25 * np.median(errors[0.0])

@@ -20,16 +20,8 @@ from baselines import TUNABLE, PaperController, PaperGains
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from baselines.tune import Config, main
-from baselines.tuning.search import (
-    MAX_CHOICE_ARMS,
-    MIN_BUDGET,
-    RUNGS,
-    SearchProgress,
-    estimate,
-    hopeless,
-    search,
-    split_budget,
-)
+from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, estimate, hopeless, split_budget
+from baselines.tuning.search import SearchProgress, search
 from baselines.tuning.study import begin_anew, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
@@ -289,7 +281,10 @@ def test_command_writes_gains_with_their_provenance(tmp_path: Path):
         assert (origin["seed"], origin["budget"]) == (7, budget)
         assert 0 < origin["steps"] <= budget and origin["trials"] >= 1 and origin["seconds"] > 0
         assert origin["cost"] <= origin["cost_untuned"]
-        assert {"pruned", "failed", "measured_on", "date", "version", "commit"} <= set(origin)
+        assert {"pruned", "failed", "refused", "measured_on", "date", "version", "commit"} <= set(origin)
+        asked, reached = origin["margins"], origin["margins"]["reached"]
+        assert reached["modulus"] >= asked["modulus"] == 0.4 and reached["delay_samples"] >= asked["delay"] == 1.0
+        assert reached["modulus_at"].rsplit(", ", 1)[0] in asked["arms"]
         assert f"{origin['trials']} trials" in result.stdout
     assert sorted(file.name for file in tmp_path.iterdir()) == ["gains.json", "results"]
 
@@ -303,6 +298,19 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[st
     before = signal.getsignal(signal.SIGTERM)
     yield arguments
     signal.signal(signal.SIGTERM, before)
+
+
+def test_margins_need_not_be_asked_for(tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]):
+    command.extend([NAMES[0], "--no-margins", "--budget", str(MIN_BUDGET), "--out", "gains.json"])
+    main()
+    assert capsys.readouterr().err == ""
+    origin = read_file(tmp_path / "gains.json")[NAMES[0]]["provenance"]
+    assert (origin["margins"], origin["refused"]) == ("not asked for", 0)
+    command.remove("--no-margins")
+    with pytest.raises(SystemExit):
+        command.append("--resume")
+        main()
+    assert "begun with another seed, other margins or other ranges of gains: tune anew" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])

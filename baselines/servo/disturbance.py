@@ -51,10 +51,10 @@ class DisturbanceGains(FrictionGains):
     """Gains of servo and observer."""
 
     angle: float = tunable(200.0, 1.0, 10_000.0, log=True)  # K_p  [1/s^2]
-    speed: float = tunable(25.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
+    speed: float = tunable(80.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
     observer: float = tunable(15.0, 0.1, 500.0, log=True)  # g  [rad/s]  what the observer rejects
-    reaction: float = tunable(150.0, 5.0, 2000.0, log=True)  # g_r  [rad/s]  what it passes of the belt's reaction
-    reaction_gain: float = tunable(5.0, 0.1, 300.0, log=True)  # K_r  [-]  1 leaves the reaction as it is
+    reaction: float = tunable(80.0, 5.0, 2000.0, log=True)  # g_r  [rad/s]  what it passes of the belt's reaction
+    reaction_gain: float = tunable(3.0, 0.1, 300.0, log=True)  # K_r  [-]  1 leaves the reaction as it is
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,8 +41,8 @@ from beltarm_env.arrays import Flags, Floats
 class RetunedGains(FrictionGains):
     """Gains of (11)."""
 
-    torsion_speed: float = tunable(0.1, 0.0, 2.0)  # K_4  [N m s/rad]
-    angle: float = tunable(50.0, 1.0, 10_000.0, log=True)  # K_p  [1/s^2]
+    torsion_speed: float = tunable(0.002, 1e-4, 2.0, log=True)  # K_4  [N m s/rad]
+    angle: float = tunable(400.0, 1.0, 10_000.0, log=True)  # K_p  [1/s^2]
     speed: float = tunable(20.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from baselines.gains import read_file, write_entry
+from baselines.loops.condition import MarginCondition, least_margins
 from baselines.registry import TUNABLE
 from baselines.tools.files import require_writable
 from baselines.tools.parallel import Interrupted, StopRequest, run_side_by_side, stop_on_signals
@@ -19,6 +21,7 @@ from baselines.tools.provenance import command_line, commit
 from baselines.tuning.search import SearchProgress, SearchResult, search
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
+from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import GAIN_CHOICE
 
 
@@ -36,6 +39,7 @@ def tune(
     out: Path,
     journals: Path,
     resume: bool,
+    condition: MarginCondition | None,
     console: Console,
 ) -> None:
     """Tune controllers, and write the gains of each as soon as they are found.
@@ -48,6 +52,7 @@ def tune(
         out: File of gains.
         journals: Folder of the journals.
         resume: Whether to go on with the searches that have a journal.
+        condition: Margins that every loop has to keep; None for none.
         console: Where to show how far they are.
 
     Raises:
@@ -62,7 +67,10 @@ def tune(
         for name in names:
             begin_anew(journal_file(journals, name))
     stop, errors = StopRequest(), list[str]()
-    searches = {name: partial(search, TUNABLE[name], budget, seed, journal_file(journals, name)) for name in names}
+    searches = {
+        name: partial(search, TUNABLE[name], budget, seed, journal_file(journals, name), condition=condition)
+        for name in names
+    }
     with (
         stop_on_signals(stop, lambda: console.print("stopping soon; once more to stop at once")),
         progress_rows(names, budget, console) as rows,
@@ -75,7 +83,9 @@ def tune(
         with closing(outcomes):
             for name, found in outcomes:
                 if isinstance(found, SearchResult):
-                    write_entry(name, TUNABLE[name].gains(**found.gains), _provenance(budget, seed, found), out)
+                    gains = TUNABLE[name].gains(**found.gains)
+                    origin = _provenance(budget, seed, found) | _margins(TUNABLE[name].controller(gains), condition)
+                    write_entry(name, gains, origin, out)
                     rows.show(name, budget, _summary(found))
                 elif not isinstance(found.error, Interrupted):
                     errors.append(f"{name}: {found.resumable_message}")
@@ -96,6 +106,7 @@ def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object
         "trials": found.trials,
         "pruned": found.pruned,
         "failed": found.failed,
+        "refused": found.refused,
         "cost": round(found.cost, 2),
         "cost_untuned": round(found.cost_untuned, 2),
         "measured_on": f"{found.arms} arms of the training ranges, seeds from {GAIN_CHOICE.first}",
@@ -106,6 +117,17 @@ def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object
     }
 
 
+def _margins(controller: Controller, condition: MarginCondition | None) -> dict[str, object]:
+    """Margins that were asked for, and the least ones reached over arms and angles, with where."""
+    if condition is None:
+        return {"margins": "not asked for"}
+    least = least_margins(controller, condition.arms)
+    reached = {"modulus": round(least.modulus, 3), "modulus_at": least.modulus_at}
+    reached |= {"delay_samples": round(least.delay, 2), "delay_at": least.delay_at}
+    return {"margins": {**asdict(condition), "reached": reached}}
+
+
 def _summary(found: SearchResult) -> str:
     """One-line summary of a search."""
-    return f"{found.trials} trials, cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {found.seconds:.0f} s"
+    effort = f"{found.trials} trials, {found.refused} refused, {found.seconds:.0f} s"
+    return f"cost {found.cost:.1f}, untuned {found.cost_untuned:.1f}, {effort}"

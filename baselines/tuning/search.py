@@ -17,6 +17,10 @@ which is looked at after each of `RUNGS` arms.
 **Choice.** The best of a search is partly lucky with its arms. So a fifth of the budget is kept to run the best few,
 and the untuned gains, on other arms; the best of these is the result, and its cost there is what is reported.
 
+**Margins.** Gains whose loop falls short of a `MarginCondition` are refused before anything is simulated. How far they
+fall short is noted as a constraint, by which the estimator ranks them, and behind all that were not refused. A search
+ends after `MAX_REFUSED` of them. The untuned gains have to pass.
+
 The budget counts simulated control periods of single arms, those of pruned and failed trials too. It is never exceeded.
 
 [1] Bergstra, Bardenet, Bengio, Kégl: Algorithms for Hyper-Parameter Optimization, NeurIPS 2011.
@@ -35,7 +39,9 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from baselines.gains import Tunable
+from baselines.loops.condition import MarginCondition, least_margins
 from baselines.tools.parallel import Channel, Interrupted
+from baselines.tuning.race import FINALISTS, RUNGS, estimate, hopeless, split_budget
 from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
@@ -43,16 +49,12 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
 
-RUNGS = (32, 64, 128)
-"""Arms that a trial has run on when it is compared with the best; after the last it is complete."""
-MARGIN = 1.0
-"""Standard errors by which a trial must be worse than the best to be pruned."""
-FINALISTS = 7
-MAX_CHOICE_ARMS = 1000
-MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
-"""Steps for one trial and a choice."""
+MAX_REFUSED = 2000
+"""Proposals that fall short of the margins, after which a search ends."""
 WORST = MAX_COST * EPISODE_STEPS
 """Bound of an episode's cost, and the cost of a controller that fails."""
+_WITHOUT_LOOP = 2.0
+"""Shortfall of gains that make no controller or no loop: beyond that of any loop."""
 
 
 class SearchProgress(NamedTuple):
@@ -75,50 +77,18 @@ class SearchResult:
     trials: int
     pruned: int
     failed: int  # trials in which the controller raised an error or returned NaN
+    refused: int  # proposals that fell short of the margins; not among the trials
     seconds: float  # of trials and choice
 
 
-class BudgetSplit(NamedTuple):
-    """Division of a budget of simulated steps."""
-
-    search: int  # steps
-    arms: int  # of the choice, for each finalist and for the untuned gains
-
-
-def split_budget(budget: int) -> BudgetSplit:
-    """Divide a budget: a fifth for the choice, at most `MAX_CHOICE_ARMS` arms.
-
-    Raises:
-        ValueError: If the budget is too small.
-    """
-    if budget < MIN_BUDGET:
-        raise ValueError(f"--budget must be at least {MIN_BUDGET} steps, enough for one trial, got {budget}")
-    each = (FINALISTS + 1) * EPISODE_STEPS
-    arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
-    return BudgetSplit(budget - arms * each, arms)
-
-
-def estimate(costs: Floats, best: Floats) -> float:
-    """Estimate a trial's mean cost on all arms from those that it has run on, and the best trial so far.
-
-    Args:
-        costs: Of the trial, shape (n,).
-        best: Of the best trial, shape (at least n,); empty if there is none.
-    """
-    if len(costs) == RUNGS[-1] or not len(best):
-        return float(costs.mean())
-    return float(best.mean() + (costs - best[: len(costs)]).mean())
-
-
-def hopeless(costs: Floats, best: Floats) -> bool:
-    """Whether a trial has lost the race against the best one; arguments as those of `estimate`."""
-    if not len(best):
-        return False
-    difference = costs - best[: len(costs)]
-    return bool(difference.mean() > MARGIN * difference.std(ddof=1) / np.sqrt(len(difference)))
-
-
-def search(tunable: Tunable, budget: int, seed: int, journal: Path, channel: Channel | None = None) -> SearchResult:
+def search(
+    tunable: Tunable,
+    budget: int,
+    seed: int,
+    journal: Path,
+    channel: Channel | None = None,
+    condition: MarginCondition | None = None,
+) -> SearchResult:
     """Search for gains, resuming from the journal.
 
     Args:
@@ -127,21 +97,22 @@ def search(tunable: Tunable, budget: int, seed: int, journal: Path, channel: Cha
         seed: Of the optimiser.
         journal: File in which every trial is noted as it runs.
         channel: Gets a `SearchProgress` after every batch of arms.
+        condition: Margins that the loop has to keep; None for none.
 
     Raises:
-        ValueError: If the budget is too small, the controller fails with its untuned gains, the journal belongs to
-            another search, or another process searches with it.
+        ValueError: If the budget is too small, the controller fails or falls short of the margins with its untuned
+            gains or has no linear law, the journal belongs to another search, or another process searches with it.
         Interrupted: If asked to stop; the journal is in order.
     """
     parts = split_budget(budget)
     with own(journal):
-        study = open_study(tunable.gains, seed, journal)
+        study = open_study(tunable.gains, seed, journal, condition)
         if study.user_attrs.get("budget") == budget:
             return SearchResult(**study.user_attrs["found"])
-        run = _Search(tunable, study, channel or Channel())
+        run = _Search(tunable, study, channel or Channel(), condition)
         if run.steps > parts.search:
             raise ValueError(f"{journal} holds more steps than --budget {budget} allows: raise it, or tune anew")
-        while run.steps + RUNGS[0] * EPISODE_STEPS <= parts.search:
+        while run.steps + RUNGS[0] * EPISODE_STEPS <= parts.search and run.refused < MAX_REFUSED:
             run.trial(parts.search)
         found = run.choose(parts.arms)
         study.set_user_attr("found", asdict(found))
@@ -160,21 +131,38 @@ class _Search:
         tunable: Controller and gains to tune.
         study: Where trials are kept; a complete one has the `costs` of its arms, a failed one its `failure`.
         channel: Gets a `SearchProgress` after every batch of arms.
+        condition: Margins that the loop has to keep; None for none.
+
+    Raises:
+        ValueError: If the untuned gains fall short of the margins, or there is no linear law.
     """
 
-    def __init__(self, tunable: Tunable, study: optuna.Study, channel: Channel) -> None:
+    def __init__(
+        self, tunable: Tunable, study: optuna.Study, channel: Channel, condition: MarginCondition | None
+    ) -> None:
         self._tunable = tunable
         self._untuned = asdict(tunable.gains())
         self._study = study
         self._channel = channel
         self._space = space(tunable.gains)
+        self._condition = condition
         self.steps = EPISODE_STEPS * sum(trial.last_step or 0 for trial in self._trials())
+        self.refused = sum(trial.state is TrialState.PRUNED for trial in self._trials())
+        if condition is not None:
+            untuned = tunable.controller(tunable.gains())
+            if condition.shortfall(untuned) > 0:
+                raise ValueError(
+                    f"the untuned gains fall short of the margins asked for, {least_margins(untuned, condition.arms)}: "
+                    f"change the defaults of {tunable.gains.__name__}"
+                )
 
     def trial(self, limit: int) -> None:
-        """Run one trial until it is complete, pruned, or at the limit of steps."""
+        """Run one trial until it is complete, pruned, or at the limit of steps; none of a proposal that is refused."""
         complete = self._complete()
         best = np.array(complete[0].user_attrs["costs"] if complete else [])
         trial = self._study.ask(self._space)
+        if self._refuses(trial):
+            return
         costs, value = np.empty(0), WORST
         for arms in RUNGS:
             if self.steps + (arms - len(costs)) * EPISODE_STEPS > limit:
@@ -193,6 +181,22 @@ class _Search:
             trial.set_user_attr("costs", costs.tolist())
         self._study.tell(trial, value)
 
+    def _refuses(self, trial: optuna.Trial) -> bool:
+        """Whether a proposal falls short of the margins; by how much is noted with the trial, which then ends."""
+        if self._condition is None:
+            return False
+        try:
+            gains = rounded(trial.params, self._tunable.gains)
+            shortfall = self._condition.shortfall(self._tunable.controller(gains))
+        except Exception:  # whatever it is, these gains are no good
+            shortfall = _WITHOUT_LOOP
+        trial.set_constraint("margins", shortfall)
+        if shortfall > 0:
+            self._study.tell(trial, state=TrialState.PRUNED)
+            self.refused += 1
+            self._report()
+        return shortfall > 0
+
     def choose(self, arms: int) -> SearchResult:
         """Run the finalists and the untuned gains on other arms, and choose the best."""
         began = time.perf_counter()
@@ -210,6 +214,7 @@ class _Search:
             trials=len(trials),
             pruned=len(trials) - len(self._complete()) - failed,
             failed=failed,
+            refused=self.refused,
             seconds=sum(_seconds(trial) for trial in trials) + time.perf_counter() - began,
         )
 
@@ -231,12 +236,16 @@ class _Search:
             if params == self._untuned:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error
             raise _FailureError(f"{type(error).__name__}: {error}") from error
+        self._report()
+        return costs
+
+    def _report(self) -> None:
+        """Tell how far the search is, and end if asked to."""
         complete = self._complete()
         best = (complete[0].value if complete else None) or np.inf
-        self._channel.report(SearchProgress(self.steps, len(self._trials()), best))
+        self._channel.report(SearchProgress(self.steps, len(self._trials()) - self.refused, best))
         if self._channel.stop.made:
             raise Interrupted("interrupted")
-        return costs
 
     def _trials(self) -> list[FrozenTrial]:
         return self._study.get_trials(deepcopy=False)

@@ -15,6 +15,7 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import TrialState
 
 from baselines.gains import Gains
+from baselines.loops.condition import MarginCondition
 
 
 def space(kind: type[Gains]) -> dict[str, BaseDistribution]:
@@ -56,11 +57,11 @@ def begin_anew(journal: Path) -> None:
         journal.unlink(missing_ok=True)
 
 
-def open_study(kind: type[Gains], seed: int, journal: Path) -> optuna.Study:
+def open_study(kind: type[Gains], seed: int, journal: Path, condition: MarginCondition | None = None) -> optuna.Study:
     """Open the study in a locked journal, or begin one with the untuned gains.
 
     Raises:
-        ValueError: If the journal is damaged, or was begun with another seed or other gains.
+        ValueError: If the journal is damaged, or was begun with another seed, other gains or other margins.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     remedy = "tune anew, without --resume"
@@ -70,9 +71,13 @@ def open_study(kind: type[Gains], seed: int, journal: Path) -> optuna.Study:
         trials = study.get_trials(deepcopy=False)
     except (KeyError, ValueError) as error:
         raise ValueError(f"{journal} is damaged ({error}): {remedy}") from None
-    begun = {"seed": seed, "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)}}
+    begun = {
+        "seed": seed,
+        "gains": {gain.name: [gain.default, *gain.metadata.values()] for gain in fields(kind)},
+        "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
+    }
     if study.user_attrs.get("begun", begun) != begun:
-        raise ValueError(f"{journal} was begun with another seed or other ranges of gains: {remedy}")
+        raise ValueError(f"{journal} was begun with another seed, other margins or other ranges of gains: {remedy}")
     study.set_user_attr("begun", begun)
     for trial in trials:
         if trial.state is TrialState.RUNNING:  # when it was interrupted

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines.loops.condition import CORNERS, MarginCondition
 from beltarm_env.metrics import heading
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.estimates import estimate
 from eval.loops.costs import CHANGES, PRIVILEGED
 from eval.loops.gains import gains_table
-from eval.loops.study import LoopStudy, at_angle, worst
+from eval.loops.scan import at_angle, worst
+from eval.loops.study import LoopStudy
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell
 from eval.style.text import number, poles_text
@@ -45,7 +47,7 @@ def margins_table(study: LoopStudy) -> str:
     """Each margin's worst over the angles, with the angle."""
     rows = []
     for name, found in study.scans.items():
-        cells = ["yes" if all(margin.stable for margin in found.margins) else "no"]
+        cells = ["yes" if found.margins.stable.all() else "no"]
         for column, (_, text) in _MARGINS.items():
             value, degrees = worst(found, column)
             shown = text(value)
@@ -53,6 +55,22 @@ def margins_table(study: LoopStudy) -> str:
         slowest = max(float(poles.real.max()) for poles in found.poles)
         rows.append([name, *cells, number(slowest, 1 if slowest < -1 else 2)])
     return markdown_table(["controller", "stable", *_MARGIN_TITLES, "slowest pole (1/s)"], rows)
+
+
+def driven_table(study: LoopStudy) -> str:
+    """Least modulus and delay margins over the angles on the design model, and at the corners, with where."""
+    rows = []
+    for name, (design, corners) in study.driven.items():
+        cells = []
+        for least in (design, corners):
+            stable = least.growth < 0
+            cells += [
+                f"{least.modulus:.2f} at {least.modulus_at}" if stable else f"unstable at {least.modulus_at}",
+                f"{number(least.delay, 1)} at {least.delay_at}" if stable else "–",
+            ]
+        rows.append([name, *cells])
+    titles = [f"{margin}, {arms}" for arms in ("design model", "corners") for margin in ("modulus", "delay (samples)")]
+    return markdown_table(["controller", *titles], rows)
 
 
 def _ratio(value: float) -> str:
@@ -143,6 +161,9 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "Gain margins: upwards in blue, downwards in vermilion where there is one. Dashed: 6 dB, 30°, one sample, 0.5.",
         shown["poles"],
         "Poles s = ln z / 1.5 ms, upper half plane; faster ones lie outside. Dashed: damping ratios 0.1 and 0.3.",
+        "### With the drive as it is built",
+        _DRIVEN,
+        driven_table(study),
         "## Costs",
         f"Interquartile means with bootstrap 95 % intervals over {study.arms} arms with Coulomb friction, nominal and "
         f"from the training ranges, seeds {LOOPS.first} to {LOOPS.first + study.arms - 1}, on which nothing was tuned, "
@@ -171,6 +192,14 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+_ASKED = MarginCondition()
+_DRIVEN = (
+    "The same loops on arms behind current loop, latency and torque constant: on the design model, the middle of the "
+    f"training ranges, and on {len(CORNERS) - 1} corners of them; the delay is what is borne beyond the arm's own "
+    "latency. `adaptive` is taken to have found the arm's constants. Gains are tuned under the condition that both "
+    f"margins are at least {_ASKED.modulus:g} and {_ASKED.delay:g} sample on all of them "
+    "(`baselines/loops/condition.py`), unless `baselines/tune.py --no-margins` found them."
+)
 _LOOPS = (
     "The arm is at rest at a joint angle, on the lumped model with nominal constants; Coulomb friction and its "
     "compensation, the encoder's resolution and the torque limit are left out. There is one measurement, the motor's "

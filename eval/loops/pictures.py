@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 
 from baselines.models.linear import ANGLES
 from eval.loops.costs import CHANGES, PRIVILEGED
-from eval.loops.models import Scan
+from eval.loops.scan import Scan
 from eval.loops.study import LoopStudy
 from eval.style.colours import BLUE, VERMILION
 from eval.style.figures import save_figures
@@ -36,10 +36,6 @@ def save_pictures(study: LoopStudy, folder: Path) -> list[Path]:
         "breaks.png": lambda: _breaks(study),
     }
     return save_figures(figures, folder, dpi=110)
-
-
-def _values(scan: Scan, name: str) -> np.ndarray:
-    return np.array([getattr(margin, name) for margin in scan.margins])
 
 
 def _decibels(factors: np.ndarray) -> np.ndarray:
@@ -76,10 +72,10 @@ def _draw_margin(axis: Axes, scan: Scan, column: str, least: float) -> None:
     axis.tick_params(labelsize=8.5)
     if column == "gain_up":
         axis.axhline(-least, color="0.6", lw=0.9, ls="--", zorder=1)
-        axis.plot(_DEGREES, _decibels(_values(scan, "gain_up")), color=BLUE, lw=1.8)
-        axis.plot(_DEGREES, _decibels(_values(scan, "gain_down")), color=VERMILION, lw=1.8)
+        axis.plot(_DEGREES, _decibels(scan.margins.gain_up), color=BLUE, lw=1.8)
+        axis.plot(_DEGREES, _decibels(scan.margins.gain_down), color=VERMILION, lw=1.8)
     else:
-        axis.plot(_DEGREES, _values(scan, column), color=BLUE, lw=1.8)
+        axis.plot(_DEGREES, getattr(scan.margins, column), color=BLUE, lw=1.8)
 
 
 def _poles(scans: dict[str, Scan]) -> Figure:

@@ -5,18 +5,28 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
-
-import numpy as np
+from typing import Any, NamedTuple, TypeVar
 
 from baselines import CONTROLLERS
-from baselines.models.linear import ANGLES
+from baselines.loops.condition import LeastMargins, least_margins
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.timing import Times, measure_times
 from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
-from eval.loops.models import Margins, Scan, scan
+from eval.loops.scan import Scan, scan
 
 Result = TypeVar("Result")
+
+
+class DrivenMargins(NamedTuple):
+    """Least margins of a controller over all angles, with the drive as it is built."""
+
+    design: LeastMargins  # on the design model
+    corners: LeastMargins  # on it and at the corners of the training ranges
+
+
+def driven_margins(controller: Any) -> DrivenMargins:
+    """Least margins of a controller with the drive as it is built."""
+    return DrivenMargins(least_margins(controller, ("design model",)), least_margins(controller))
 
 
 @dataclass(frozen=True)
@@ -26,6 +36,7 @@ class LoopStudy:
     arms: int  # per cost
     batch: int  # of the times
     scans: dict[str, Scan]
+    driven: dict[str, DrivenMargins]
     costs: dict[str, Costs]
     times: dict[str, Times]
     oracle: OracleCosts
@@ -50,17 +61,5 @@ def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str],
     scans = of_each("margins", names, lambda name: scan(CONTROLLERS[name]()))
     costs = of_each("costs", known, lambda name: measure(name, known[name], arms))
     times = of_each("times", names, lambda name: measure_times(known[name]([]), batch, LOOPS.first))
-    return LoopStudy(arms, batch, scans, costs, times, oracle())
-
-
-def worst(found: Scan, name: str) -> tuple[float, float]:
-    """Worst value of a margin over the angles, and its angle [degrees]; only of `gain_down` is it the largest."""
-    values = np.array([getattr(margin, name) for margin in found.margins])
-    k = int(values.argmax() if name == "gain_down" else values.argmin())
-    return float(values[k]), float(np.degrees(ANGLES[k]))
-
-
-def at_angle(found: Scan, degrees: float) -> tuple[Margins, int]:
-    """Margins at the tabulated angle nearest to one [degrees], and the index of that angle."""
-    k = int(np.abs(np.degrees(ANGLES) - degrees).argmin())
-    return found.margins[k], k
+    driven = of_each("margins on drives", names, lambda name: driven_margins(CONTROLLERS[name]()))
+    return LoopStudy(arms, batch, scans, driven, costs, times, oracle())

@@ -16,11 +16,11 @@ import numpy as np
 from control.pzmap import PoleZeroData
 from numpy.typing import NDArray
 
+from baselines.loops.laws import torsion_feedback
+from baselines.loops.models import Loop, closed_poles, continuous, law_system, sampled_arm, slowest_first
 from baselines.servo.paper import PaperGains
 from beltarm_env import ArmParams, state_space
 from beltarm_env.physics.lumped import inverse_inertia
-from eval.loops.laws import torsion_feedback
-from eval.loops.models import closed_poles, continuous, law_model, sampled_arm, slowest_first
 
 Floats = NDArray[np.float64]
 Poles = NDArray[np.complex128]
@@ -148,7 +148,7 @@ def best_gain(gains: ServoGains, m2: float) -> tuple[float, float]:
 def sampled_poles(arm: ArmParams, theta_1: float, gains: ServoGains) -> Poles:
     """Poles [1/s] of the loop with torque held over the control period and all states measured: ln(z) / period."""
     sampled = sampled_arm(arm, theta_1)
-    closed = np.asarray(sampled.A) - np.asarray(sampled.B) @ feedback_row(arm, gains)
+    closed = sampled.a[:4, :4] - sampled.b[:4, None] @ feedback_row(arm, gains)
     return continuous(np.linalg.eigvals(closed).astype(np.complex128))
 
 
@@ -157,8 +157,8 @@ def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains, *, model: s
 
     Encoder resolution is left out. The simulation is that of the lumped arm, whatever `model` the arm itself has.
     """
-    law = law_model(torsion_feedback(arm, theta_1, arm.motor_inertia, gains.feedback))
-    return continuous(closed_poles(-(law * sampled_arm(arm, theta_1, model))))
+    law = law_system(torsion_feedback(arm, theta_1, arm.motor_inertia, gains.feedback))
+    return continuous(closed_poles(Loop(law, sampled_arm(arm, theta_1, model))))
 
 
 def nominal_m2(angle: float, payload: float = 0.0) -> float:

@@ -5,7 +5,7 @@ A law is written as the controller runs it, from one sample to the next, for dev
     (tau_m, memory) <- step(theta_a, omega_a by differencing, tau_m of the last sample, memory)
 
 Left out are Coulomb friction and its compensation, the encoder's resolution and the limits: of the torque, of integrals
-and of estimates. What is left is linear, so that `eval.loops.models` finds its matrices by probing it.
+and of estimates. What is left is linear, so that `baselines.loops.models` finds its matrices by probing it.
 
 To add a controller, add its law to `LAWS`: `tests/test_loops.py` then holds it against the controller itself.
 """
@@ -17,9 +17,8 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import control
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
@@ -38,9 +37,10 @@ from baselines.servo.paper import PaperController, TorsionSimulation
 from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arrays import Floats
 from beltarm_env.physics.sampled import sampled_state_space
 
-Floats = NDArray[np.float64]
+_linear_arm = lru_cache(maxsize=16)(linear_arm)
 
 Step = Callable[[float, float, float, Floats], tuple[float, Floats]]
 
@@ -150,16 +150,16 @@ def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
     """Steady-state gain of the identification's filter for [x; d] with the constants held, shape (5,)."""
-    arm = LinearArms(*(part[k] for part in linear_arm(params)))
+    arm = LinearArms(*(part[k] for part in _linear_arm(params)))
     transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, uncertainty.kept]), np.zeros((5, 5))
     transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
     covariance[:4, :4] = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
     covariance[:4, :4] += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
     covariance[0, 0] += QUANTUM**2 / 120
     covariance[4, 4] = uncertainty.growth()[DISTURBANCE]
-    measured, rounding = np.array([[1.0, 0, 0, 0, 0]]), np.array([[QUANTUM**2 / 12]])
-    _, before, _ = control.dlqe(transition, np.eye(5), measured, covariance, rounding)
-    return np.asarray(before)[:, 0] / (before[0, 0] + rounding[0, 0])
+    measured, rounding = np.eye(5, 1), np.array([[QUANTUM**2 / 12]])
+    before = solve_discrete_are(transition.T, measured, covariance, rounding)
+    return before[:, 0] / (before[0, 0] + rounding[0, 0])
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
@@ -172,7 +172,7 @@ def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     a, b, _ = sampled_state_space(replace(params, current_loop_time_constant=lag), ANGLES[k])
     gain = controller.resting_gain(ANGLES[k])
     filter_gain = identification_gain(params, uncertainty, k)
-    by_torque = np.append(linear_arm(params).by_torque[k], np.zeros(len(a) - 4))
+    by_torque = np.append(_linear_arm(params).by_torque[k], np.zeros(len(a) - 4))
     delay = (params.command_latency + lag) / CONTROL_PERIOD
     whole = int(delay)
 
@@ -236,4 +236,5 @@ def law_of(controller: Any, k: int) -> Law:
     for kind, law in LAWS.items():
         if isinstance(controller, kind):
             return law(controller, k)
-    raise ValueError(f"no linear law for {type(controller).__name__}: add one to LAWS in eval/loops/laws.py")
+    remedy = "add one to LAWS in baselines/loops/laws.py, or tune with --no-margins"
+    raise ValueError(f"no linear law for {type(controller).__name__}: {remedy}")
