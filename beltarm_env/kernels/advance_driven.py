@@ -71,15 +71,16 @@ def begin_drive(block: Floats, lane: int, row: Floats) -> None:
     for k in DRIVE_COLUMNS:
         effect = 1.0 if row[k] != 0.0 else effect
     block[at.DRIVEN * LANES + lane] = effect
-    lag = row[COLUMN.current_loop_time_constant]
+    lag = float(row[COLUMN.current_loop_time_constant])
+    rate = 1 / lag if lag > 0.0 else 0.0
     block[at.LAG_TIME * LANES + lane] = lag
-    block[at.LAG_RATE * LANES + lane] = 1 / lag if lag > 0.0 else 0.0
-    samples = row[COLUMN.command_latency] / CONTROL_PERIOD
-    late = min(np.floor(samples), LATENCY_SAMPLES - 1.0)
+    block[at.LAG_RATE * LANES + lane] = rate
+    samples = float(row[COLUMN.command_latency]) / CONTROL_PERIOD
+    late = min(float(np.floor(samples)), LATENCY_SAMPLES - 1.0)
     split = min((samples - late) * CONTROL_PERIOD, CONTROL_PERIOD)
     block[at.LATE * LANES + lane] = late
     block[at.SPLIT * LANES + lane] = split
-    by_before, by_after = shares_of_two(split, lag, block[at.LAG_RATE * LANES + lane])
+    by_before, by_after = shares_of_two(split, lag, rate)
     store_stages(block, at.BY_BEFORE, lane, by_before)
     store_stages(block, at.BY_AFTER, lane, by_after)
     block[at.GAIN * LANES + lane] = 1 + row[COLUMN.torque_constant_error]
@@ -159,7 +160,7 @@ def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, m
         step = driven_step(x, angles, torques, direction, CONTROL_PERIOD, plant, drive, model)
         needed = needed_rate(x, step.first.motor_speed, high - low, direction, plant, drive)
         _, steps = step_length(CONTROL_PERIOD, needed, block[at.SUBSTEPS * LANES + j])
-        stays = stays_in_mode(x, angles, step, direction, CONTROL_PERIOD, low, high, plant, drive, model)
+        stays = stays_in_mode(x, step, direction, CONTROL_PERIOD, low, high, plant, drive, model)
         whole = (stays & (steps == 1.0)) | (block[at.DRIVEN * LANES + j] == 0.0)
         y = step.state
         block[at.TORQUE * LANES + j] = torques.end if whole else torque

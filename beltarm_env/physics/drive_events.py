@@ -35,7 +35,6 @@ _CURVED, _BENT = 0.01, 0.1  # shares of pull, and of its change, by which it may
 @inlined
 def stays_in_mode(
     x: ArmState,
-    at: Angles,
     step: Step,
     direction: float,
     dt: float,
@@ -48,11 +47,11 @@ def stays_in_mode(
     """Tell that the motor stops or breaks away nowhere within a step; False where that is not sure.
 
     A motor that slides cannot stop within dt if |omega_a(0) + omega_a(dt)| is above dt times its largest acceleration.
-    The pull on one that sticks is, between the ends, near a straight line: a step is a small part of the belt's period.
+    The pull on one that sticks is, between the ends, near a straight line: a step is an eighth of the belt's radian at
+    most, so that a vibration leaves the line by 1/500 of its amplitude.
 
     Args:
         x: State.
-        at: Its sines and cosines.
         step: From there.
         direction: Friction mode.
         dt: Length of the step [s].
@@ -67,13 +66,11 @@ def stays_in_mode(
     early, late = (k1 if k1 > k2 else k2), (k3 if k3 > k4 else k4)
     largest = (early if early > late else late) + _SURE * (highest - lowest) * plant.inverse_motor_inertia
     slides_on = direction * (x.motor_speed + step.state.motor_speed) > dt * largest
-    after = angles_near(at, x.torsion - step.state.torsion, 0.0, drive)
-    pull = driving_torque_at(x, at, 0.0, plant, model, drive)
+    after = angles_near(step.at, x.torsion - step.state.torsion, 0.0, drive)
+    pull = driving_torque_at(x, step.at, 0.0, plant, model, drive)
     pull_after = driving_torque_at(step.state, after, 0.0, plant, model, drive)
-    rate = driving_torque_rate_at(x, at, step.first.torsion_speed, plant, model, drive)
     low, high = (pull, pull_after) if pull < pull_after else (pull_after, pull)
-    room = _CURVED * abs(pull) + _BENT * dt * abs(rate)
-    most = friction.breakaway_torque(at, plant, drive) - room
+    most = friction.breakaway_torque(step.at, plant, drive) - _CURVED * abs(pull) - _BENT * (high - low)
     sticks_on = (high + highest < most) & (low + lowest > -most)
     return slides_on if direction != 0.0 else sticks_on
 

@@ -19,13 +19,16 @@ from beltarm_env.physics.state import ArmState
 from beltarm_env.timing import CONTROL_PERIOD
 
 _SLOW = 10.0  # [rad/s] at the motor: friction that falls with speed and ripple multiply errors here
-_SLOW_STEP = 5e-4  # [s]
+_SLOW_FOR_RIPPLE = 40.0  # [rad/s]: and strong ripple here
+_STRONG = 3e4  # c / M_a1 n^(3/2) omega_a, of a ripple whose torque disturbs its own phase [rad/s^3]
+_SLOW_STEP = 0.5 * CONTROL_PERIOD
 
 
 class Step(NamedTuple):
     """Outcome of a step within one friction mode."""
 
     state: ArmState
+    at: Angles  # of the first stage; those of a motor at rest are its own
     first: ArmState  # slope of the first stage
     second: ArmState
     third: ArmState
@@ -111,8 +114,9 @@ def driven_step(
 ) -> Step:
     """Take a fourth-order Runge-Kutta step of `dt` seconds within one friction mode.
 
-    It is fitted to what turns with the motor: ripple, variation of friction, kinematic error (`fit_of`). The stages see
-    these at the angles to which the motor's true torque has turned it, not to which the stages' torques would.
+    It is fitted to what turns with the motor: ripple, variation of friction, kinematic error (`fit_of`). The
+    stages see these at the angles to which the motor's true torque turns it, not to which theirs would. Where the motor
+    rests, the fifth term of the exact step is added to the arm's vibration: (omega h)^4 / 120 of h x'.
 
     Args:
         x: State.
@@ -130,17 +134,23 @@ def driven_step(
     at_middle = turned(at, turn, drive)
     middle = Base(x.motor_angle + turn, phi, _fit(at_middle, double.middle, ripple.middle))
     last = Base(x.motor_angle + 2 * turn, phi, _fit(turned(at_middle, turn, drive), double.ends, ripple.ends))
-    w11, _, _ = inverse_inertia(at.cos_phi, plant, model)
+    w11, w12, w22 = inverse_inertia(at.cos_phi, plant, model)
     per_torque = direction * direction * w11 * plant.gear * plant.gear * dt * dt
     by_end = per_torque * (1 / 6) * (torques.first - 2 * torques.second + torques.third)
-    k1 = slope(x, _fit(at, double.ends, ripple.ends), torques.first, direction, plant, drive, model)
+    begin = _fit(at, double.ends, ripple.ends)
+    k1 = slope(x, begin, torques.first, direction, plant, drive, model)
     bend = dt * dt * 0.125 * k1.motor_speed
     lead = ripple.lead * ripple.ends * drive.ripple * at.sin_ripple
     more = per_torque * (torques.half - 0.125 * torques.first + lead)
     k2 = _slope_near(moved(x, 0.5 * dt, k1), more + bend, torques.second, middle, direction, plant, drive, model)
     k3 = _slope_near(moved(x, 0.5 * dt, k2), more - bend, torques.third, middle, direction, plant, drive, model)
     k4 = _slope_near(moved(x, dt, k3), by_end, torques.fourth, last, direction, plant, drive, model)
-    return Step(moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4)), k1, k2, k3, k4)
+    y = moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
+    vibrates_by = (1 - direction * direction) * dt * dt * plant.stiffness * (w22 - w12 * w12 / w11)
+    fifth = 1 + vibrates_by * vibrates_by * (1 / 120)
+    torsion, torsion_speed = x.torsion + fifth * (y.torsion - x.torsion), y.torsion_speed
+    torsion_speed = x.torsion_speed + fifth * (y.torsion_speed - x.torsion_speed)
+    return Step(ArmState(y.motor_angle, y.motor_speed, torsion, torsion_speed), begin, k1, k2, k3, k4)
 
 
 @inlined
@@ -162,8 +172,11 @@ def needed_rate(x: ArmState, motor: float, torque_change: float, direction: floa
     by_ripple = 0.3 * drive.ripple_order if drive.ripple > 0.0 else 0.0
     by_turning = (by_ripple if by_ripple > 2.0 else 2.0) * speed
     u = drive.inverse_stribeck_speed
-    by_friction = 4 * drive.static_excess * change * u / (1 + speed * u)
-    touchy = (direction != 0.0) & (speed < _SLOW) & ((drive.static_excess > 0.0) | (drive.ripple > 0.0))
+    by_friction = 12 * drive.static_excess * change * u / (1 + speed * u)
+    ripple = drive.ripple * plant.inverse_motor_inertia * speed
+    strong = ripple * ripple * drive.ripple_order * drive.ripple_order * drive.ripple_order > _STRONG * _STRONG
+    touchy = (speed < _SLOW) & ((drive.static_excess > 0.0) | (drive.ripple > 0.0))
+    touchy = (touchy | (strong & (speed < _SLOW_FOR_RIPPLE))) & (direction != 0.0)
     by_slowness = 1 / _SLOW_STEP if touchy else 0.0
     fastest = by_turning if by_turning > by_friction else by_friction
     return (fastest if fastest > by_slowness else by_slowness) * (direction * direction)
