@@ -1,13 +1,17 @@
 """Pieces of the integration behind a drive as it is built, each against a closed form."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from beltarm_env import ArmParams
+from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.physics.drive import angles_near, angles_of, belt_stiffness, decay, drive_of, turned
-from beltarm_env.physics.driven import Margin, driven_step, exit_fraction, first_slope, lag_of, leaves_mode, step_length
+from beltarm_env.physics.drive_events import Margin, exit_fraction, leaves_mode
+from beltarm_env.physics.drive_torque import Lag, response, shares_of_two, torques_of_lag, torques_of_two
+from beltarm_env.physics.driven import driven_step, fit_of, step_length
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import wrapped
@@ -66,15 +70,78 @@ def test_a_step_over_many_time_constants_is_as_exact_as_many_short_ones(time: fl
     def after(steps: int) -> ArmState:
         x, torque = ArmState(61.0, 60.0, 0.01, 0.3), -0.05
         for _ in range(steps):
-            at = angles_of(x, PLANT, DRIVE)
-            lag = lag_of(torque, 0.05, time, 1 / time, 1.0, at, PLANT, LUMPED)
-            k1 = first_slope(x, at, lag, 1.0, PLANT, DRIVE, LUMPED)
-            step = driven_step(x, at, k1, lag, 1.0, 7.5e-4 / steps, PLANT, DRIVE, LUMPED)
-            x, torque = step.state, step.torque
+            dt = 7.5e-4 / steps
+            torques = torques_of_lag(Lag(0.05, torque - 0.05, time, 1 / time), dt)
+            x = driven_step(x, angles_of(x, PLANT, DRIVE), torques, 1.0, dt, PLANT, DRIVE, LUMPED).state
+            torque = torques.end
         assert torque == pytest.approx(0.05 - 0.1 * math.exp(-7.5e-4 / time), rel=1e-12)
         return x
 
     assert np.abs(np.array(after(1)) - np.array(after(64)))[1] < 2e-5  # rad/s, of 60
+
+
+@pytest.mark.parametrize("ratio", [1e-9, 0.01, 0.7, 0.99, 1.01, 3.0, 15.0, 1000.0])
+def test_moments_of_a_lag(ratio: float):
+    found = response(CONTROL_PERIOD, CONTROL_PERIOD / ratio, ratio / CONTROL_PERIOD)
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    u = 0.5 * (nodes + 1)
+    at, weights = u**4, 0.5 * weights * 4 * u**3  # dense at the beginning, where a short lag acts
+    for k, moment in enumerate(found[:4], start=1):
+        expected = np.sum(weights * (1 - at) ** (k - 1) / math.factorial(k - 1) * -np.expm1(-ratio * at))
+        assert moment == pytest.approx(expected, rel=1e-10)
+    assert found.end == pytest.approx(-math.expm1(-ratio), rel=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 2e-4, 1e-2])
+@pytest.mark.parametrize("arrival", [0.0, 1e-4, 9e-4, CONTROL_PERIOD])
+def test_stages_take_a_linear_arm_where_the_torque_takes_it(arrival: float, lag: float):
+    # The exact step by the exponential of arm, lag and command together, of a belt as fast as one step allows.
+    a = np.array([[-3.0, 40.0], [-60.0, -2.0]])
+    b, rate = np.array([1.0, 0.5]), (1 / lag if lag > 0 else 0.0)
+    x, now, before, after = np.array([0.3, -0.2]), -1.0, 2.0, -3.0
+    now = now if lag > 0 else before
+    taus = torques_of_two(now, before, after, *shares_of_two(arrival, lag, rate))
+    slopes, at = [], x
+    for tau, share in zip(taus[:4], (0.5, 0.5, 1.0, 0.0), strict=True):
+        slopes.append(a @ at + b * tau)
+        at = x + share * CONTROL_PERIOD * slopes[-1]
+    found = x + CONTROL_PERIOD / 6 * (slopes[0] + 2 * slopes[1] + 2 * slopes[2] + slopes[3])
+    z = np.array([*x, now])
+    for target, duration in ((before, arrival), (after, CONTROL_PERIOD - arrival)):
+        whole = np.zeros((4, 4))
+        whole[:2, :2], whole[:2, 2], whole[2, 2:] = a, b, (-rate, rate)
+        z[2] = z[2] if lag > 0 else target
+        z = (expm(whole * duration) @ np.array([*z, target]))[:3]
+    np.testing.assert_allclose(found, z[:2], atol=1e-8)
+    assert taus.end == pytest.approx(z[2] if lag > 0 else (after if arrival < CONTROL_PERIOD else before), abs=1e-12)
+
+
+@pytest.mark.parametrize("w", [0.0, 0.1, 0.5, 1.0, 1.6])
+def test_a_fitted_step_has_the_first_two_moments_of_a_sine(w: float):
+    fit = fit_of(w)
+    first, middle, last = fit.ends * np.exp(-1j * w), fit.middle, fit.ends * np.exp(1j * w)
+    s = np.linspace(0, 1, 20_001)
+    sine = np.exp(1j * w * (2 * s - 1))
+    assert abs((first + 4 * middle + last) / 6 - np.trapezoid(sine, s)) < 3e-4 * w**10 + 1e-8
+    assert abs((first + 2 * middle) / 6 - np.trapezoid((1 - s) * sine, s)) < 3e-4 * w**10 + 1e-8
+
+
+def test_ripple_neither_drives_nor_brakes_in_the_mean_over_its_phase():
+    ripple = ArmParams(torque_ripple=0.006, torque_ripple_order=12, coulomb_friction=0.0, motor_viscous_friction=0.0)
+    ripple = replace(ripple, belt_stiffness=1e-6, belt_damping_ratio=0.0)
+    plant, drive = ripple.plant(), drive_of(ripple.row())
+
+    def energy(x: ArmState) -> float:
+        kinetic = 0.5 * ripple.motor_inertia * x.motor_speed**2
+        return kinetic + 0.006 / 12 * math.cos(12 * x.motor_angle)
+
+    gained, torques = [], torques_of_lag(Lag(0.0, 0.0, 0.0, 0.0), CONTROL_PERIOD)
+    for phase in np.arange(48) / 48 * 2 * math.pi / 12:
+        x = ArmState(phase, 80.0, phase / 88, 80.0 / 88)
+        y = driven_step(x, angles_of(x, plant, drive), torques, 1.0, CONTROL_PERIOD, plant, drive, LUMPED).state
+        gained.append(energy(y) - energy(x))
+    assert np.abs(gained).max() > 1e-8  # J: per step it may err
+    assert abs(np.mean(gained)) < 1e-11
 
 
 def test_margins_that_dip_below_zero_and_come_back_are_found():

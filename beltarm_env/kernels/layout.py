@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics.drive import Drive
+from beltarm_env.physics.drive_torque import Stages
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.timing import LATENCY_SAMPLES
@@ -49,7 +50,9 @@ TOTALS = NOISE_SEED + 1  # over the episode: the three cost terms, squared tip e
 DRIVEN = TOTALS + 5  # whether the drive is one as it is built: 1, or 0 where it is ideal
 SPLIT = DRIVEN + 1  # when a command arrives within a sample [s]
 LATE = SPLIT + 1  # whole samples by which it is late
-GAIN = LATE + 1  # torque over command, 1 + k
+BY_BEFORE = LATE + 1  # shares that the torque commanded before has in the torques of a step's stages
+BY_AFTER = BY_BEFORE + len(Stages._fields)  # and that commanded after
+GAIN = BY_AFTER + len(Stages._fields)  # torque over command, 1 + k
 VISCOUS = GAIN + 1  # friction at the episode's start [N m s/rad], [N m]
 COULOMB = VISCOUS + 1
 DRIFT = COULOMB + 1  # of friction, per sample
@@ -146,6 +149,32 @@ def load_drive(block: NDArray[np.float64], lane: int) -> Drive:
         block[at + 9 * LANES],
         block[at + 10 * LANES],
     )
+
+
+@inlined
+def load_stages(block: NDArray[np.float64], row: int, lane: int) -> Stages:
+    """Load a number for each stage of a step, from six rows starting at `row`."""
+    at = row * LANES + lane
+    return Stages(
+        block[at],
+        block[at + LANES],
+        block[at + 2 * LANES],
+        block[at + 3 * LANES],
+        block[at + 4 * LANES],
+        block[at + 5 * LANES],
+    )
+
+
+@inlined
+def store_stages(block: NDArray[np.float64], row: int, lane: int, stages: Stages) -> None:
+    """Write a number for each stage of a step to six rows starting at `row`."""
+    at = row * LANES + lane
+    block[at] = stages.first
+    block[at + LANES] = stages.second
+    block[at + 2 * LANES] = stages.third
+    block[at + 3 * LANES] = stages.fourth
+    block[at + 4 * LANES] = stages.end
+    block[at + 5 * LANES] = stages.half
 
 
 @inlined

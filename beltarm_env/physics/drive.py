@@ -165,22 +165,26 @@ class Coupling(NamedTuple):
     ratio: float  # g
     curvature: float  # dg / dtheta_a  [1/rad]
     friction: float  # of the sliding motor over tau_c: v (1 + s / (1 + (omega_a / omega_s)^2))
+    inverse: float  # of the inertia that was given
 
 
 @inlined
-def coupling(x: ArmState, at: Angles, plant: Plant, drive: Drive | None) -> Coupling:
-    """Return what couples motor and arm; of an ideal drive, the belt alone."""
+def coupling(x: ArmState, at: Angles, plant: Plant, drive: Drive | None, inertia: float = 1.0) -> Coupling:
+    """Return what couples motor and arm; of an ideal drive, the belt alone. An inertia is inverted on the way."""
     if drive is None:
-        return Coupling(0.0, belt_torque(x, plant), x.torsion_speed, plant.inverse_gear, 0.0, 1.0)
+        return Coupling(0.0, belt_torque(x, plant), x.torsion_speed, plant.inverse_gear, 0.0, 1.0, 1 / inertia)
     gear = transmission(at, plant, drive)
     torsion, torsion_speed = belt_torsion(x, gear, plant)
     square, u = torsion * torsion, x.motor_speed * drive.inverse_stribeck_speed
     sum_of_squares, falling = square + drive.knee, 1 + u * u
-    inverse = 1 / (sum_of_squares * falling)  # of both at once: a division takes as long as ten products
-    secant, _ = belt_stiffness(square * inverse * falling, plant, drive)
+    product = sum_of_squares * falling
+    inverse = 1 / (product * inertia)  # of all at once: a division takes as long as ten products
+    with_inertia = inverse * inertia
+    secant, _ = belt_stiffness(square * with_inertia * falling, plant, drive)
     belt = secant * torsion + plant.damping * torsion_speed
-    sliding = gear.friction * (1 + drive.static_excess * inverse * sum_of_squares)
-    return Coupling(drive.ripple * at.sin_ripple, belt, torsion_speed, gear.ratio, gear.curvature, sliding)
+    sliding = gear.friction * (1 + drive.static_excess * with_inertia * sum_of_squares)
+    ripple = drive.ripple * at.sin_ripple
+    return Coupling(ripple, belt, torsion_speed, gear.ratio, gear.curvature, sliding, inverse * product)
 
 
 @inlined

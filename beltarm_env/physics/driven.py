@@ -1,16 +1,6 @@
-"""Integration of an arm behind a drive as it is built, over a piece of a sample in which the command does not change.
+"""A Runge-Kutta step of an arm behind a drive as it is built, within one friction mode.
 
-**Lag.** Within a piece the motor torque is tau(t) = target + excess e^(-t / T_i), in closed form. The time constant may
-be a tenth of the sample, which a Runge-Kutta step would not resolve. So the step is taken for
-
-    y = x - q e^(-t / T_i),     y' = f(x, tau(t)) + q / T_i e^(-t / T_i)
-
-which is the same motion for every q. With the q that the excess causes in the motor by itself, its viscous friction
-included, the transient drops out of y' but for what belt and friction make of so small a motion.
-
-**Events.** As in `integrator`, the instant of stopping or breaking away is the root of the margin, here of a cubic
-Hermite polynomial through both ends of y plus the exponential. A margin that falls below zero and comes back within
-the step, as a torque that reverses can make it, is found too: the lowest point of a convex margin.
+Torques of its stages are those of `drive_torque`; when the mode ends, `drive_events` finds out.
 """
 
 from __future__ import annotations
@@ -21,69 +11,37 @@ import numpy as np
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics import friction
-from beltarm_env.physics.drive import Angles, Drive, angles_near, angles_of, decay, turned
+from beltarm_env.physics.drive import Angles, Drive, angles_near, turned
+from beltarm_env.physics.drive_torque import Stages
 from beltarm_env.physics.integrator import moved, weighted
-from beltarm_env.physics.models import (
-    Model,
-    accelerations_at,
-    driving_torque_at,
-    driving_torque_rate_at,
-    inverse_inertia,
-    sliding_direction,
-)
+from beltarm_env.physics.models import Model, accelerations_at, inverse_inertia
 from beltarm_env.physics.state import ArmState
 from beltarm_env.timing import CONTROL_PERIOD
 
-_ROOT_ITERATIONS = 10  # of bracketed Newton; the margin is a cubic and an exponential
-_CLOSE = 1e-13  # of roots, as a share of the step
-_NEGLIGIBLE = 1e-10  # [rad/s] or [N m]: a margin that dips less below zero has not been left
 _SLOW = 10.0  # [rad/s] at the motor: friction that falls with speed and ripple multiply errors here
-_SLOW_STEP = 5e-4  # [s]
-
-
-class Lag(NamedTuple):
-    """Motor torque over a piece: target + excess e^(-t / T_i), and the motion q that the excess causes."""
-
-    target: float  # [N m]
-    excess: float  # [N m]
-    time: float  # T_i [s]; 0 for a motor that follows at once
-    rate: float  # 1 / T_i [1/s], or 0
-    motor_speed: float  # q's share of omega_a [rad/s]; that of theta_a is -T_i of it
-    torsion_speed: float  # q's share of omega_s [rad/s]
+_SLOW_FOR_RIPPLE = 40.0  # [rad/s]: and strong ripple here
+_STRONG = 3e4  # c / M_a1 n^(3/2) omega_a, of a ripple whose torque disturbs its own phase [rad/s^3]
+_SLOW_STEP = 0.5 * CONTROL_PERIOD
 
 
 class Step(NamedTuple):
     """Outcome of a step within one friction mode."""
 
     state: ArmState
-    torque: float  # of the motor at the end [N m]
-    decayed: float  # e^(-dt / T_i)
-    first: ArmState  # slope of y at the beginning
-    last: ArmState  # and at the end
+    at: Angles  # of the first stage; those of a motor at rest are its own
+    first: ArmState  # slope of the first stage
+    second: ArmState
+    third: ArmState
+    last: ArmState
 
 
 @inlined
-def lag_of(
-    torque: float, target: float, time: float, rate: float, direction: float, at: Angles, plant: Plant, model: Model
-) -> Lag:
-    """Return the motor torque from now on; `torque` is that of the motor now [N m], `rate` 1 / T_i or 0."""
-    excess = torque - target
-    w11, w12, _ = inverse_inertia(at.cos_phi, plant, model)
-    by_torque = w11 * plant.gear * plant.gear
-    shift = -direction * direction * excess * time * (1 + plant.viscous_friction * by_torque * time)
-    return Lag(target, excess, time, rate, shift * by_torque, shift * (w11 - w12) * plant.gear)
-
-
-@inlined
-def _shifted(y: ArmState, e: float, lag: Lag) -> ArmState:
-    """Return y + q e."""
-    return ArmState(
-        y.motor_angle - lag.time * lag.motor_speed * e,
-        y.motor_speed + lag.motor_speed * e,
-        y.torsion - lag.time * lag.torsion_speed * e,
-        y.torsion_speed + lag.torsion_speed * e,
-    )
+def slope(
+    x: ArmState, at: Angles, torque: float, direction: float, plant: Plant, drive: Drive, model: Model
+) -> ArmState:
+    """Return dx/dt under a motor torque [N m]."""
+    motor, torsional = accelerations_at(x, at, torque, direction, plant, model, drive)
+    return ArmState(x.motor_speed, motor, x.torsion_speed, torsional)
 
 
 class Base(NamedTuple):
@@ -95,37 +53,59 @@ class Base(NamedTuple):
 
 
 @inlined
-def _slope(
-    y: ArmState, e: float, base: Base, lag: Lag, direction: float, plant: Plant, drive: Drive, model: Model
+def _slope_near(
+    x: ArmState, more: float, torque: float, base: Base, direction: float, plant: Plant, drive: Drive, model: Model
 ) -> ArmState:
-    """Return y', at e = e^(-t / T_i)."""
-    x = _shifted(y, e, lag)
     phi = x.motor_angle * plant.inverse_gear - x.torsion
-    at = angles_near(base.at, phi - base.phi, x.motor_angle - base.motor_angle, drive)
-    motor, torsional = accelerations_at(x, at, lag.target + lag.excess * e, direction, plant, model, drive)
-    return ArmState(
-        y.motor_speed,
-        motor + lag.motor_speed * lag.rate * e,
-        y.torsion_speed,
-        torsional + lag.torsion_speed * lag.rate * e,
-    )
+    at = angles_near(base.at, phi - base.phi, x.motor_angle - base.motor_angle + more, drive)
+    return slope(x, at, torque, direction, plant, drive, model)
+
+
+class Fit(NamedTuple):
+    """What fits a step to a sine whose angle turns with the motor."""
+
+    ends: float  # its amplitude at the step's ends
+    middle: float  # and in the middle
+    lead: float  # displacement of the middle stages' angle, over h^2 and the sine's acceleration at the beginning
 
 
 @inlined
-def first_slope(
-    x: ArmState, at: Angles, lag: Lag, direction: float, plant: Plant, drive: Drive, model: Model
-) -> ArmState:
-    """Return y' at the beginning of a step."""
-    base = Base(x.motor_angle, x.motor_angle * plant.inverse_gear - x.torsion, at)
-    return _slope(_shifted(x, -1.0, lag), 1.0, base, lag, direction, plant, drive, model)
+def fit_of(half_turn: float) -> Fit:
+    """Return the fit for a sine whose angle turns by w in half a step, at most 2 rad, by series in w^2.
+
+    With a = 3 (sin(w) - w cos(w)) / (w^2 sin(w)) at the ends and m = (3 sin(w) / w - a cos(w)) / 2 in the middle, the
+    stages have its first two moments. With lead = (D - 1/4) / 2 and S = sin(w) / w,
+
+        D = (6 (S^2 / 4 - (a cos(2 w) + 2 m cos(w)) / 12) / (w a m sin(w)) - 1/2) / 2
+
+    the energy that the sine's torque gives and takes is 0 in the mean over its phase, to second order in the torque.
+    """
+    w2 = half_turn * half_turn
+    w4 = w2 * w2
+    a0, a1, a2 = 1 + w2 * (1 / 15), 2 / 315 + w2 * (1 / 1575), 2 / 31185 + w2 * (1382 / 212837625)
+    m0, m1, m2 = 1 - w2 * (1 / 30), 13 / 2520 + w2 * (1 / 3600), 647 / 19958400 + w2 * (176639 / 54486432000)
+    d0, d1 = -1 / 30 - w2 * (1 / 3150), 1 / 23625 + w2 * (89 / 18191250)
+    return Fit(a0 + w4 * (a1 + w4 * a2), m0 + w4 * (m1 + w4 * m2), w2 * (d0 + w4 * d1))
+
+
+@inlined
+def _fit(at: Angles, by_double: float, by_ripple: float) -> Angles:
+    """Return the angles with these amplitudes."""
+    return Angles(
+        at.sin_phi,
+        at.cos_phi,
+        by_double * at.sin_double,
+        by_double * at.cos_double,
+        by_ripple * at.sin_ripple,
+        by_ripple * at.cos_ripple,
+    )
 
 
 @inlined
 def driven_step(
     x: ArmState,
     at: Angles,
-    k1: ArmState,
-    lag: Lag,
+    torques: Stages,
     direction: float,
     dt: float,
     plant: Plant,
@@ -134,163 +114,69 @@ def driven_step(
 ) -> Step:
     """Take a fourth-order Runge-Kutta step of `dt` seconds within one friction mode.
 
+    It is fitted to what turns with the motor: ripple, variation of friction, kinematic error (`fit_of`). The
+    stages see these at the angles to which the motor's true torque turns it, not to which theirs would. Where the motor
+    rests, the fifth term of the exact step is added to the arm's vibration: (omega h)^4 / 120 of h x'.
+
     Args:
         x: State.
         at: Its sines and cosines.
-        k1: Its `first_slope`.
-        lag: Torque of the motor.
+        torques: Of the stages.
         direction: Friction mode.
         dt: Length of the step [s].
         plant: Coefficients of the arm.
         drive: Coefficients of its drive.
         model: Whose equations of motion.
     """
-    half = decay(0.5 * dt * lag.rate)
-    end = half * half
     turn = 0.5 * dt * x.motor_speed
     phi = x.motor_angle * plant.inverse_gear - x.torsion
-    middle = Base(x.motor_angle + turn, phi, turned(at, turn, drive))
-    last = Base(x.motor_angle + 2 * turn, phi, turned(middle.at, turn, drive))
-    y = _shifted(x, -1.0, lag)
-    k2 = _slope(moved(y, 0.5 * dt, k1), half, middle, lag, direction, plant, drive, model)
-    k3 = _slope(moved(y, 0.5 * dt, k2), half, middle, lag, direction, plant, drive, model)
-    k4 = _slope(moved(y, dt, k3), end, last, lag, direction, plant, drive, model)
-    state = _shifted(moved(y, dt * (1 / 6), weighted(k1, k2, k3, k4)), end, lag)
-    return Step(state, lag.target + lag.excess * end, end, k1, k4)
-
-
-class Margin(NamedTuple):
-    """Margin to the friction mode over a step, by u = t / dt: a cubic plus a decaying exponential."""
-
-    c0: float
-    c1: float
-    c2: float
-    c3: float
-    amplitude: float
-    exponent: float  # rate dt
-
-
-@inlined
-def _margin_at(m: Margin, u: float) -> tuple[float, float]:
-    """Return the margin and its derivative by u."""
-    part = m.amplitude * decay(m.exponent * u)
-    return m.c0 + u * (m.c1 + u * (m.c2 + u * m.c3)) + part, m.c1 + u * (2 * m.c2 + u * 3 * m.c3) - m.exponent * part
+    double, ripple = fit_of(2 * turn), fit_of(drive.ripple_order * turn)
+    at_middle = turned(at, turn, drive)
+    middle = Base(x.motor_angle + turn, phi, _fit(at_middle, double.middle, ripple.middle))
+    last = Base(x.motor_angle + 2 * turn, phi, _fit(turned(at_middle, turn, drive), double.ends, ripple.ends))
+    w11, w12, w22 = inverse_inertia(at.cos_phi, plant, model)
+    per_torque = direction * direction * w11 * plant.gear * plant.gear * dt * dt
+    by_end = per_torque * (1 / 6) * (torques.first - 2 * torques.second + torques.third)
+    begin = _fit(at, double.ends, ripple.ends)
+    k1 = slope(x, begin, torques.first, direction, plant, drive, model)
+    bend = dt * dt * 0.125 * k1.motor_speed
+    lead = ripple.lead * ripple.ends * drive.ripple * at.sin_ripple
+    more = per_torque * (torques.half - 0.125 * torques.first + lead)
+    k2 = _slope_near(moved(x, 0.5 * dt, k1), more + bend, torques.second, middle, direction, plant, drive, model)
+    k3 = _slope_near(moved(x, 0.5 * dt, k2), more - bend, torques.third, middle, direction, plant, drive, model)
+    k4 = _slope_near(moved(x, dt, k3), by_end, torques.fourth, last, direction, plant, drive, model)
+    y = moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
+    vibrates_by = (1 - direction * direction) * dt * dt * plant.stiffness * (w22 - w12 * w12 / w11)
+    fifth = 1 + vibrates_by * vibrates_by * (1 / 120)
+    torsion, torsion_speed = x.torsion + fifth * (y.torsion - x.torsion), y.torsion_speed
+    torsion_speed = x.torsion_speed + fifth * (y.torsion_speed - x.torsion_speed)
+    return Step(ArmState(y.motor_angle, y.motor_speed, torsion, torsion_speed), begin, k1, k2, k3, k4)
 
 
 @inlined
-def margin_of(
-    x: ArmState,
-    at: Angles,
-    step: Step,
-    lag: Lag,
-    direction: float,
-    dt: float,
-    plant: Plant,
-    drive: Drive,
-    model: Model,
-) -> tuple[Margin, float]:
-    """Return the margin over a step, and the side (-1, +1) to which a motor that sticks would break away.
-
-    The pull matters for a motor that sticks, whose angle does not change.
-    """
-    most = friction.breakaway_torque(at, plant, drive)
-    after = angles_near(at, x.torsion - step.state.torsion, 0.0, drive)
-    pull = driving_torque_at(x, at, lag.target, plant, model, drive)
-    pull_after = driving_torque_at(step.state, after, lag.target, plant, model, drive)
-    end, middle = pull_after + lag.excess * step.decayed, 0.5 * (pull + pull_after) + lag.excess * 0.5
-    side = 1.0 if (end if abs(end) >= most else middle) > 0.0 else -1.0
-    start_rate = driving_torque_rate_at(x, at, step.first.torsion_speed, plant, model, drive)
-    end_rate = driving_torque_rate_at(step.state, after, step.last.torsion_speed, plant, model, drive)
-    sliding = direction != 0.0
-    # Of y, so without what decays: that is added in closed form.
-    decaying = direction * lag.motor_speed if sliding else -side * lag.excess
-    start = direction * (x.motor_speed - lag.motor_speed) if sliding else most - side * pull
-    ending = direction * (step.state.motor_speed - lag.motor_speed * step.decayed)
-    finish = ending if sliding else most - side * pull_after
-    slope = dt * (direction * step.first.motor_speed if sliding else -side * start_rate)
-    last_slope = dt * (direction * step.last.motor_speed if sliding else -side * end_rate)
-    c3 = 2 * start + slope - 2 * finish + last_slope
-    c2 = 3 * (finish - start) - 2 * slope - last_slope
-    return Margin(start, slope, c2, c3, decaying, lag.rate * dt), side
-
-
-@inlined
-def leaves_mode(m: Margin, decayed: float) -> bool:
-    """Tell whether the margin may fall below zero within the step: at its end, or before, by its tangents.
-
-    `decayed` is the exponential at the end.
-    """
-    at_start, slope = m.c0 + m.amplitude, m.c1 - m.exponent * m.amplitude
-    at_end = m.c0 + m.c1 + m.c2 + m.c3 + m.amplitude * decayed
-    last_slope = m.c1 + 2 * m.c2 + 3 * m.c3 - m.exponent * m.amplitude * decayed
-    low, other = at_start + slope, at_end - last_slope
-    dips = (slope < 0.0) & (last_slope > 0.0) & ((low if low > other else other) < -_NEGLIGIBLE)
-    return (at_end < 0.0) | dips
-
-
-@inlined
-def _lowest(m: Margin, first_slope: float, last_slope: float) -> float:
-    """Return where on (0, 1) a convex margin is lowest, its slope being negative at 0 and positive at 1."""
-    low, high, at_low, at_high = 0.0, 1.0, first_slope, last_slope
-    for _ in range(_ROOT_ITERATIONS):  # a secant, which is exact where it is straight, and a bisection, which is sure
-        secant = low - at_low * (high - low) / (at_high - at_low)
-        u = secant if (secant > low) & (secant < high) else 0.5 * (low + high)
-        _, slope = _margin_at(m, u)
-        low, at_low = (u, slope) if slope < 0.0 else (low, at_low)
-        high, at_high = (high, at_high) if slope < 0.0 else (u, slope)
-        u = 0.5 * (low + high)
-        _, slope = _margin_at(m, u)
-        low, at_low = (u, slope) if slope < 0.0 else (low, at_low)
-        high, at_high = (high, at_high) if slope < 0.0 else (u, slope)
-    return 0.5 * (low + high)
-
-
-@inlined
-def exit_fraction(m: Margin) -> float:
-    """Return where on (0, 1) the margin falls below zero, or 1 if it does not: bracketed Newton iterations."""
-    _, first_slope = _margin_at(m, 0.0)
-    at_end, last_slope = _margin_at(m, 1.0)
-    dips = (at_end >= 0.0) & (first_slope < 0.0) & (last_slope > 0.0)
-    bottom = _lowest(m, first_slope, last_slope) if dips else 1.0
-    lowest, _ = _margin_at(m, bottom)
-    if lowest >= (-_NEGLIGIBLE if dips else 0.0):
-        return 1.0
-    start = m.c0 + m.amplitude
-    low, high = 0.0, bottom
-    u = bottom * start / (start - lowest) if start > 0.0 else 0.5 * bottom  # breaking away starts at zero speed
-    for _ in range(_ROOT_ITERATIONS):
-        value, slope = _margin_at(m, u)
-        low = u if value > 0.0 else low
-        high = high if value > 0.0 else u
-        newton = u - value / (slope if slope != 0.0 else 1.0)
-        before = u
-        u = newton if (newton >= low) & (newton <= high) else 0.5 * (low + high)
-        if abs(u - before) < _CLOSE:
-            break
-    return u
-
-
-@inlined
-def needed_rate(x: ArmState, motor: float, lag: Lag, direction: float, plant: Plant, drive: Drive) -> float:
+def needed_rate(x: ArmState, motor: float, torque_change: float, direction: float, plant: Plant, drive: Drive) -> float:
     """Return the steps per second that ripple, and friction's fall with speed, have to be resolved with [1/s].
 
-    Two radians of ripple, and one of twice the motor's angle, per step; where friction depends on the speed, a share
-    1 / (4 s) of omega_a + omega_s.
+    At most 3.3 radians of ripple, and one of twice the motor's angle, per step; where friction depends on the speed, a
+    share 1 / (4 s) of omega_a + omega_s.
 
     Args:
         x: State.
-        motor: Acceleration of the motor, but for what its lag makes of it [rad/s^2].
-        lag: Torque of the motor.
+        motor: Acceleration of the motor [rad/s^2].
+        torque_change: By how much its torque may change within the step [N m].
         direction: Friction mode.
         plant: Coefficients of the arm.
         drive: Coefficients of its drive.
     """
-    speed, change = abs(x.motor_speed), abs(motor) + abs(lag.excess) * plant.inverse_motor_inertia
-    order = drive.ripple_order if drive.ripple > 0.0 else 0.0
-    by_turning = (0.5 * order if order > 4.0 else 2.0) * speed
+    speed, change = abs(x.motor_speed), abs(motor) + torque_change * plant.inverse_motor_inertia
+    by_ripple = 0.3 * drive.ripple_order if drive.ripple > 0.0 else 0.0
+    by_turning = (by_ripple if by_ripple > 2.0 else 2.0) * speed
     u = drive.inverse_stribeck_speed
-    by_friction = 4 * drive.static_excess * change * u / (1 + speed * u)
-    touchy = (direction != 0.0) & (speed < _SLOW) & ((drive.static_excess > 0.0) | (drive.ripple > 0.0))
+    by_friction = 12 * drive.static_excess * change * u / (1 + speed * u)
+    ripple = drive.ripple * plant.inverse_motor_inertia * speed
+    strong = ripple * ripple * drive.ripple_order * drive.ripple_order * drive.ripple_order > _STRONG * _STRONG
+    touchy = (speed < _SLOW) & ((drive.static_excess > 0.0) | (drive.ripple > 0.0))
+    touchy = (touchy | (strong & (speed < _SLOW_FOR_RIPPLE))) & (direction != 0.0)
     by_slowness = 1 / _SLOW_STEP if touchy else 0.0
     fastest = by_turning if by_turning > by_friction else by_friction
     return (fastest if fastest > by_slowness else by_slowness) * (direction * direction)
@@ -305,25 +191,3 @@ def step_length(remaining: float, rate: float, substeps: float) -> tuple[float, 
     steps = coarse if coarse > steps else steps
     steps = steps if steps > 1.0 else 1.0
     return remaining / steps, steps
-
-
-@inlined
-def past_mode_change(
-    x: ArmState, lag: Lag, direction: float, dt: float, plant: Plant, drive: Drive, model: Model
-) -> tuple[ArmState, float, float, float]:
-    """Step only as far as the motor stops or breaks away, if it does within `dt`.
-
-    Returns:
-        State then, torque of the motor, the friction mode from then on, and how far the step went [s].
-    """
-    at = angles_of(x, plant, drive)
-    k1 = first_slope(x, at, lag, direction, plant, drive, model)
-    step = driven_step(x, at, k1, lag, direction, dt, plant, drive, model)
-    margin, side = margin_of(x, at, step, lag, direction, dt, plant, drive, model)
-    u = exit_fraction(margin)
-    if u == 1.0:
-        return step.state, step.torque, direction, dt
-    z = driven_step(x, at, k1, lag, direction, u * dt, plant, drive, model)
-    at_rest = ArmState(z.state.motor_angle, 0.0, z.state.torsion, z.state.torsion_speed)
-    following = sliding_direction(at_rest, z.torque, plant, model, drive) if direction != 0.0 else side
-    return at_rest, z.torque, following, u * dt

@@ -36,12 +36,13 @@ def accelerations(
     phi_dot = x.motor_speed * plant.inverse_gear - x.torsion_speed
     m2 = plant.inertia + plant.inertia_swing * at.sin_phi * at.sin_phi
     half_m2_slope = plant.inertia_swing * at.sin_phi * at.cos_phi
-    on = coupling(x, at, plant, drive)
+    on = coupling(x, at, plant, drive, m2)
     tau_f = friction_torque(direction, on.friction, plant, drive)
     tau_m = torque if drive is None else torque + on.ripple
     net = tau_m - plant.viscous_friction * x.motor_speed - tau_f - on.belt * on.ratio
     motor = direction * direction * plant.inverse_motor_inertia * net
-    arm = (on.belt - half_m2_slope * phi_dot * phi_dot) / m2
+    on_arm = on.belt - half_m2_slope * phi_dot * phi_dot
+    arm = on_arm / m2 if drive is None else on_arm * on.inverse
     return motor, motor * plant.inverse_gear - arm
 
 

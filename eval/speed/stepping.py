@@ -8,7 +8,9 @@ from typing import Any
 
 import gymnasium as gym
 
-import beltarm_env  # noqa: F401  registers the arm
+from baselines.servo.paper import PaperController
+from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
+from beltarm_env.task.ranges import Randomization
 
 Row = tuple[str, str, str, str]
 """What was measured, the result, the peer's, their ratio."""
@@ -28,7 +30,11 @@ def best_times(runs: Sequence[Callable[[], object]], repetitions: int) -> list[f
 
 
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
-    """Speed of the vector environment: lumped arm, the same behind drives as they are built, full arm."""
+    """Speed of the vector environment: lumped arm, the same behind drives as they are built, full arm.
+
+    Random torques over the whole limit stop and start the motor in nearly every sample, which no controller does: so
+    drives are also timed over whole episodes of the paper's controller, its torques recorded before.
+    """
     batches = [
         _batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
         _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
@@ -36,14 +42,22 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
         _batch_steps("CartPole-v1", arms, steps),
     ]
     times = [took / steps for took in best_times(batches, repetitions)]
-    lumped, driven, full, cart = times
-    of_lumped, of_driven, of_full, of_cart = (f"{arms / took / 1e6:.1f} M steps/s" for took in times)
+    episodes = [_episodes(arms, "ideal"), _episodes(arms, "train")]
+    times += [took / EPISODE_STEPS for took in best_times(episodes, max(repetitions // 5, 1))]
+    lumped, driven, full, cart, of_ideal, of_train = times
+    rates = [f"{arms / took / 1e6:.1f} M steps/s" for took in times]
     above = "lumped arm, ideal drive"
-    full_arm = f"vector step of the full arm, N = {arms}"
+    size = f"N = {arms}"
     return [
-        (f"vector step, N = {arms}", of_lumped, f"CartPole-v1: {of_cart}", f"{cart / lumped:.2f}x"),
-        (f"vector step with all effects of the drive, N = {arms}", of_driven, above, f"{lumped / driven:.2f}x"),
-        (full_arm, of_full, above, f"{lumped / full:.2f}x"),
+        (f"vector step, {size}", rates[0], f"CartPole-v1: {rates[3]}", f"{cart / lumped:.2f}x"),
+        (
+            f"episodes of the paper's controller, all effects of the drive, {size}",
+            rates[5],
+            f"ideal drive: {rates[4]}",
+            f"{of_ideal / of_train:.2f}x",
+        ),
+        (f"vector step with all effects, random torques, {size}", rates[1], above, f"{lumped / driven:.2f}x"),
+        (f"vector step of the full arm, {size}", rates[2], above, f"{lumped / full:.2f}x"),
     ]
 
 
@@ -65,6 +79,24 @@ def _batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[
     def run() -> None:
         for step in range(steps):
             env.step(actions[step % 16])
+
+    return run
+
+
+def _episodes(arms: int, randomization: Randomization) -> Callable[[], None]:
+    """One episode of each arm under the torques that the paper's controller commanded in it."""
+    env = BeltArmVectorEnv(arms, randomization=randomization)
+    controller, memory, torques = PaperController(), None, []
+    observations, _ = env.reset(seed=0)
+    for _ in range(EPISODE_STEPS):
+        torque, memory = controller.predict(observations, memory)
+        torques.append(torque)
+        observations, *_ = env.step(torque)
+
+    def run() -> None:
+        env.reset(seed=0)
+        for torque in torques:
+            env.step(torque)
 
     return run
 
