@@ -81,8 +81,3 @@ def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: fl
         width: The torque that does [N m].
     """
     return np.minimum(np.maximum(motor_speed / slow + torque / width, -1.0), 1.0)
-
-
-def breakaway_direction(speed: Floats, torque: Floats, slow: float) -> Floats:
-    """Sign of the motor's speed [rad/s]; below `slow`, where friction holds it, that of the torque asked of it."""
-    return np.where(np.abs(speed) > slow, np.sign(speed), np.sign(torque))

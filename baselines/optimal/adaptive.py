@@ -111,13 +111,19 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     Args:
         gains: Weights, prior uncertainty and noise.
         params: The nominal arm; the design model if not given.
+        uncertainty: What the identification doubts; by default what the gains say.
     """
 
-    def __init__(self, gains: AdaptiveGains | None = None, params: ArmParams | None = None) -> None:
+    def __init__(
+        self,
+        gains: AdaptiveGains | None = None,
+        params: ArmParams | None = None,
+        uncertainty: Uncertainty | None = None,
+    ) -> None:
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight, 0.0)
-        self._identifier = ArmIdentifier(self.params, self.gains.uncertainty())
+        self._identifier = ArmIdentifier(self.params, uncertainty or self.gains.uncertainty())
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
