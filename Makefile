@@ -74,6 +74,9 @@ loops: $(READY)  ## Margins, costs and times of every controller, and where it b
 drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/drive; takes five minutes
 	$(BIN)/python eval/drive.py --out docs/drive $(ARGS)
 
+steps: $(READY)  ## What each step from the paper's controller to the best classical one brings, in docs/from_1991
+	$(BIN)/python eval/from_1991.py --out docs/from_1991 $(ARGS)
+
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
 	$(BIN)/python baselines/tune.py --all $(ARGS)
 

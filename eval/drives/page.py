@@ -18,8 +18,9 @@ from eval.style.markdown_table import markdown_table
 from eval.style.text import number
 
 _SHIPPED = (
-    "Controllers are as they are shipped: their gains are tuned, and `ppo` and `student` trained, on arms whose drive "
-    "is ideal. This is the record of why there is a second edition, which tunes and trains on drives as they are built."
+    "Controllers are as they are shipped. Classical ones are tuned on the training ranges, drives included; `ppo` and "
+    "`student` were trained on arms whose drive is ideal. What the first edition's controllers, all made for an ideal "
+    "drive, came to on such drives is kept in docs/history/first-edition/drive: why there is a second edition."
 )
 _LEADERS = 3  # controllers that the sentences follow
 
