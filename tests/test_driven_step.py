@@ -9,9 +9,9 @@ from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.physics.drive import angles_near, angles_of, belt_stiffness, decay, drive_of, turned
-from beltarm_env.physics.drive_events import Margin, exit_fraction, leaves_mode
-from beltarm_env.physics.drive_torque import Lag, response, shares_of_two, torques_of_lag, torques_of_two
-from beltarm_env.physics.driven import driven_step, fit_of, step_length
+from beltarm_env.physics.driven.events import Margin, exit_fraction, leaves_mode
+from beltarm_env.physics.driven.step import driven_step, fit_of, step_length
+from beltarm_env.physics.driven.torque import Lag, response, shares_of_two, torques_of_lag, torques_of_two
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import wrapped

@@ -32,8 +32,8 @@ class PreviewGains(Gains):
     """Weights of the plan, noise of the filter and friction compensation."""
 
     velocity_weight: float = tunable(1.0, 0.01, 10.0, log=True)  # w_v     of the tip's velocity error
-    torque_weight: float = tunable(30.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
-    change_weight: float = tunable(30.0, 1e-2, 1e5, log=True)  # R     [1/(N m)^2]
+    torque_weight: float = tunable(10.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    change_weight: float = tunable(20.0, 1e-2, 1e5, log=True)  # R     [1/(N m)^2]
     torque_noise: float = tunable(5e-3, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
     acceleration_noise: float = tunable(0.3, 0.01, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
     disturbance_noise: float = tunable(1e-3, 1e-4, 10.0, log=True)  # [N m/sqrt(s)]  growth of d

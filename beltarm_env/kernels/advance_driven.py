@@ -27,9 +27,9 @@ from beltarm_env.kernels.layout import (
     store_state,
 )
 from beltarm_env.physics.drive import DRIVE_COLUMNS, angles_of, drive_of
-from beltarm_env.physics.drive_events import leaves_mode, margin_of, past_mode_change, stays_in_mode
-from beltarm_env.physics.drive_torque import Lag, lag_left, shares_of_two, torques_of_lag, torques_of_two
-from beltarm_env.physics.driven import driven_step, needed_rate, slope, step_length
+from beltarm_env.physics.driven.events import leaves_mode, margin_of, past_mode_change, stays_in_mode
+from beltarm_env.physics.driven.step import driven_step, needed_rate, slope, step_length
+from beltarm_env.physics.driven.torque import Lag, lag_left, shares_of_two, torques_of_lag, torques_of_two
 from beltarm_env.physics.models import Model, sliding_direction_at
 from beltarm_env.physics.state import ArmState
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS, LATENCY_SAMPLES

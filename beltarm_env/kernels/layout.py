@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics.drive import Drive
-from beltarm_env.physics.drive_torque import Stages
+from beltarm_env.physics.driven.torque import Stages
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.timing import LATENCY_SAMPLES

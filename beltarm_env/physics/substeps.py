@@ -2,7 +2,7 @@
 
 The bound is the fastest eigenvalue of the linear model: belt mode, belt damping, or motor friction. Behind a drive as
 it is built, the belt counts with its steepest stiffness, K_s (1 + 5/4 b), and steps get shorter where friction falls
-with the speed (`physics.driven.needed_rate`).
+with the speed (`physics.driven.step.needed_rate`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A Runge-Kutta step of an arm behind a drive as it is built, within one friction mode.
 
-Torques of its stages are those of `drive_torque`; when the mode ends, `drive_events` finds out.
+Torques of its stages are those of `torque`; when the mode ends, `events` finds out.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics.drive import Angles, Drive, angles_near, turned
-from beltarm_env.physics.drive_torque import Stages
+from beltarm_env.physics.driven.torque import Stages
 from beltarm_env.physics.integrator import moved, weighted
 from beltarm_env.physics.models import Model, accelerations_at, inverse_inertia
 from beltarm_env.physics.state import ArmState

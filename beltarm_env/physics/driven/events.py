@@ -14,8 +14,8 @@ from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics import friction
 from beltarm_env.physics.drive import Angles, Drive, angles_near, angles_of, decay
-from beltarm_env.physics.drive_torque import Lag, Stages, lag_left, torques_of_lag
-from beltarm_env.physics.driven import Step, driven_step
+from beltarm_env.physics.driven.step import Step, driven_step
+from beltarm_env.physics.driven.torque import Lag, Stages, lag_left, torques_of_lag
 from beltarm_env.physics.models import (
     Model,
     driving_torque_at,
