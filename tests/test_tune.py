@@ -20,7 +20,7 @@ from baselines import TUNABLE, PaperController, PaperGains
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
 from baselines.tune import Config, main
-from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, estimate, hopeless, split_budget
+from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, charged, estimate, hopeless, split_budget
 from baselines.tuning.search import SearchProgress, search
 from baselines.tuning.study import begin_anew, rounded, space
 from beltarm_env import EPISODE_STEPS
@@ -373,3 +373,8 @@ def test_bad_options(arguments: tuple[str, ...], message: str, command: list[str
 def test_all_is_every_controller_and_names_count_once():
     assert Config(all=True).chosen() == list(TUNABLE)
     assert Config(names=(NAMES[0], NAMES[0])).chosen() == [NAMES[0]]
+
+
+def test_torques_that_reverse_often_are_charged_in_proportion():
+    costs = charged(np.array([100.0, 100.0, 100.0]), np.array([0.0, 10.0, 25.0]))
+    np.testing.assert_allclose(costs, [100.0, 100.0, 250.0])

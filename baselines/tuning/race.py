@@ -14,6 +14,8 @@ RUNGS = (32, 64, 128)
 MARGIN = 1.0
 """Standard errors by which a trial must be worse than the best to be pruned."""
 FINALISTS = 7
+MOST_REVERSALS = 10.0
+"""Of an arm's torque [1/s], beyond which its cost is charged in proportion."""
 MAX_CHOICE_ARMS = 1000
 MIN_BUDGET = RUNGS[-1] * EPISODE_STEPS * 5 // 4
 """Steps for one trial and a choice."""
@@ -37,6 +39,16 @@ def split_budget(budget: int) -> BudgetSplit:
     each = (FINALISTS + 1) * EPISODE_STEPS
     arms = min(MAX_CHOICE_ARMS, budget // 5 // each)
     return BudgetSplit(budget - arms * each, arms)
+
+
+def charged(costs: Floats, reversals: Floats) -> Floats:
+    """Charge arms whose torque reverses often: cost times reversals over `MOST_REVERSALS`, where that is above 1.
+
+    Args:
+        costs: Episode costs, shape (n,).
+        reversals: Of the torque [1/s], shape (n,).
+    """
+    return costs * np.maximum(1.0, reversals / MOST_REVERSALS)
 
 
 def estimate(costs: Floats, best: Floats) -> float:

@@ -2,6 +2,8 @@
 
 **Objective.** The mean episode cost (`beltarm_env.task.cost`) over arms of the training ranges with random moves. An
 arm that leaves its workspace is charged as everywhere; a controller that fails counts as the highest cost there is.
+No motor is to be hammered: an arm whose torque reverses more than ten times a second, by over 10 % of its limit, is
+charged its cost in proportion (`race.charged`).
 
 **Search.** A tree-structured Parzen estimator [1] proposes gains, the untuned ones first. Every trial meets the same
 arms in the same order, so that trials are compared arm by arm. On n arms, with differences d_i in cost to the best,
@@ -41,7 +43,7 @@ from optuna.trial import FrozenTrial, TrialState
 from baselines.gains import Tunable
 from baselines.loops.condition import MarginCondition, least_margins
 from baselines.tools.parallel import Channel, Interrupted
-from baselines.tuning.race import FINALISTS, RUNGS, estimate, hopeless, split_budget
+from baselines.tuning.race import FINALISTS, RUNGS, charged, estimate, hopeless, split_budget
 from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
@@ -231,7 +233,8 @@ class _Search:
         try:
             controller = self._tunable.controller(rounded(params, self._tunable.gains))
             with np.errstate(all="ignore"):  # what comes of an overflow is judged by its cost
-                costs = rollout(controller, arms, seed=seed, randomization="train").cost
+                run = rollout(controller, arms, seed=seed, randomization="train")
+            costs = np.minimum(charged(run.cost, run.metrics()["torque_reversals_hz"]), WORST)
         except Exception as error:  # whatever it is, these gains are no good
             if params == self._untuned:
                 raise ValueError(f"the controller fails with its untuned gains: {error}") from error

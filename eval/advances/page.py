@@ -57,7 +57,7 @@ def draw(found: list[Found]) -> Figure:
 
 def markdown(found: list[Found], folder: Path, origin: str) -> str:
     """The content of summary.md; the picture is drawn into the folder."""
-    save_figure(draw(found), folder / "waterfall.png", dpi=110)
+    save_figure(draw(found), folder / "waterfall.png", dpi=110, bbox_inches="tight")
     arms = len(found[0].metrics["cost"])
     parts = [
         "# From 1991 to today",
