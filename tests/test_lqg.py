@@ -281,7 +281,7 @@ class TestController:
     @pytest.mark.parametrize(("start", "goal"), [(0.0, 90.0), (90.0, 0.0), (10.0, 30.0), (80.0, 60.0)])
     def test_moves_the_nominal_arm_anywhere_to_within_millimetres(self, start: float, goal: float):
         move = {"start": math.radians(start), "goal": math.radians(goal), "duration": 1.1, "ramp_time": 0.25}
-        run = rollout(LqgController(), 1, seed=0, options={"move": move})
+        run = rollout(LqgController(params=ArmParams()), 1, seed=0, options={"move": move})
         assert np.abs(run.tip_error[-200:]).max() < 2e-3
         assert np.abs(run.tip_error).max() < 0.02
 
