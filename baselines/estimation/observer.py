@@ -33,7 +33,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, at_angle, linear_arm
+from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
@@ -72,22 +72,36 @@ class Estimate:
         return self.arm[:, :X]
 
 
+def steady_gain(
+    arm: LinearArms, torque: float, acceleration: float, kept: float, growth: float, open_to: float = 0.0
+) -> Floats:
+    """Steady-state Kalman gain for [x; d], shape (5,), of an encoder with its usual rounding.
+
+    Args:
+        arm: One linear arm at one angle.
+        torque: White noise at the motor, its standard deviation [N m].
+        acceleration: White noise of the torsion [rad/s^2].
+        kept: Share of d that is left after a sample.
+        growth: Variance that d gains in a sample [(N m)^2].
+        open_to: Variance that the motor's angle gains beside that [rad^2].
+    """
+    transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, kept]), np.zeros((5, 5))
+    transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
+    for by_noise, deviation in ((arm.by_torque, torque), (arm.by_acceleration, acceleration)):
+        covariance[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
+    covariance[0, 0] += open_to
+    covariance[4, 4] = growth
+    rounding = QUANTUM**2 / 12
+    before = solve_discrete_are(transition.T, np.eye(5, 1), covariance, np.array([[rounding]]))
+    return before[:, 0] / (before[0, 0] + rounding)
+
+
 @lru_cache(maxsize=64)
 def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
     """Steady-state gains L for [x; d] at each of `ANGLES`, shape (46, 5)."""
-    tables = linear_arm(params)
-    gains = np.empty((len(ANGLES), 5))
-    measured = np.array([[1.0, 0, 0, 0, 0]])
-    for k in range(len(ANGLES)):
-        transition = np.eye(5)
-        transition[:4, :4], transition[:4, 4] = tables.transition[k], tables.by_torque[k]
-        covariance = np.zeros((5, 5))
-        for by_noise, deviation in ((tables.by_torque, noise.torque), (tables.by_acceleration, noise.acceleration)):
-            covariance[:4, :4] += deviation**2 * np.outer(by_noise[k], by_noise[k])
-        covariance[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
-        before = solve_discrete_are(transition.T, measured.T, covariance, np.array([[QUANTUM**2 / 12]]))
-        gains[k] = before[:, 0] / (before[0, 0] + QUANTUM**2 / 12)
-    return gains
+    arms, growth = linear_arm(params), noise.disturbance**2 * CONTROL_PERIOD
+    rows = [LinearArms(*(part[k] for part in arms)) for k in range(len(ANGLES))]
+    return np.array([steady_gain(arm, noise.torque, noise.acceleration, 1.0, growth) for arm in rows])
 
 
 class StickSlipObserver:

@@ -18,11 +18,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
-from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
 from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.models.rigid_arm import RigidArm
@@ -150,16 +149,8 @@ def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
 
 def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> Floats:
     """Steady-state gain of the identification's filter for [x; d] with the constants held, shape (5,)."""
-    arm = LinearArms(*(part[k] for part in _linear_arm(params)))
-    transition, covariance = np.diag([0.0, 0.0, 0.0, 0.0, uncertainty.kept]), np.zeros((5, 5))
-    transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
-    covariance[:4, :4] = uncertainty.torque**2 * np.outer(arm.by_torque, arm.by_torque)
-    covariance[:4, :4] += uncertainty.acceleration**2 * np.outer(arm.by_acceleration, arm.by_acceleration)
-    covariance[0, 0] += QUANTUM**2 / 120
-    covariance[4, 4] = uncertainty.growth()[DISTURBANCE]
-    measured, rounding = np.eye(5, 1), np.array([[QUANTUM**2 / 12]])
-    before = solve_discrete_are(transition.T, measured, covariance, rounding)
-    return before[:, 0] / (before[0, 0] + rounding[0, 0])
+    arm, growth = LinearArms(*(part[k] for part in _linear_arm(params))), uncertainty.growth()[DISTURBANCE]
+    return steady_gain(arm, uncertainty.torque, uncertainty.acceleration, uncertainty.kept, growth, QUANTUM**2 / 120)
 
 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:

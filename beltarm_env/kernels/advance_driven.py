@@ -134,6 +134,17 @@ def _advance_built(block: Floats, work: Floats, actions: Floats, count: int, mod
         pending = _put_back_finished(block, work, pending)
 
 
+@inlined
+def _either(first: bool, x: ArmState, y: ArmState) -> ArmState:
+    """Return the first state or the second, entry by entry: a choice that vectorises."""
+    return ArmState(
+        x.motor_angle if first else y.motor_angle,
+        x.motor_speed if first else y.motor_speed,
+        x.torsion if first else y.torsion,
+        x.torsion_speed if first else y.torsion_speed,
+    )
+
+
 @compiled
 def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
     """Take the whole sample in one step; mark the arms for which that may not do, and leave them where they are."""
@@ -162,22 +173,11 @@ def _take_whole_step(block: Floats, work: Floats, actions: Floats, count: int, m
         _, steps = step_length(CONTROL_PERIOD, needed, block[at.SUBSTEPS * LANES + j])
         stays = stays_in_mode(x, step, direction, CONTROL_PERIOD, low, high, plant, drive, model)
         whole = (stays & (steps == 1.0)) | (block[at.DRIVEN * LANES + j] == 0.0)
-        y = step.state
         block[at.TORQUE * LANES + j] = torques.end if whole else torque
         work[_BEFORE * LANES + j] = before
         work[_AFTER * LANES + j] = after
         work[_WHOLE * LANES + j] = 1.0 if whole else 0.0
-        store_state(
-            block,
-            at.STATE,
-            j,
-            ArmState(
-                y.motor_angle if whole else x.motor_angle,
-                y.motor_speed if whole else x.motor_speed,
-                y.torsion if whole else x.torsion,
-                y.torsion_speed if whole else x.torsion_speed,
-            ),
-        )
+        store_state(block, at.STATE, j, _either(whole, step.state, x))
 
 
 @compiled
@@ -225,9 +225,8 @@ def _step(work: Floats, count: int, model: Model) -> None:
         at_first = sliding_direction_at(x, angles, torque, plant, model, drive)
         direction = at_first if arrives | (begun == _UNKNOWN) else begun
         lag = Lag(target, torque - target, time, rate)
-        change = abs(lag.excess)
         first = slope(x, angles, torque, direction, plant, drive, model)
-        needed = needed_rate(x, first.motor_speed, change, direction, plant, drive)
+        needed = needed_rate(x, first.motor_speed, abs(lag.excess), direction, plant, drive)
         dt, steps = step_length(remaining, needed, work[_SUBSTEPS * LANES + j])
         torques = torques_of_lag(lag, dt)
         step = driven_step(x, angles, torques, direction, dt, plant, drive, model)
@@ -236,18 +235,7 @@ def _step(work: Floats, count: int, model: Model) -> None:
         work[_LEAVES * LANES + j] = 1.0 if leaves else 0.0
         work[_DT * LANES + j] = dt
         work[_DIRECTION * LANES + j] = direction
-        y = step.state
-        store_state(
-            work,
-            at.STATE,
-            j,
-            ArmState(
-                x.motor_angle if leaves else y.motor_angle,
-                x.motor_speed if leaves else y.motor_speed,
-                x.torsion if leaves else y.torsion,
-                x.torsion_speed if leaves else y.torsion_speed,
-            ),
-        )
+        store_state(work, at.STATE, j, _either(leaves, x, step.state))
         work[_TORQUE * LANES + j] = torque if leaves else torques.end
         left = remaining - dt if steps > 1.0 else 0.0
         left = remaining if leaves else left

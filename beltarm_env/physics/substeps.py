@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, FIELDS, Plant, plant_of
 from beltarm_env.jit import inlined
+from beltarm_env.physics.driven.step import FRICTION_STEPS
 from beltarm_env.physics.models import Model, inverse_inertia
 from beltarm_env.timing import CONTROL_PERIOD
 
@@ -36,7 +37,7 @@ def fastest_rate(plant: Plant, model: Model) -> float:
     return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
 
 
-MAX_FRICTION_STEPS = 5000
+MAX_FRICTION_STEPS = 15_000
 """Most integration steps per sample where friction falls with speed."""
 MAX_SUBSTEPS = 400
 """Most integration steps per sample."""
@@ -93,7 +94,7 @@ def check_drives(table: Floats) -> None:
         )
     level = at["coulomb_friction"] * (1 + at["friction_variation"]) * (1 + at["static_friction_excess"])
     push = 2 * at["torque_limit"] * (1 + at["torque_constant_error"]) + level + at["torque_ripple"]
-    steps = 4 * CONTROL_PERIOD * push / (at["motor_inertia"] * at["stribeck_speed"])
+    steps = FRICTION_STEPS * CONTROL_PERIOD * push / (at["motor_inertia"] * at["stribeck_speed"])
     steps = np.where(at["static_friction_excess"] > 0, steps, 0.0)
     if (steps > MAX_FRICTION_STEPS).any():
         arm = int(np.argmax(steps))

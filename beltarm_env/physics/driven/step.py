@@ -22,6 +22,8 @@ _SLOW = 10.0  # [rad/s] at the motor: friction that falls with speed and ripple 
 _SLOW_FOR_RIPPLE = 40.0  # [rad/s]: and strong ripple here
 _STRONG = 3e4  # c / M_a1 n^(3/2) omega_a, of a ripple whose torque disturbs its own phase [rad/s^3]
 _SLOW_STEP = 0.5 * CONTROL_PERIOD
+FRICTION_STEPS = 12
+"""Steps, over the static excess s, in which an accelerating motor's speed gains omega_a + omega_s."""
 
 
 class Step(NamedTuple):
@@ -148,7 +150,7 @@ def driven_step(
     y = moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
     vibrates_by = (1 - direction * direction) * dt * dt * plant.stiffness * (w22 - w12 * w12 / w11)
     fifth = 1 + vibrates_by * vibrates_by * (1 / 120)
-    torsion, torsion_speed = x.torsion + fifth * (y.torsion - x.torsion), y.torsion_speed
+    torsion = x.torsion + fifth * (y.torsion - x.torsion)
     torsion_speed = x.torsion_speed + fifth * (y.torsion_speed - x.torsion_speed)
     return Step(ArmState(y.motor_angle, y.motor_speed, torsion, torsion_speed), begin, k1, k2, k3, k4)
 
@@ -158,7 +160,7 @@ def needed_rate(x: ArmState, motor: float, torque_change: float, direction: floa
     """Return the steps per second that ripple, and friction's fall with speed, have to be resolved with [1/s].
 
     At most 3.3 radians of ripple, and one of twice the motor's angle, per step; where friction depends on the speed, a
-    share 1 / (4 s) of omega_a + omega_s.
+    share 1 / (12 s) of omega_a + omega_s; below 10 rad/s, or 40 with strong ripple, half a sample.
 
     Args:
         x: State.
@@ -172,7 +174,7 @@ def needed_rate(x: ArmState, motor: float, torque_change: float, direction: floa
     by_ripple = 0.3 * drive.ripple_order if drive.ripple > 0.0 else 0.0
     by_turning = (by_ripple if by_ripple > 2.0 else 2.0) * speed
     u = drive.inverse_stribeck_speed
-    by_friction = 12 * drive.static_excess * change * u / (1 + speed * u)
+    by_friction = FRICTION_STEPS * drive.static_excess * change * u / (1 + speed * u)
     ripple = drive.ripple * plant.inverse_motor_inertia * speed
     strong = ripple * ripple * drive.ripple_order * drive.ripple_order * drive.ripple_order > _STRONG * _STRONG
     touchy = (speed < _SLOW) & ((drive.static_excess > 0.0) | (drive.ripple > 0.0))
