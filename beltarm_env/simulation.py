@@ -6,8 +6,8 @@ beside x:
 
     [theta_a, omega_a, theta_s, omega_s, tau, (1 + k) u[k-1], (1 + k) u[k-2], (1 + k) u[k-3]]
 
-States are given and returned, and nothing else is kept from call to call. So friction does not drift here: that is a
-matter of an episode's time.
+States are given and returned, and nothing else is kept from call to call. So friction does not drift here, unless
+`set_table` is told at which sample of an episode each arm is.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
-from beltarm_env.kernels.layout import LANES, load_state, store_plant, store_state
-from beltarm_env.physics.drive import DRIVE_COLUMNS
+from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_plant, store_state
+from beltarm_env.physics.drive import DRIVE_COLUMNS, resting
 from beltarm_env.physics.models import MODELS, Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import check_integrable, integration_substeps
@@ -31,7 +31,8 @@ from beltarm_env.timing import LATENCY_SAMPLES
 
 X = 4
 """Entries of an arm's state x."""
-_DRIVE_STATES = 1 + LATENCY_SAMPLES  # torque of the motor and past commands: adjacent rows of a block
+DRIVE_STATES = 1 + LATENCY_SAMPLES
+"""Entries beside x: torque of the motor and past commands, which are adjacent rows of a block."""
 
 
 @compiled
@@ -44,13 +45,24 @@ def load_arms(block: Floats, table: Floats, model: Model) -> None:
 
 
 @compiled
-def _load_blocks(blocks: Floats, table: Floats, model: Model) -> None:
+def _load_blocks(blocks: Floats, table: Floats, steps: Floats, model: Model) -> None:
     for k in range(len(blocks)):
         arms = table[k * LANES : (k + 1) * LANES]
         load_arms(blocks[k], arms.T, model)
         for j in range(len(arms)):
             begin_drive(blocks[k], j, arms[j])
-            blocks[k][at.DRIFT * LANES + j] = 0.0
+            if len(steps) == 0:
+                blocks[k][at.DRIFT * LANES + j] = 0.0
+            else:
+                blocks[k][at.STEP * LANES + j] = steps[k * LANES + j]
+
+
+@compiled
+def _rest(blocks: Floats, angles: Floats, states: Floats) -> None:
+    for i in range(len(angles)):
+        block, lane = blocks[i // LANES], i % LANES
+        x = resting(angles[i], load_plant(block, lane), load_drive(block, lane))
+        states[i, 0], states[i, 1], states[i, 2], states[i, 3] = x
 
 
 @compiled
@@ -105,28 +117,33 @@ class ArmSimulation:
         self._actions = np.zeros(LANES)
         self._load(table)
 
-    def set_table(self, table: Floats) -> None:
-        """Replace the constants by others near those before: columns as `ArmParams`, shape (n, len(FIELDS)).
+    def set_table(self, table: Floats, steps: Floats | None = None) -> None:
+        """Replace the constants by others near those before.
+
+        Args:
+            table: Columns as `ArmParams`, shape (n, len(FIELDS)).
+            steps: Sample of the episode that each arm is at, by which its friction has drifted, shape (n,); None for
+                friction as it is at the beginning.
 
         Raises:
             ValueError: If these are more arms than there is room for, which is as many as at the beginning.
         """
         if len(table) > len(self._blocks) * LANES:
             raise ValueError(f"there is room for {len(self._blocks) * LANES} arms, got {len(table)}")
-        self._load(table)
+        self._load(table, steps)
 
-    def _load(self, table: Floats) -> None:
+    def _load(self, table: Floats, steps: Floats | None = None) -> None:
         self._limits = table[:, COLUMN.torque_limit].copy()
         driven = bool(table[:, DRIVE_COLUMNS].any())
-        self.size = X + _DRIVE_STATES if driven else X
+        self.size = X + DRIVE_STATES if driven else X
         """Entries of an arm's state."""
         self._work = np.zeros((DRIVEN_WORK_ROWS if driven else WORK_ROWS) * LANES)
-        _load_blocks(self._blocks, table, self._model)
+        _load_blocks(self._blocks, table, np.empty(0) if steps is None else steps, self._model)
 
     def at_rest(self, motor_angles: Floats) -> Floats:
-        """Return the states of arms at rest at motor angles [rad] of shape (n,), without torque."""
+        """Return the states of arms at rest at motor angles [rad] of shape (n,), without torque in motor or belt."""
         states = np.zeros((len(motor_angles), self.size))
-        states[:, 0] = motor_angles
+        _rest(self._blocks, motor_angles, states)
         return states
 
     def advance(self, states: Floats, torques: Floats) -> Floats:

@@ -9,6 +9,7 @@ from commands import mistake, stopped
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from scipy.optimize import lsq_linear
 
 from baselines import PaperController, tuned_controller
 from baselines.estimation.believed_arm import IDENTIFIED
@@ -20,6 +21,7 @@ from baselines.models.linear import at_angle, linear_arm
 from beltarm_env import ArmParams, BeltArmEnv
 from beltarm_env.arm import params_table
 from beltarm_env.rollout import Recording, rollout
+from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import MoveShape
 from eval.iterative import main
@@ -77,7 +79,7 @@ def test_change_is_that_of_the_lifted_least_squares(seed: int, steps: int):
     rng = np.random.default_rng(seed)
     trial, before = random_trial(rng, steps), rng.normal(0, 1, steps)
     weights = Weights(rng.uniform(0.1, 3, (steps, 4)), rng.uniform(0, 2, steps), float(rng.uniform(0.01, 2)))
-    found = followed(trial, *optimal_change(trial, weights, before))
+    found = followed(trial, *optimal_change(trial, weights, np.cumsum(before)))
     np.testing.assert_allclose(found, lifted_change(trial, weights, before), rtol=1e-7, atol=1e-9)
 
 
@@ -86,7 +88,7 @@ def test_feedback_is_optimal_from_where_it_is():
     rng = np.random.default_rng(5)
     trial, before = random_trial(rng, 20), rng.normal(0, 1, 20)
     weights = Weights(rng.uniform(0.1, 3, (20, 4)), rng.uniform(0, 2, 20), 0.3)
-    change, gain = optimal_change(trial, weights, before)
+    change, gain = optimal_change(trial, weights, np.cumsum(before))
     dx, k = rng.normal(0, 1, 4), 12
     rest = [Trial(*(part[k:].copy() for part in trial)), Weights(weights.errors[k:], weights.smoothness[k:], 0.3)]
     errors, free = rest[0].errors, dx
@@ -95,6 +97,22 @@ def test_feedback_is_optimal_from_where_it_is():
         errors[j] += trial.of_state[k + j] @ free
     first = lifted_change(rest[0], rest[1], np.concatenate([[before[k] - 0.7], before[k + 1 :]]))[0]
     assert change[k] - gain[k] @ np.append(dx, 0.7) == pytest.approx(first, rel=1e-8)
+
+
+def test_limited_changes_end_at_the_bounded_least_squares():
+    rng, limit = np.random.default_rng(6), 0.3
+    trial, torque = random_trial(rng, 20), np.zeros(20)
+    weights = Weights(rng.uniform(0.1, 3, (20, 4)), rng.uniform(0.1, 2, 20), 1e-2)
+    matrix, errors = lifted(trial), trial.errors.ravel()
+    for _ in range(50):
+        now = trial._replace(errors=(errors + matrix @ torque).reshape(20, 4))
+        torque = np.clip(torque + followed(now, *optimal_change(now, weights, torque, limit)), -limit, limit)
+    roots, difference = np.sqrt(weights.errors).ravel(), np.eye(20) - np.eye(20, k=-1)
+    rows = np.vstack([roots[:, None] * matrix, np.sqrt(weights.smoothness)[:, None] * difference])
+    wanted = np.append(-roots * errors, np.zeros(20))
+    expected = lsq_linear(rows, wanted, (-limit, limit), method="bvls").x
+    assert 3 < (np.abs(expected) == limit).sum() < 17
+    np.testing.assert_allclose(torque, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("mismatch", [1.0, 0.8, 1.2])
@@ -129,6 +147,35 @@ def test_linearisation_predicts_what_the_arm_does():
     moved = linearisation.about(states + dx, torques + 1e-3, task, NOMINAL).errors - trial.errors
     after = np.einsum("kij,kj->ki", trial.transition, dx) + 1e-3 * trial.by_torque
     np.testing.assert_allclose(np.einsum("kij,kj->ki", trial.of_state, after), moved, rtol=2e-3, atol=2e-7)
+
+
+def simulated(params: ArmParams, torques: np.ndarray, start: float) -> np.ndarray:
+    """States of an arm and its drive before each sample and after the last, friction drifting."""
+    simulation, row = ArmSimulation(params), params.row()[None]
+    states = [simulation.at_rest(np.array([start]))]
+    for step, torque in enumerate(torques):
+        simulation.set_table(row, np.array([float(step)]))
+        states.append(simulation.advance(states[-1], torque[None]))
+    return np.concatenate(states)
+
+
+def test_linearisation_predicts_what_the_drive_does():
+    """Lag, 1.4 samples of latency, ripple, kinematic error, drift of friction: simulated as the environment does."""
+    env = BeltArmEnv(randomization="train")
+    env.reset(seed=SEED, options={"params": {"command_latency": 0.0021, "friction_drift": 0.15}})
+    torques = 0.3 * np.full(40, 0.4, np.float32).astype(np.float64)
+    states = simulated(env.params, torques, env.state[0])
+    for _ in range(40):
+        _, _, _, _, info = env.step(np.array([0.4], np.float32))
+    np.testing.assert_allclose(states[-1, :4], env.state, rtol=1e-12)
+    reference = env.reference(40 * 0.0015)
+    task = np.tile([reference.angle, reference.speed], (40, 1))
+    trial = Linearisation(env.params, 40).about(states[:-1], torques, task, env.params.row())
+    assert np.hypot(*trial.errors[-1, :2]) == pytest.approx(info["tip_error"], rel=1e-9)
+    push, dx = np.where(np.arange(40) >= 20, 1e-4, 0.0), np.zeros(8)
+    for k in range(40):
+        dx = trial.transition[k] @ dx + trial.by_torque[k] * push[k]
+    np.testing.assert_allclose(simulated(env.params, torques + push, states[0, 0])[-1] - states[-1], dx, rtol=0.02)
 
 
 def test_errors_are_the_environments():

@@ -34,6 +34,7 @@ from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, Adapti
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.task.reference import TRAPEZOID, sample_references
 
 _YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below which it counts as stuck [rad/s / (N m)]
@@ -147,11 +148,13 @@ class IterativeController(AdaptiveController):
         tasks = np.empty((len(torques), EPISODE_STEPS + 1, 3))
         sample_references(TRAPEZOID, moves, CONTROL_PERIOD, tasks)
         linearisation = Linearisation(self.params, EPISODE_STEPS)
+        ideal = table.copy()  # the filter's model, whose torques act at once
+        ideal[:, DRIVE_COLUMNS] = 0.0
         soft = self.learning.softness, self.learning.change_softness
         for i, change in enumerate(torques - before):
-            trial = linearisation.about(states[i], torques[i], tasks[i, 1:, :2], table[i])
+            trial = linearisation.about(states[i], torques[i], tasks[i, 1:, :2], ideal[i])
             weights = norm_weights(trial.errors, change, self.params.torque_limit, self.learning.effort, soft)
-            added, law.gain[i] = optimal_change(trial, weights, change)
+            added, law.gain[i] = optimal_change(trial, weights, torques[i])
             law.torque[i] += added
             law.holds[i] = np.abs(trial.by_torque[:, 1]) > _YIELDS
         return law

@@ -110,7 +110,7 @@ class MotorLearningController(ClassicalController[PaperMemory]):
         trial = Trial(transition, by_torque, np.column_stack([length * angle, none, length * speed, none]), of_state)
         scales = np.repeat(np.array([POSITION_SCALE, VELOCITY_SCALE]), 2)
         weights = Weights(np.tile(1 / scales**2, (len(angle), 1)), np.full(len(angle), _SMOOTHNESS), _EFFORT)
-        change, gain = optimal_change(trial, weights, np.diff(torque, prepend=0.0))
+        change, gain = optimal_change(trial, weights, torque)
         return _followed(trial, change, gain)
 
 

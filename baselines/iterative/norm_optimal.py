@@ -5,13 +5,16 @@ About the motion x_k of a trial under torques tau_k the arm is linear,
     dx[k+1] = A_k dx[k] + b_k v[k]
 
 with v the change of the torque, and A_k, b_k by differences of the arm's own simulation, friction included: where the
-motor sticks, b_k = 0. Errors follow as e_k + C_k dx_k. Of the next trial is asked
+motor sticks, b_k = 0. Behind a drive as it is built, the torque that acts and the commands under way are states too
+(`beltarm_env.simulation`). Errors follow as e_k + C_k dx_k. Of the next trial is asked
 
     min  sum_k (e_k + C_k dx_k)' W_k (e_k + C_k dx_k) + R v[k]^2 + r_k (D_k + v[k] - v[k-1])^2
 
 with D_k = tau_k - tau_(k-1), over all v at once: the lifted least squares of a whole trial. It is solved exactly,
 backwards over z_k = [dx_k; v[k-1]] (`baselines.optimal.riccati`), the input being v[k] - v[k-1], as feed-forward and
-feedback v[k] = c[k] - K[k] z_k.
+feedback v[k] = c[k] - K[k] z_k. Torques have a limit: where on the trial's own path (z_k = 0) v[k] would pass it, the
+law is v[k] = what is left to the limit, whatever z_k (Y. Tassa, N. Mansard, E. Todorov: Control-limited differential
+dynamic programming, ICRA 2014).
 
 A benchmark that charges norms |e|, not squares, is met by weights computed for every trial, W = 1 / (2 |e|) with the
 errors of the trial before (iteratively reweighted least squares): the sum then has the norms' slope at that trial.
@@ -23,32 +26,34 @@ Int. J. Control 65, 1996; S. Gunnarsson, M. Norrlof: On the design of ILC algori
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from baselines.optimal.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
-from beltarm_env.arm import DRIVE_EFFECTS, plant_of
+from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.drive import DRIVE_COLUMNS
+from beltarm_env.physics.drive import DRIVE_COLUMNS, drive_of
 from beltarm_env.physics.kinematics import tip_errors
-from beltarm_env.simulation import ArmSimulation
+from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 
-_MOVES = np.array([1e-3, 1e-2, 1e-5, 1e-3, 1e-4])  # of x and of the torque, for the differences
-_COPIES = 2 * len(_MOVES) + 1
+_MOVES = np.array([1e-3, 1e-2, 1e-5, 1e-3])  # of x, for the differences
+_TORQUE_MOVE = 1e-4  # of torques: of the motor, of commands under way, of the command
 
 
 class Trial(NamedTuple):
-    """Linear problem about one trial of T samples; row k is of sample k, errors are of the state after it."""
+    """Linear problem about one trial of T samples, of an arm of n states, which begin with x.
 
-    transition: Floats  # A, shape (T, 4, 4)
-    by_torque: Floats  # b, shape (T, 4)
+    Row k is of sample k, errors are of the state after it.
+    """
+
+    transition: Floats  # A, shape (T, n, n)
+    by_torque: Floats  # b, shape (T, n)
     errors: Floats  # e, shape (T, 4): tip along and across, position [m] and velocity [m/s]
-    of_state: Floats  # C, shape (T, 4, 4)
+    of_state: Floats  # C by x, shape (T, 4, 4)
 
 
 class Weights(NamedTuple):
@@ -60,30 +65,39 @@ class Weights(NamedTuple):
 
 
 @compiled
-def optimal_change(trial: Trial, weights: Weights, torque_change: Floats) -> tuple[Floats, Floats]:
+def optimal_change(trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
     """Minimise the cost of the next trial.
 
     Args:
         trial: Of one arm.
         weights: Of errors and torque.
-        torque_change: D [N m], shape (T,).
+        torque: tau [N m], shape (T,).
+        limit: Of the next trial's torques [N m].
 
     Returns:
-        c [N m] of shape (T,) and K of shape (T, 5).
+        c [N m] of shape (T,) and K of shape (T, n + 1).
     """
-    steps = len(torque_change)
-    change, gain = np.empty(steps), np.empty((steps, 5))
-    to_go, slope, nothing = no_cost(5), np.empty(7), np.zeros(5)
-    f, g = np.zeros((5, 5)), np.ones(5)
-    f[4, 4] = 1.0
+    steps, states = trial.by_torque.shape
+    size = states + 1
+    change, gain = np.empty(steps), np.empty((steps, size))
+    to_go, slope, nothing = no_cost(size), np.empty(size + 2), np.zeros(size)
+    f, g = np.zeros((size, size)), np.ones(size)
+    f[states, states] = 1.0
     for k in range(steps - 1, -1, -1):
         _add_errors(to_go, trial, weights, k)
-        f[:4, :4], f[:4, 4], g[:4] = trial.transition[k], trial.by_torque[k], trial.by_torque[k]
-        smoothness = weights.smoothness[k]
-        slope_in_input(5, to_go, f, g, nothing, (smoothness, smoothness * torque_change[k]), slope)
-        change[k] = free_input(5, slope, gain[k])
-        step_back(5, to_go, f, slope, gain[k], change[k])
-        gain[k, 4] -= 1.0  # from a law for v[k] - v[k-1] to one for v[k]
+        for i in range(states):
+            g[i] = f[i, states] = trial.by_torque[k, i]
+            for j in range(states):
+                f[i, j] = trial.transition[k, i, j]
+        smoothness, before = weights.smoothness[k], torque[k - 1] if k > 0 else 0.0
+        slope_in_input(size, to_go, f, g, nothing, (smoothness, smoothness * (torque[k] - before)), slope)
+        change[k] = free_input(size, slope, gain[k])
+        left = min(max(change[k], -limit - torque[k]), limit - torque[k])
+        if left != change[k]:
+            change[k], gain[k] = left, 0.0
+            gain[k, states] = 1.0
+        step_back(size, to_go, f, slope, gain[k], change[k])
+        gain[k, states] -= 1.0  # from a law for v[k] - v[k-1] to one for v[k]
     return change, gain
 
 
@@ -102,50 +116,61 @@ def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
     """Errors of the tip, shape (T, 4), and their derivatives by the state, shape (T, 4, 4)."""
     plant, of_state = plant_of(row), np.empty((len(states), 4, 4))
-    for j, move in enumerate(np.diag(_MOVES[:4])):
-        there, back = (tip_errors(states + sign * move, task, plant) for sign in (1.0, -1.0))
+    drive = drive_of(row) if row[list(DRIVE_COLUMNS)].any() else None
+    for j, move in enumerate(np.diag(_MOVES)):
+        there, back = (tip_errors(states + sign * move, task, plant, drive) for sign in (1.0, -1.0))
         of_state[:, :, j] = (there - back) / (2 * _MOVES[j])
-    return tip_errors(states, task, plant), of_state
+    return tip_errors(states, task, plant, drive), of_state
 
 
 class Linearisation:
-    """Linearisation of trials of arms that are nominally `params`; torques act at once, as of an ideal drive."""
+    """Linearisation of trials of arms that are nominally `params`.
+
+    Args:
+        params: Constants near those of the arms.
+        steps: T, samples of a trial.
+    """
 
     def __init__(self, params: ArmParams, steps: int) -> None:
-        ideal = replace(params, **dict.fromkeys(DRIVE_EFFECTS, 0.0))
-        self._simulation = ArmSimulation(ideal, _COPIES * steps)
+        self._copies = 2 * (X + 1 + DRIVE_STATES) + 1
+        self._simulation = ArmSimulation(params, self._copies * steps)
         self._steps = steps
 
-    def about(self, states: Floats, torques: Floats, task: Floats, row: Floats) -> Trial:
+    def about(self, states: Floats, torques: Floats, task: Floats, row: Floats, first: int = 0) -> Trial:
         """Linear problem about the motion of one arm.
 
         Args:
-            states: x before each sample, shape (T, 4).
-            torques: Held over each sample [N m], shape (T,).
+            states: As `ArmSimulation` has them, before each sample, shape (T, n).
+            torques: Commanded over each sample [N m], shape (T,).
             task: Reference angle [rad] and speed [rad/s] of the joint after each sample, shape (T, 2).
-            row: Constants of the arm, columns as `ArmParams`, shape (12,).
+            row: Constants of the arm, columns as `ArmParams`, shape (len(FIELDS),).
+            first: Sample of the episode at which the trial begins, for the drift of friction.
 
         Raises:
             ValueError: If there are not as many samples as this was made for.
         """
-        if states.shape != (self._steps, 4) or torques.shape != (self._steps,) or task.shape != (self._steps, 2):
+        count, size = self._steps, states.shape[1]
+        if len(states) != count or torques.shape != (count,) or task.shape != (count, 2):
             raise ValueError(
-                f"a trial must have {self._steps} samples, got states {states.shape}, torques {torques.shape} and "
+                f"a trial must have {count} samples, got states {states.shape}, torques {torques.shape} and "
                 f"task {task.shape}"
             )
-        inputs = np.repeat(np.column_stack([states, torques])[:, None], _COPIES, axis=1)
-        for j, move in enumerate(_MOVES):
+        moves = np.append(_MOVES, np.full(size + 1 - X, _TORQUE_MOVE))
+        copies = 2 * len(moves) + 1
+        inputs = np.repeat(np.column_stack([states, torques])[:, None], copies, axis=1)
+        for j, move in enumerate(moves):
             inputs[:, 2 * j + 1, j] += move
             inputs[:, 2 * j + 2, j] -= move
-        ideal = row.copy()
-        ideal[list(DRIVE_COLUMNS)] = 0.0
-        self._simulation.set_table(np.repeat(ideal[None], _COPIES * self._steps, axis=0))
-        ends = self._simulation.advance(inputs[:, :, :4].reshape(-1, 4), inputs[:, :, 4].ravel())
-        ends = ends.reshape(self._steps, _COPIES, 4)
-        slopes = (ends[:, 1::2] - ends[:, 2::2]) / (2 * _MOVES[:, None])
-        errors, of_state = _tip_errors(ends[:, 0].copy(), np.ascontiguousarray(task), row)
-        transition = np.ascontiguousarray(slopes[:, :4].swapaxes(1, 2))
-        return Trial(transition, np.ascontiguousarray(slopes[:, 4]), errors, of_state)
+        at = np.repeat(np.arange(first, first + count, dtype=np.float64), copies)
+        rows = np.repeat(row[None], copies * count, axis=0)
+        rows[:, COLUMN.torque_limit] *= 2  # so that commands at the limit have neighbours on both sides
+        self._simulation.set_table(rows, at)
+        ends = self._simulation.advance(inputs[:, :, :size].reshape(-1, size), inputs[:, :, size].ravel())
+        ends = ends.reshape(count, copies, size)
+        slopes = (ends[:, 1::2] - ends[:, 2::2]) / (2 * moves[:, None])
+        errors, of_state = _tip_errors(ends[:, 0, :X].copy(), np.ascontiguousarray(task), row)
+        transition = np.ascontiguousarray(slopes[:, :size].swapaxes(1, 2))
+        return Trial(transition, np.ascontiguousarray(slopes[:, size]), errors, of_state)
 
 
 def norm_weights(

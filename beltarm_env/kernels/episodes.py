@@ -22,7 +22,7 @@ from beltarm_env.kernels.layout import (
     store_state,
 )
 from beltarm_env.kernels.sense import begin_sensing
-from beltarm_env.physics.drive import angles_of, drive_of, transmission
+from beltarm_env.physics.drive import drive_of, resting
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
@@ -67,10 +67,7 @@ def begin_episodes(
             block[row * LANES + j] = 0.0
         x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
         if x.motor_angle != x.motor_angle:
-            angle = moves[i, 0] * plant.gear
-            x, drive = ArmState(angle, 0.0, 0.0, 0.0), drive_of(table[i])
-            error = transmission(angles_of(x, plant, drive), plant, drive).error
-            x = ArmState(angle, 0.0, 0.0 - error, 0.0)  # with the belt at rest
+            x = resting(moves[i, 0] * plant.gear, plant, drive_of(table[i]))
         store_state(block, at.STATE, j, x)
         for k in range(4):
             block[(at.MOVE + k) * LANES + j] = moves[i, k]

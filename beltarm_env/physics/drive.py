@@ -156,6 +156,13 @@ def belt_motion(x: ArmState, plant: Plant, drive: Drive | None) -> tuple[float, 
     return belt_torsion(x, transmission(angles_of(x, plant, drive), plant, drive), plant)
 
 
+@inlined
+def resting(motor_angle: float, plant: Plant, drive: Drive) -> ArmState:
+    """Return the state at rest without torque in the belt, at an angle of the motor [rad]."""
+    x = ArmState(motor_angle, 0.0, 0.0, 0.0)
+    return ArmState(motor_angle, 0.0, 0.0 - transmission(angles_of(x, plant, drive), plant, drive).error, 0.0)
+
+
 class Coupling(NamedTuple):
     """Torques between motor and arm in one state."""
 

@@ -69,18 +69,19 @@ def tip_error(tip: TipMotion, angle: float, speed: float, plant: Plant) -> TipMo
 
 
 @compiled
-def tip_errors(states: Floats, references: Floats, plant: Plant) -> Floats:
+def tip_errors(states: Floats, references: Floats, plant: Plant, drive: Drive | None = None) -> Floats:
     """Errors of the tip as `TipMotion` has them, shape (n, 4), for n states of arms that are alike.
 
     Args:
         states: x = [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (n, 4).
         references: Joint angle [rad] and speed [rad/s] of the reference, shape (n, 2).
         plant: Coefficients of the arm.
+        drive: Coefficients of its drive as it is built; None if it is ideal.
     """
     errors = np.empty((len(states), 4))
     for i in range(len(states)):
         x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
-        error = tip_error(tip_motion(x, plant), references[i, 0], references[i, 1], plant)
+        error = tip_error(tip_motion(x, plant, drive), references[i, 0], references[i, 1], plant)
         errors[i, 0], errors[i, 1], errors[i, 2], errors[i, 3] = error
     return errors
 
