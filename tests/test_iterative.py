@@ -16,8 +16,8 @@ from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.iterative.controller import IterativeController, Learning
 from baselines.iterative.lesson import Lesson, Notes
 from baselines.iterative.motor_learning import FeedForward, MotorLearningController
-from baselines.iterative.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
 from baselines.models.linear import at_angle, linear_arm
+from baselines.optimal.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
 from beltarm_env import ArmParams, BeltArmEnv
 from beltarm_env.arm import params_table
 from beltarm_env.rollout import Recording, rollout
@@ -164,7 +164,7 @@ def test_linearisation_predicts_what_the_drive_does():
     env = BeltArmEnv(randomization="train")
     env.reset(seed=SEED, options={"params": {"command_latency": 0.0021, "friction_drift": 0.15}})
     torques = 0.3 * np.full(40, 0.4, np.float32).astype(np.float64)
-    states = simulated(env.params, torques, env.state[0])
+    states, info = simulated(env.params, torques, env.state[0]), {}
     for _ in range(40):
         _, _, _, _, info = env.step(np.array([0.4], np.float32))
     np.testing.assert_allclose(states[-1, :4], env.state, rtol=1e-12)

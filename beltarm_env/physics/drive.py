@@ -18,6 +18,7 @@ import math
 from typing import Any, NamedTuple
 
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
 from beltarm_env.physics.state import ArmState, belt_torque
 from beltarm_env.physics.trigonometry import sin_cos, wrapped
@@ -70,6 +71,11 @@ def drive_of(row: Any) -> Drive:
         softening=row[COLUMN.belt_stiffening] * row[COLUMN.belt_stiffness],
         knee=knee * knee,
     )
+
+
+def built_drive(row: Floats) -> Drive | None:
+    """Derive the coefficients of a drive as it is built, from a row of constants; None if the drive is ideal."""
+    return drive_of(row) if row[list(DRIVE_COLUMNS)].any() else None
 
 
 class Angles(NamedTuple):

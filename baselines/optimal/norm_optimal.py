@@ -35,7 +35,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.drive import DRIVE_COLUMNS, drive_of
+from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
@@ -115,8 +115,7 @@ def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None
 
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
     """Errors of the tip, shape (T, 4), and their derivatives by the state, shape (T, 4, 4)."""
-    plant, of_state = plant_of(row), np.empty((len(states), 4, 4))
-    drive = drive_of(row) if row[list(DRIVE_COLUMNS)].any() else None
+    plant, drive, of_state = plant_of(row), built_drive(row), np.empty((len(states), 4, 4))
     for j, move in enumerate(np.diag(_MOVES)):
         there, back = (tip_errors(states + sign * move, task, plant, drive) for sign in (1.0, -1.0))
         of_state[:, :, j] = (there - back) / (2 * _MOVES[j])
