@@ -1,4 +1,6 @@
-"""Norm-optimal iterative learning: changes of the torque that bring the next trial nearer to the task.
+"""Norm-optimal changes of the torque: from one trial to the next, nearer to the task.
+
+A trial is made by an arm, in iterative learning, or simulated, in a search for the best plan.
 
 About the motion x_k of a trial under torques tau_k the arm is linear,
 
