@@ -20,7 +20,7 @@ the torque (Tassa, Mansard, Todorov 2014). It ends where ten iterations gain les
 
 A motor that rests feels no small change of torque, so the search has to begin with a motion, and its result is a local
 optimum: an attainable cost, close to the least, rather than a proven bound. Where it was tried, the search came to the
-same cost within 0.1 % from the torques of `privileged`, `adaptive`, `preview` and `paper`, and from random ones to none
+same cost within 0.2 % from the torques of `privileged`, `adaptive`, `preview` and `paper`, and from random ones to none
 lower; on arms with an ideal drive, to that of a nonlinear program (multiple shooting, IPOPT) within 0.05 %.
 """
 
