@@ -43,7 +43,7 @@ class Config:
     arms: int | None = None
     """Arms as they are built, per cost; 256 by default. A quarter as many moves for each thing that is changed."""
     batch: int | None = None
-    """Arms of the batch that is timed; 1024 by default."""
+    """Arms of the batch that is timed; 256 by default."""
     quick: bool = False
     """A first look: 16 arms, a batch of 64."""
 
@@ -65,7 +65,7 @@ class Config:
         """
         require_bounds(self, arms=(8, 10_000), batch=(1, LOOPS.size))
         arms = (16 if self.quick else 256) if self.arms is None else self.arms
-        batch = (64 if self.quick else 1024) if self.batch is None else self.batch
+        batch = (64 if self.quick else 256) if self.batch is None else self.batch
         return Sizes(arms, arms // 4, batch)
 
 

@@ -25,7 +25,7 @@ from eval.loops import price as prices
 from eval.loops.budgets import ModelSteps, budgets, model_steps
 from eval.loops.changes import CHANGES, LIMITS
 from eval.loops.costs import blind, built_arms, run_arms
-from eval.loops.identification import Worth
+from eval.loops.identification import worth
 from eval.loops.scan import scan
 
 
@@ -93,9 +93,13 @@ class TestPrice:
                 assert entry["provenance"][what] == kept[name]["provenance"][what], name
 
 
-def test_an_arm_is_worse_from_a_fifth_on():
-    found = Worth(np.array([100.0, 119.0, 121.0, 90.0]), np.full(4, 100.0))
-    assert (found.worse, found.worst) == (1, 1.21)
+def test_identification_is_beside_the_best_that_does_not():
+    costs = {"ei": np.full(4, 100.0), "zv": np.full(4, 300.0), "adaptive": np.array([100.0, 119.0, 121.0, 90.0])}
+    same, best = worth(costs)
+    assert (best.title, best.worse, best.worst) == ("`ei`", 1, 1.21)
+    assert same.title == "`adaptive` with nothing identified"
+    assert np.all(same.other > 0)
+    assert worth({"ei": np.ones(4)}) == []
 
 
 class TestBudgets:
@@ -155,7 +159,7 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
     for change in CHANGES:
         assert f"\n| {change.title} | " in tables["Where each breaks"]
     assert "\n| student | 5 | " in tables["Budgets on equal terms"]
-    assert "of 8 arms cost over 1.2 times" in tables["What identification is worth"]
+    assert tables["What identification is worth"].count(" of 8 | ×") == 2
     assert "nan" not in page
     printed = capsys.readouterr().out
     assert all(f"\n| {name} | " in printed for name in shown)

@@ -10,7 +10,7 @@ from beltarm_env.task.seeds import LOOPS
 from eval.loops import tables
 from eval.loops.budgets import Budget
 from eval.loops.costs import PRIVILEGED
-from eval.loops.identification import IDENTIFYING, WORSE, Worth
+from eval.loops.identification import IDENTIFYING, WORSE
 from eval.loops.study import LoopStudy
 
 _ASKED = MarginCondition()
@@ -97,7 +97,10 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "margins are beside. A search is a matter of luck: below ×1 it found better gains under the condition.",
         tables.prices_table(study) if study.prices else "No gains without margins.",
         "## What identification is worth",
-        _worth(study.worth),
+        f"Cost of `{IDENTIFYING}` beside two that believe in the design model, on the same {arms} arms as they are "
+        "built: the same law with nothing identified, and the best of the others. *Worse* are arms on which it costs "
+        f"over {WORSE:g} times as much.",
+        tables.worth_table(study) if study.worth else f"`{IDENTIFYING}` was not asked about.",
         "## Time",
         "Wall-clock on the machine below, the controller's period being 1500 µs. One arm of the training ranges: "
         "the first action of an episode, before which nothing moves, apart; plans that are made later are among the "
@@ -125,16 +128,4 @@ def _kept(budgets: Sequence[Budget]) -> str:
     return (
         f" The search found nothing better than the untuned gains of {names}, which were set by hand: a search that "
         "nothing here counts."
-    )
-
-
-def _worth(found: Worth | None) -> str:
-    if found is None:
-        return f"`{IDENTIFYING}` was not asked about."
-    count = len(found.identified)
-    return (
-        f"`{IDENTIFYING}` beside the same law with nothing identified, which believes in the design model, on the "
-        f"same {count} arms: mean cost {found.identified.mean():.0f} instead of {found.believed.mean():.0f}. "
-        f"{found.worse} of {count} arms cost over {WORSE:g} times as much as without identification, the worst "
-        f"{found.worst:.2f} times."
     )

@@ -12,7 +12,7 @@ from beltarm_env.task.seeds import LOOPS
 from eval.comparison.timing import Times, measure_times
 from eval.loops.budgets import Budget, budgets
 from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
-from eval.loops.identification import IDENTIFYING, Worth, worth
+from eval.loops.identification import Beside, worth
 from eval.loops.price import Price, price
 from eval.loops.scan import Scan, scan
 
@@ -37,7 +37,7 @@ class LoopStudy:
     costs: dict[str, Costs]
     times: dict[str, Times]
     prices: dict[str, Price]
-    worth: Worth | None  # of identification; None if the controller that identifies is not asked about
+    worth: list[Beside]  # of identification; empty if the controller that identifies is not asked about
     budgets: list[Budget]
     oracle: OracleCosts
 
@@ -68,7 +68,7 @@ def run_study(names: Sequence[str], sizes: Sizes, tell: Callable[[str], object])
         costs=costs,
         times=times,
         prices={name: found for name, found in prices.items() if found is not None},
-        worth=worth(costs[IDENTIFYING].built["cost"]) if IDENTIFYING in names else None,
+        worth=worth({name: costs[name].built["cost"] for name in names}),
         budgets=budgets(names),
         oracle=oracle(),
     )

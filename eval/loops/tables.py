@@ -165,6 +165,15 @@ def prices_table(study: LoopStudy) -> str:
     return markdown_table(titles, rows, "lrrrrrrl")
 
 
+def worth_table(study: LoopStudy) -> str:
+    """What identification is worth: mean costs, and arms on which it costs more."""
+    rows = [
+        [of.title, f"{of.own.mean():.0f}", f"{of.other.mean():.0f}", f"{of.worse} of {len(of.own)}", f"×{of.worst:.2f}"]
+        for of in study.worth
+    ]
+    return markdown_table(["beside", "mean cost", "of the other", "worse", "worst arm"], rows)
+
+
 def times_table(study: LoopStudy) -> str:
     """Wall-clock per action."""
     titles = [
