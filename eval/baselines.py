@@ -76,13 +76,13 @@ def report(config: Config) -> None:
         ValueError: If a name or an option is not allowed, or a file of gains or of the oracle is damaged.
         OSError: If the folder cannot be written to.
     """
-    began = time.perf_counter()
+    began, at = time.perf_counter(), commit()
     names, sizes = config.chosen(), config.sizes
     require_writable(config.out)
     study = run_study(names, sizes, lambda line: print(line, file=sys.stderr, flush=True))
     pictures = save_pictures(study, config.out)
     origin = (
-        f"`{command_line()}`, beltarm {__version__} ({commit()}), Python {platform.python_version()} on "
+        f"`{command_line()}`, beltarm {__version__} ({at}), Python {platform.python_version()} on "
         f"{platform.machine()}, {time.perf_counter() - began:.0f} s."
     )
     write_text(config.out / "summary.md", markdown(study, pictures, origin))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from baselines import TUNABLE
 from baselines.loops.condition import CORNERS, MarginCondition
 from beltarm_env.task.seeds import LOOPS
 from eval.loops import tables
@@ -94,7 +95,8 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "## Price of the margins",
         "Interquartile mean and mean of the cost on arms as they are built, with gains tuned under the condition, and "
         "with gains of the same search, seed and budget without it (`baselines/gains_without_margins.json`), whose "
-        "margins are beside. A search is a matter of luck: below ×1 it found better gains under the condition.",
+        "margins are beside. A search is a matter of luck: below ×1 it found better gains under the condition."
+        + _unpriced(study),
         tables.prices_table(study) if study.prices else "No gains without margins.",
         "## What identification is worth",
         f"Cost of `{IDENTIFYING}` beside two that believe in the design model, on the same {arms} arms as they are "
@@ -119,6 +121,11 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         origin,
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _unpriced(study: LoopStudy) -> str:
+    missing = [f"`{name}`" for name in study.scans if name in TUNABLE and name not in study.prices]
+    return f" Not tuned without margins, or not alike: {', '.join(missing)}." if missing else ""
 
 
 def _kept(budgets: Sequence[Budget]) -> str:

@@ -11,6 +11,7 @@ with the seed and budget of those with.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from baselines import TUNABLE
 from baselines.gains import FILE, read_file, tuned
@@ -39,13 +40,19 @@ def price(name: str, kept: Floats) -> Price | None:
         kept: What it costs with its own gains, shape (n,).
 
     Returns:
-        None if there are no gains without margins, or they are not of today's law.
+        None if there are no gains without margins, or they are not comparable: of another law, seed or budget.
 
     Raises:
         ValueError: If the file of gains is damaged.
     """
-    entry = read_file(WITHOUT).get(name)
-    if entry is None or entry["gains"].keys() != vars(TUNABLE[name].gains()).keys():
+    found = _search(name, WITHOUT)
+    if found is None or found != _search(name, FILE):
         return None
     free = TUNABLE[name].controller(tuned(name, TUNABLE[name].gains, WITHOUT))
     return Price(kept, run_arms(blind(free), built_arms(len(kept))).cost, least_margins(free))
+
+
+def _search(name: str, path: Path) -> tuple[object, ...] | None:
+    """What makes two searches comparable: names of the gains, seed and budget; None if there was none."""
+    entry = read_file(path).get(name)
+    return entry and (sorted(entry["gains"]), *(entry["provenance"].get(key) for key in ("seed", "budget")))
