@@ -1,7 +1,7 @@
-"""Classical controllers in numbers: `python eval/baselines.py` writes margins, costs, times and limits.
+"""Classical controllers in numbers: `python eval/baselines.py` writes margins, costs, times, limits and budgets.
 
-Writes summary.md (gains; closed-loop poles and margins over the joint angle; cost, metrics and time; cost with one
-constant changed; gap to the clairvoyant optimum) and its pictures.
+Writes summary.md (closed-loop poles and margins over joint angle and arms; cost, metrics and time; cost with one thing
+changed; price of the margins; budgets beside those of learned methods; gains) and its pictures.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ try:
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
     from beltarm_env.task.seeds import LOOPS
-    from eval.loops.page import margins_table, markdown
+    from eval.loops.page import markdown
     from eval.loops.pictures import save_pictures
-    from eval.loops.study import run_study
+    from eval.loops.study import Sizes, run_study
+    from eval.loops.tables import glance_table
 except ModuleNotFoundError as error:
     stop_without("eval/baselines.py", error)
 
@@ -40,11 +41,11 @@ class Config:
     out: Path = Path("results/baselines")
     """Folder for summary.md and the pictures."""
     arms: int | None = None
-    """Arms per cost; 100 by default."""
+    """Arms as they are built, per cost; 256 by default. A quarter as many moves for each thing that is changed."""
     batch: int | None = None
-    """Arms of the batch that is timed; 1024 by default."""
+    """Arms of the batch that is timed; 256 by default."""
     quick: bool = False
-    """A first look: 8 arms, a batch of 64."""
+    """A first look: 16 arms, a batch of 64."""
 
     def chosen(self) -> list[str]:
         """Names of the controllers to show.
@@ -56,16 +57,16 @@ class Config:
         return list(dict.fromkeys(self.names)) or list(CONTROLLERS)
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """Arms per cost, and of the batch.
+    def sizes(self) -> Sizes:
+        """Numbers of arms.
 
         Raises:
             ValueError: If one is out of range, naming it.
         """
-        require_bounds(self, arms=(4, 10_000), batch=(1, LOOPS.size))
-        arms = (8 if self.quick else 100) if self.arms is None else self.arms
-        batch = (64 if self.quick else 1024) if self.batch is None else self.batch
-        return arms, batch
+        require_bounds(self, arms=(8, 10_000), batch=(1, LOOPS.size))
+        arms = (16 if self.quick else 256) if self.arms is None else self.arms
+        batch = (64 if self.quick else 256) if self.batch is None else self.batch
+        return Sizes(arms, arms // 4, batch)
 
 
 def report(config: Config) -> None:
@@ -75,17 +76,17 @@ def report(config: Config) -> None:
         ValueError: If a name or an option is not allowed, or a file of gains or of the oracle is damaged.
         OSError: If the folder cannot be written to.
     """
-    began = time.perf_counter()
-    names, (arms, batch) = config.chosen(), config.sizes
+    began, at = time.perf_counter(), commit()
+    names, sizes = config.chosen(), config.sizes
     require_writable(config.out)
-    study = run_study(names, arms, batch, lambda line: print(line, file=sys.stderr, flush=True))
+    study = run_study(names, sizes, lambda line: print(line, file=sys.stderr, flush=True))
     pictures = save_pictures(study, config.out)
     origin = (
-        f"`{command_line()}`, beltarm {__version__} ({commit()}), Python {platform.python_version()} on "
+        f"`{command_line()}`, beltarm {__version__} ({at}), Python {platform.python_version()} on "
         f"{platform.machine()}, {time.perf_counter() - began:.0f} s."
     )
     write_text(config.out / "summary.md", markdown(study, pictures, origin))
-    print(margins_table(study))
+    print(glance_table(study))
     print(f"written to {config.out}: summary.md, {len(pictures)} pictures", flush=True)
 
 

@@ -14,7 +14,8 @@ from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
 from eval import from_1991
-from eval.advances.study import ADVANCES, BESIDE, measure, worst
+from eval.advances.study import ADVANCES, BESIDE, measure
+from eval.comparison.estimates import worst_mean
 
 
 def test_the_last_of_the_identifications_is_adaptive_as_it_is_shipped():
@@ -33,8 +34,8 @@ def test_what_is_held_stays_at_the_design_model():
 
 
 def test_worst_is_the_mean_of_a_twentieth():
-    assert worst(np.arange(40.0)) == 38.5
-    assert worst(np.arange(4.0)) == 3.0
+    assert worst_mean(np.arange(40.0)) == 38.5
+    assert worst_mean(np.arange(4.0)) == 3.0
 
 
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

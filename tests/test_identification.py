@@ -1,7 +1,7 @@
 """The identification: constants of the arm and of its drive, delay and resolution of its encoder."""
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -176,6 +176,13 @@ class TestTrust:
         held = rollout(AdaptiveController(Held()), 64, seed=SEED, randomization="train").cost
         assert found.mean() < 0.7 * held.mean()
         assert np.mean(found > 1.2 * held) < 0.1
+
+    def test_a_friction_that_falls_off_early_is_not_taken_for_another_belt(self):
+        arm = replace(design_model(), static_friction_excess=0.475, stribeck_speed=1.7, coulomb_friction=0.0234)
+        arm = replace(arm, torque_ripple=0.0059, torque_ripple_order=4.0, torque_ripple_phase=1.3, belt_stiffness=29.0)
+        env = batch(16, randomization={name: (value, value) for name, value in asdict(arm).items()})
+        error = followed(CONTROLLERS["adaptive"](), env).logs[:, 1] - math.log(29.0 / design_model().belt_stiffness)
+        assert np.sqrt(np.mean(error**2)) < 0.1
 
 
 class TestEncoder:

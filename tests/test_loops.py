@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any, cast
 
 import control
 import numpy as np
 import pytest
-from commands import mistake, stopped
 from delays import delayed
 from numpy.typing import NDArray
 
@@ -26,12 +24,10 @@ from baselines.servo.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
-from eval import baselines
 from eval.loops.gains import MEANING
 
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parent.parent
 FRICTIONLESS = ArmParams(coulomb_friction=0.0)
 DRIVEN = replace(design_model(), coulomb_friction=0.0)
 STEPS = 500
@@ -247,33 +243,3 @@ def test_every_gain_has_a_symbol_and_a_unit():
 def test_a_controller_without_a_law_is_refused():
     with pytest.raises(ValueError, match="no linear law for object: add one to LAWS"):
         law_of(object(), 0)
-
-
-def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    shown = ("paper", "ei", "adaptive")
-    arguments = (*shown, "--arms", "4", "--batch", "2", "--out", "out")
-    code, errors = stopped(baselines.main, arguments, tmp_path)
-    assert code == 0, errors
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert names == {"summary.md", "margins.png", "poles.png", "breaks.png"}
-    page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
-    for name in shown:
-        assert f"\n### {name}\n" in page
-        assert page.count(f"\n| {name} | ") == 6
-    assert page.count("not ranked") == 3
-    assert "nan" not in page
-    printed = capsys.readouterr().out
-    assert all(f"\n| {name} | yes | " in printed for name in shown)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("adaptve",), "no controller 'adaptve' to show; did you mean 'adaptive'?"),
-        (("--arms", "3"), "--arms must lie within 4 and 10000, got 3"),
-        (("--batch", "0"), "--batch must lie within 1 and 100000, got 0"),
-        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-    ],
-)
-def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    assert message in mistake(baselines.main, arguments, tmp_path)

@@ -168,6 +168,11 @@ class TestCondition:
     def test_tuned_gains_meet_it(self, name: str):
         assert MarginCondition().shortfall(CONTROLLERS[name]()) == 0
 
+    def test_the_noise_that_a_slow_motor_adds_to_a_filter_does_not_take_its_margins(self):
+        gains, arm = CONTROLLERS["adaptive"]().gains, design_model()
+        most = gains.torque_noise + arm.static_friction_excess * arm.coulomb_friction / math.sqrt(3)
+        assert MarginCondition().shortfall(AdaptiveController(replace(gains, torque_noise=most))) == 0
+
     @pytest.mark.parametrize("name", ["preview", "lqg", "mpc"])
     def test_cheap_torque_and_a_fast_filter_do_not(self, name: str):
         gains = replace(TUNABLE[name].gains(), torque_weight=0.1, change_weight=0.01, acceleration_noise=100.0)

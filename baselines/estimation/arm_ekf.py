@@ -9,6 +9,14 @@ The process noise is a torque at the motor, a torsional acceleration, a slow ran
 decays. The encoder's rounding to counts of q counts as white noise of variance q^2 / 12. If the encoder moves by more
 than two counts while the simulation sticks, noise at the motor lets it go.
 
+At which speed friction falls from breakaway to Coulomb's is not identified. So the torque at the motor has the noise
+
+    sigma_tau + s tau_c / (1 + (omega_a / omega_s)^2) / sqrt(3)
+
+where the second term is what the friction of the nominal arm has beyond Coulomb's at that speed, taken to be anything
+between none and twice as much. Without it the friction of a slow motor is explained by a wrong belt, and nothing says
+otherwise once the motor sticks.
+
 The filter watches itself: with innovations nu of variance S,
 
     w <- w + 0.05 (nu^2 / S - w)
@@ -167,16 +175,22 @@ def _corrected(
     resolution: Floats,
     by_noise: Floats,
     deviations: tuple[float, float],
+    slow: tuple[float, float],
     growth: Floats,
     kept: float,
 ) -> tuple[Floats, Floats, Floats]:
-    """Kalman filter step from the simulations of `simulated`; `growth` and `kept` are those of `Uncertainty`."""
+    """Kalman filter step from the simulations of `simulated`; `growth` and `kept` are those of `Uncertainty`.
+
+    `deviations` are those of torque and torsional acceleration, `slow` that of the friction of a slow motor [N m] and
+    the speed at which half of it is left [rad/s].
+    """
     arms = len(measured)
     noise, holds = np.empty((2, 4, arms)), np.empty(arms, np.bool_)
     for arm in range(arms):
         sticks = predicted[0, 1, arm] == 0.0
         holds[arm] = sticks and abs(measured[arm] - predicted[0, 0, arm]) <= _SLIDES * resolution[arm]
-        sliding = deviations[0] * max(tracks.surprise[arm], 1.0)
+        doubtful = slow[0] / (1 + (predicted[0, 1, arm] / slow[1]) ** 2)
+        sliding = (deviations[0] + doubtful) * max(tracks.surprise[arm], 1.0)
         torque = (0.0 if holds[arm] else _LOOSE) if sticks else sliding
         for i in range(4):
             noise[0, i, arm], noise[1, i, arm] = torque * by_noise[arm, 0, i], deviations[1] * by_noise[arm, 1, i]
@@ -214,6 +228,8 @@ class ArmFilter:
         self.uncertainty = uncertainty
         self.nominal = arm_of.nominal_row(params)
         self._growth = uncertainty.growth()
+        excess = params.static_friction_excess * params.coulomb_friction
+        self._slow = excess / 3**0.5, params.stribeck_speed
         arm = linear_arms(self.nominal[None])
         self._by_noise = np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1)  # shape (46, 2, 4)
 
@@ -237,9 +253,8 @@ class ArmFilter:
         """
         u, predicted = self.uncertainty, simulated(tracks.mean, self.nominal, commands, True)
         by_noise = at_angle(self._by_noise, predicted[0, 0] / self.params.gear_ratio)
-        mean, covariance, surprise = _corrected(
-            predicted, tracks, measured, resolution, by_noise, (u.torque, u.acceleration), self._growth, u.kept
-        )
+        noise = (u.torque, u.acceleration), self._slow, self._growth, u.kept
+        mean, covariance, surprise = _corrected(predicted, tracks, measured, resolution, by_noise, *noise)
         new = Tracks(np.clip(mean, LOWEST[:, None], HIGHEST[:, None]), covariance, surprise)
         lost = surprise > _LOST
         return self._begun_anew(new, lost) if lost.any() else new

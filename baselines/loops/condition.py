@@ -27,8 +27,17 @@ import numpy as np
 
 from baselines.estimation.believed_arm import IDENTIFIED
 from baselines.estimation.identification import IdentifyingController
-from baselines.loops.margins import margins_from_poles
-from baselines.loops.models import Loop, System, arms_at_angles, closed_poles, laws_at_angles, open_poles, stacked
+from baselines.loops.margins import Margins, margins_from_poles
+from baselines.loops.models import (
+    Loop,
+    Poles,
+    System,
+    arms_at_angles,
+    closed_poles,
+    laws_at_angles,
+    open_poles,
+    stacked,
+)
 from baselines.models.linear import ANGLES
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Floats
@@ -77,8 +86,11 @@ class LeastMargins(NamedTuple):
     delay_at: str
 
 
-def least_margins(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> LeastMargins:
-    """Least margins of a controller over some of `CORNERS` and all angles.
+def margins_on(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> tuple[Margins, Poles]:
+    """Margins, and poles z of the closed loop, of a controller on some of `CORNERS` at all angles.
+
+    Returns:
+        Margins of shape (arms, 46) each, and poles of shape (arms, 46, m).
 
     Raises:
         ValueError: If there is no linear law for the controller.
@@ -86,7 +98,13 @@ def least_margins(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> Leas
     names = tuple(arms)
     loops = Loop(_laws(controller, names), _arms(names))
     closed = closed_poles(loops)
-    found = margins_from_poles(open_poles(loops), closed)
+    return margins_from_poles(open_poles(loops), closed), closed
+
+
+def least_margins(controller: Any, arms: Sequence[str] = tuple(CORNERS)) -> LeastMargins:
+    """Least margins of a controller over some of `CORNERS` and all angles; errors as of `margins_on`."""
+    names = tuple(arms)
+    found, closed = margins_on(controller, names)
     growth = np.abs(closed).max(axis=-1) - 1
     # Where loops are unstable, the worst is the one that diverges fastest.
     modulus, delay = (np.where(found.stable, values, -growth) for values in (found.modulus, found.delay))

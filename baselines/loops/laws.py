@@ -156,7 +156,8 @@ def identification_gain(params: ArmParams, uncertainty: Uncertainty, k: int) -> 
 def adaptive_law(controller: AdaptiveController, k: int) -> Law:
     """State feedback of the plan on the predicted state, the constants held at those of the design model.
 
-    Memory: x and d of the filter, the motor's torque and the commands under way; ripple is left out.
+    Memory: x and d of the filter, the motor's torque and the commands under way; ripple is left out, and what friction
+    adds to the filter's noise at slow speeds.
     """
     params, uncertainty = ArmParams.from_row(nominal_row(controller.params)), controller.gains.uncertainty()
     lag = max(controller.params.current_loop_time_constant, SHORTEST * CONTROL_PERIOD)

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from beltarm_env.metrics import heading
 from beltarm_env.task.seeds import LOOPS
-from eval.advances.study import ADVANCES, BESIDE, SHOWN, Found, worst
-from eval.comparison.estimates import interquartile_mean
+from eval.advances.study import ADVANCES, BESIDE, SHOWN, Found
+from eval.comparison.estimates import interquartile_mean, worst_mean
 from eval.style.colours import BLUE, GREEN, VERMILION
 from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
@@ -23,7 +23,7 @@ def table(found: list[Found]) -> str:
     for advance, of in zip([*ADVANCES, BESIDE], found, strict=True):
         costs = of.metrics["cost"]
         levels = [interquartile_mean(of.metrics[name]) for name in SHOWN]
-        tail = [f"{costs.mean():.0f}", f"{worst(costs):.0f}", str(of.left)]
+        tail = [f"{costs.mean():.0f}", f"{worst_mean(costs):.0f}", str(of.left)]
         others = [number(level, 1) for level in levels[1:]]
         rows.append([advance.title, f"`{advance.name}`", f"{levels[0]:.0f}", *tail, *others])
     head = ["step", "controller", "cost", "mean", "worst 5 %", "left", *map(heading, SHOWN[1:])]

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from baselines import CONTROLLERS
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
@@ -90,8 +88,3 @@ def _rollout(advance: Advance, arms: int) -> Recording:
     env.reset(seed=LOOPS.first)
     controller = privileged_controller(list(env.params))
     return rollout(controller, arms, seed=LOOPS.first, randomization="train", sensors="full")
-
-
-def worst(costs: Floats) -> float:
-    """Mean of the worst 5 %."""
-    return float(np.sort(costs)[-max(1, round(0.05 * len(costs))) :].mean())

@@ -35,6 +35,12 @@ def interquartile_mean(values: Floats) -> float:
     return float(_middle_mean(np.reshape(values, -1)))
 
 
+def worst_mean(values: Floats) -> float:
+    """Mean of the largest 5 % of all values."""
+    ordered = np.sort(values, axis=None)
+    return float(ordered[-max(1, round(0.05 * ordered.size)) :].mean())
+
+
 def _middle_mean(values: Floats) -> Floats:
     """Mean of the middle half along the last axis."""
     ordered = np.sort(values, axis=-1)

@@ -1,4 +1,4 @@
-"""Costs of every controller: on arms of the training ranges, with one constant changed, and against the optimum.
+"""Costs of every controller: on arms as they are built, with one thing changed, and against the optimum.
 
 Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits.
 """
@@ -6,57 +6,25 @@ Arms and moves are drawn from seeds of their own, between those of validation an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines import CONTROLLERS
 from baselines.yardsticks.oracle import METRICS, read_file
 from baselines.yardsticks.privileged import privileged_controller
-from beltarm_env import ArmParams, BeltArmVectorEnv
+from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import params_columns, params_table
+from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
-
-Floats = NDArray[np.float64]
+from eval.comparison.estimates import interquartile_mean
+from eval.loops.changes import CHANGES, LIMITS, Change
 
 PRIVILEGED = "privileged"
 """Name of the yardstick that knows arm and state; never ranked."""
-_NOMINAL = ArmParams()
-
-
-@dataclass(frozen=True)
-class Change:
-    """An arm or a sensor that differs from the nominal one, in one respect."""
-
-    title: str
-    params: dict[str, float] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)  # of the environment
-
-
-def _scaled(title: str, factor: float, *names: str) -> Change:
-    return Change(f"{title} ×{factor:g}", {name: factor * getattr(_NOMINAL, name) for name in names})
-
-
-_FRICTION = ("coulomb_friction", "motor_viscous_friction")
-CHANGES = (
-    Change("payload 0.2 kg", {"payload_mass": 0.2}),
-    Change("payload 0.5 kg", {"payload_mass": 0.5}),
-    _scaled("stiffness", 0.8, "belt_stiffness"),
-    _scaled("stiffness", 0.5, "belt_stiffness"),
-    _scaled("friction", 1.3, *_FRICTION),
-    _scaled("friction", 1.8, *_FRICTION),
-    _scaled("motor inertia", 0.9, "motor_inertia"),
-    _scaled("motor inertia", 1.1, "motor_inertia"),
-    Change("delay 1 sample", settings={"delay": 1}),
-    Change("delay 2 samples", settings={"delay": 2}),
-    Change("1000 counts", settings={"encoder_counts": 1000}),
-    Change("full arm", settings={"model": "lagrangian"}),
-)
-"""Changes of the nominal arm, made one at a time."""
 
 Maker = Callable[[list[ArmParams]], Controller]
 
@@ -67,33 +35,35 @@ def makers(names: Sequence[str]) -> dict[str, Maker]:
     Raises:
         ValueError: If the file of gains is damaged.
     """
-    return {**{name: _blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: privileged_controller}
+    return {**{name: blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: privileged_controller}
 
 
-def _blind(controller: Controller) -> Maker:
+def blind(controller: Controller) -> Maker:
+    """Constructor of a controller that is the same for all arms."""
     return lambda arms: controller
 
 
-def run_arms(name: str, make: Maker, arms: list[ArmParams], **settings: Any) -> Recording:
-    """Run episodes on given arms, arm i with the move that seed `LOOPS.first + i` draws."""
-    if name == PRIVILEGED:
-        settings["sensors"] = "full"
-    options = {"params": params_columns(params_table(arms))} | settings.pop("options", {})
-    return rollout(make(arms), len(arms), seed=LOOPS.first, options=options, **settings)
+def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
+    """Run episodes on arms, columns as `ArmParams`, arm i with the move that seed `LOOPS.first + i` draws."""
+    controller = make([ArmParams.from_row(row) for row in table])
+    sensors = getattr(controller, "sensors", "encoder")
+    options = {"params": params_columns(table)} | settings.pop("options", {})
+    return rollout(controller, len(table), seed=LOOPS.first, options=options, sensors=sensors, **settings)
 
 
-def drawn_arms(count: int) -> list[ArmParams]:
-    """Draw arms of the training ranges."""
-    env = BeltArmVectorEnv(count, randomization="ideal")
+def built_arms(count: int) -> Floats:
+    """Arms and drives of the training ranges, columns as `ArmParams`, shape (count, len(FIELDS))."""
+    env = BeltArmVectorEnv(count, randomization="train")
     env.reset(seed=LOOPS.first)
-    return list(env.params)
+    return env.params_table
 
 
 @dataclass(frozen=True)
-class Break:
+class Effect:
     """Effect of a change on a controller, on the same moves."""
 
-    ratio: float  # mean cost over that on the nominal arm
+    of_mean: float  # mean cost over that without the change
+    of_iqm: float  # the same of interquartile means
     failures: int  # episodes in which the arm left the workspace
 
 
@@ -101,27 +71,44 @@ class Break:
 class Costs:
     """Metrics of one controller, and the effect of each change on its cost."""
 
-    nominal: dict[str, Floats]  # metrics on nominal arms, each of shape (n,)
-    randomized: dict[str, Floats]  # on arms of the training ranges
-    breaks: list[Break]  # in the order of `CHANGES`
+    built: dict[str, Floats]  # metrics on arms as they are built, each of shape (n,)
+    left: int  # of these, how many left the workspace
+    design: Floats  # cost on the design model, shape (m,)
+    changes: list[Effect]  # of `CHANGES`, on the design model
+    limits: list[Effect]  # of `LIMITS`, on the arms as they are built
     oracle: Floats  # cost in the scenarios of the clairvoyant optimum
 
 
-def measure(name: str, make: Maker, count: int) -> Costs:
-    """Run a controller on `count` nominal, changed and randomized arms each, and in the optimum's scenarios."""
-    nominal = run_arms(name, make, [_NOMINAL] * count)
-    breaks = []
-    for change in CHANGES:
-        run = run_arms(name, make, [ArmParams(**change.params)] * count, **change.settings)
-        breaks.append(Break(float(run.cost.mean() / nominal.cost.mean()), int((~run.finished).sum())))
-    randomized = run_arms(name, make, drawn_arms(count))
-    return Costs(nominal.metrics(), randomized.metrics(), breaks, _on_oracle_scenarios(name, make))
+def measure(make: Maker, arms: int, moves: int) -> Costs:
+    """Run a controller on arms as they are built and on the design model, changed and not, and beside the optimum.
+
+    Args:
+        make: Of the controller.
+        arms: Number of arms as they are built.
+        moves: Number of moves of the design model.
+    """
+    design, built = np.tile(design_model().row(), (moves, 1)), built_arms(arms)
+    as_designed, as_built = run_arms(make, design), run_arms(make, built)
+    return Costs(
+        built=as_built.metrics(),
+        left=int((~as_built.finished).sum()),
+        design=as_designed.cost,
+        changes=[_effect(make, design, change, as_designed.cost) for change in CHANGES],
+        limits=[_effect(make, built, change, as_built.cost) for change in LIMITS],
+        oracle=_on_oracle_scenarios(make),
+    )
 
 
-def _on_oracle_scenarios(name: str, make: Maker) -> Floats:
+def _effect(make: Maker, table: Floats, change: Change, before: Floats) -> Effect:
+    run = run_arms(make, change.applied(table), **change.settings)
+    of_iqm = interquartile_mean(run.cost) / interquartile_mean(before)
+    return Effect(float(run.cost.mean() / before.mean()), of_iqm, int((~run.finished).sum()))
+
+
+def _on_oracle_scenarios(make: Maker) -> Floats:
     _, scenarios, _ = read_file()
     move = {field: [getattr(s.move, field) for s in scenarios] for field in MoveShape._fields}
-    return run_arms(name, make, [s.params for s in scenarios], options={"move": move}).cost
+    return run_arms(make, params_table([s.params for s in scenarios]), options={"move": move}).cost
 
 
 @dataclass(frozen=True)

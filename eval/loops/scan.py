@@ -1,4 +1,4 @@
-"""Margins and poles of a controller's loop at every tabulated angle."""
+"""Margins of a controller's loop over arms and angles, and its poles on the design model."""
 
 from __future__ import annotations
 
@@ -7,43 +7,50 @@ from typing import Any
 
 import numpy as np
 
-from baselines.loops.margins import Margins, margins_from_poles
-from baselines.loops.models import (
-    Loop,
-    Poles,
-    System,
-    arms_at_angles,
-    closed_poles,
-    continuous,
-    laws_at_angles,
-    open_poles,
-)
+from baselines.loops.condition import CORNERS, margins_on
+from baselines.loops.margins import Margins
+from baselines.loops.models import Poles, continuous
 from baselines.models.linear import ANGLES
+from beltarm_env.arrays import Floats
+
+ARMS = tuple(CORNERS)
+"""Arms that loops are looked at on; the first is the design model."""
+_NONE_LEFT = {"gain_up": 1.0, "gain_down": 1.0, "phase": 0.0, "delay": 0.0, "modulus": 0.0}
+"""Margins of a loop that is unstable."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """The loops of one controller at each of `ANGLES`."""
+    """The loops of one controller on `ARMS` at each of `ANGLES`."""
 
-    margins: Margins  # each of shape (46,)
-    poles: list[Poles]  # continuous equivalents [1/s]
+    margins: Margins  # each of shape (arms, 46)
+    poles: list[Poles]  # on the design model, by angle: continuous equivalents [1/s], slowest first
+
+    def worst(self, name: str, arms: slice = slice(None)) -> tuple[float, str, float]:
+        """Worst value of a margin over some of `ARMS` and all angles, its arm, and its angle [degrees]."""
+        values = getattr(self.margins, name)[arms]
+        place = values.argmax() if name == "gain_down" else values.argmin()
+        arm, k = np.unravel_index(int(place), values.shape)
+        return float(values[arm, k]), ARMS[arms][arm], float(np.degrees(ANGLES[k]))
+
+    def over_arms(self, name: str) -> Floats:
+        """Worst value of a margin over `ARMS` at each angle, shape (46,)."""
+        values = getattr(self.margins, name)
+        return values.max(axis=0) if name == "gain_down" else values.min(axis=0)
 
 
 def scan(controller: Any) -> Scan:
-    """Margins and poles of a controller on the arm that it believes in, over all angles."""
-    loops = Loop(laws_at_angles(controller), System(*(part[0] for part in arms_at_angles([controller.params]))))
-    closed = closed_poles(loops)
-    return Scan(margins_from_poles(open_poles(loops), closed), [continuous(poles) for poles in closed])
+    """Margins and poles of a controller over all arms and angles.
 
-
-def worst(found: Scan, name: str) -> tuple[float, float]:
-    """Worst value of a margin over the angles, and its angle [degrees]; only of `gain_down` is it the largest."""
-    values = getattr(found.margins, name)
-    k = int(values.argmax() if name == "gain_down" else values.argmin())
-    return float(values[k]), float(np.degrees(ANGLES[k]))
+    Raises:
+        ValueError: If there is no linear law for the controller.
+    """
+    found, closed = margins_on(controller)
+    known = {name: np.where(found.stable, getattr(found, name), none) for name, none in _NONE_LEFT.items()}
+    return Scan(Margins(found.stable, **known), [continuous(poles) for poles in closed[0]])
 
 
 def at_angle(found: Scan, degrees: float) -> tuple[Margins, int]:
-    """Margins at the tabulated angle nearest to one [degrees], and the index of that angle."""
+    """Margins on the design model at the tabulated angle nearest to one [degrees], and the index of that angle."""
     k = int(np.abs(np.degrees(ANGLES) - degrees).argmin())
-    return Margins(*(values[k] for values in found.margins)), k
+    return Margins(*(values[0, k] for values in found.margins)), k

@@ -5,48 +5,48 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import TypeVar
 
 from baselines import CONTROLLERS
-from baselines.loops.condition import LeastMargins, least_margins
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.timing import Times, measure_times
+from eval.loops.budgets import Budget, budgets
 from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
+from eval.loops.identification import Beside, worth
+from eval.loops.price import Price, price
 from eval.loops.scan import Scan, scan
 
 Result = TypeVar("Result")
 
 
-class DrivenMargins(NamedTuple):
-    """Least margins of a controller over all angles, with the drive as it is built."""
+@dataclass(frozen=True)
+class Sizes:
+    """Numbers of arms."""
 
-    design: LeastMargins  # on the design model
-    corners: LeastMargins  # on it and at the corners of the training ranges
-
-
-def driven_margins(controller: Any) -> DrivenMargins:
-    """Least margins of a controller with the drive as it is built."""
-    return DrivenMargins(least_margins(controller, ("design model",)), least_margins(controller))
+    arms: int  # as they are built, per cost
+    moves: int  # of the design model, per cost with one thing changed
+    batch: int  # of the times
 
 
 @dataclass(frozen=True)
 class LoopStudy:
     """Results by controller; `costs` also has the privileged yardstick, last."""
 
-    arms: int  # per cost
-    batch: int  # of the times
+    sizes: Sizes
     scans: dict[str, Scan]
-    driven: dict[str, DrivenMargins]
     costs: dict[str, Costs]
     times: dict[str, Times]
+    prices: dict[str, Price]
+    worth: list[Beside]  # of identification; empty if the controller that identifies is not asked about
+    budgets: list[Budget]
     oracle: OracleCosts
 
 
-def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str], object]) -> LoopStudy:
+def run_study(names: Sequence[str], sizes: Sizes, tell: Callable[[str], object]) -> LoopStudy:
     """Compute everything about some of `CONTROLLERS`, reporting progress with `tell`.
 
     Raises:
-        ValueError: If gains or the oracle's file are damaged, or a controller has no linear law.
+        ValueError: If gains, a policy or the oracle's file are damaged, or a controller has no linear law.
     """
     known = makers(names)
 
@@ -59,7 +59,16 @@ def run_study(names: Sequence[str], arms: int, batch: int, tell: Callable[[str],
         return results
 
     scans = of_each("margins", names, lambda name: scan(CONTROLLERS[name]()))
-    costs = of_each("costs", known, lambda name: measure(name, known[name], arms))
-    times = of_each("times", names, lambda name: measure_times(known[name]([]), batch, LOOPS.first))
-    driven = of_each("margins on drives", names, lambda name: driven_margins(CONTROLLERS[name]()))
-    return LoopStudy(arms, batch, scans, driven, costs, times, oracle())
+    costs = of_each("costs", known, lambda name: measure(known[name], sizes.arms, sizes.moves))
+    prices = of_each("price of margins", names, lambda name: price(name, costs[name].built["cost"]))
+    times = of_each("times", names, lambda name: measure_times(known[name]([]), sizes.batch, LOOPS.first))
+    return LoopStudy(
+        sizes=sizes,
+        scans=scans,
+        costs=costs,
+        times=times,
+        prices={name: found for name, found in prices.items() if found is not None},
+        worth=worth({name: costs[name].built["cost"] for name in names}),
+        budgets=budgets(names),
+        oracle=oracle(),
+    )

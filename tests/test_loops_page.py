@@ -1,0 +1,180 @@
+"""The page of the classical controllers: what it measures, and that the command writes it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import mistake, stopped
+
+from baselines import CONTROLLERS, TUNABLE
+from baselines.estimation import arm_ekf, identification
+from baselines.gains import read_file, tuned, write_entry
+from baselines.loops.condition import least_margins
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.arm import COLUMN, FIELDS
+from beltarm_env.rollout import rollout
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.ranges import TRAIN_RANGES
+from beltarm_env.task.seeds import LOOPS
+from eval import baselines
+from eval.loops import price as prices
+from eval.loops.budgets import ModelSteps, budgets, model_steps
+from eval.loops.changes import CHANGES, LIMITS
+from eval.loops.costs import blind, built_arms, run_arms
+from eval.loops.identification import worth
+from eval.loops.scan import scan
+
+
+class TestScan:
+    def test_its_worst_is_what_the_condition_asks_about(self):
+        found, least = scan(CONTROLLERS["ei"]()), least_margins(CONTROLLERS["ei"]())
+        for name in ("modulus", "delay"):
+            value, arm, degrees = found.worst(name)
+            assert (value, f"{arm}, {degrees:.0f}°") == (getattr(least, name), getattr(least, f"{name}_at"))
+        assert found.over_arms("modulus").min() == least.modulus
+
+    def test_an_unstable_loop_has_no_margins(self):
+        found = scan(CONTROLLERS["paper"]())
+        unstable = ~found.margins.stable
+        assert unstable.any()
+        assert np.all(found.margins.modulus[unstable] == 0)
+        assert np.all(found.margins.gain_up[unstable] == 1)
+        assert any(poles.real.max() > 0 for poles in found.poles) == unstable[0].any()
+
+
+class TestChanges:
+    def test_a_change_sets_its_constants_and_nothing_else(self):
+        table = built_arms(3)
+        for change in CHANGES:
+            differ = {FIELDS[k] for k in np.flatnonzero((change.applied(table) != table).any(axis=0))}
+            assert differ <= set(change.constants)
+            for name, value in change.constants.items():
+                assert np.all(change.applied(table)[:, getattr(COLUMN, name)] == value)
+
+    def test_limits_lie_beyond_the_training_ranges(self):
+        for change in LIMITS:
+            ((name, value),) = change.constants.items()
+            low, high = TRAIN_RANGES[name]
+            assert not low <= value <= high
+
+    def test_arms_as_built_run_as_the_environment_draws_them(self):
+        controller = CONTROLLERS["zv"]()
+        drawn = rollout(controller, 3, seed=LOOPS.first, randomization="train")
+        np.testing.assert_array_equal(run_arms(blind(controller), built_arms(3)).cost, drawn.cost)
+
+
+class TestPrice:
+    @pytest.fixture
+    def file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+        monkeypatch.setattr(prices, "WITHOUT", tmp_path / "without.json")
+        return tmp_path / "without.json"
+
+    def test_the_same_gains_cost_the_same(self, file: Path):
+        write_entry("zv", tuned("zv", TUNABLE["zv"].gains), read_file()["zv"]["provenance"], file)
+        kept = run_arms(blind(CONTROLLERS["zv"]()), built_arms(3)).cost
+        found = prices.price("zv", kept)
+        assert found is not None
+        np.testing.assert_array_equal(found.free, kept)
+
+    def test_gains_of_another_law_or_search_have_none(self, file: Path):
+        same = read_file()["zv"]["provenance"]
+        write_entry("zv", tuned("ei", TUNABLE["ei"].gains), same, file)
+        assert prices.price("zv", np.ones(3)) is None
+        write_entry("zv", tuned("zv", TUNABLE["zv"].gains), {**same, "budget": same["budget"] + 1}, file)
+        assert prices.price("zv", np.ones(3)) is None
+        assert prices.price("ei", np.ones(3)) is None
+        assert prices.price("paper", np.ones(3)) is None
+
+    def test_the_file_has_gains_that_were_found_without_margins(self):
+        entries = read_file(prices.WITHOUT)
+        assert {"adaptive", "preview", "mpc"} <= set(entries)
+        assert all(entry["provenance"]["margins"] == "not asked for" for entry in entries.values())
+
+
+def test_identification_is_beside_the_best_that_does_not():
+    costs = {"ei": np.full(4, 100.0), "zv": np.full(4, 300.0), "adaptive": np.array([100.0, 119.0, 121.0, 90.0])}
+    same, best = worth(costs)
+    assert (best.title, best.worse, best.worst) == ("`ei`", 1, 1.21)
+    assert same.title == "`adaptive` with nothing identified"
+    assert np.all(same.other > 0)
+    assert worth({"ei": np.ones(4)}) == []
+
+
+class TestBudgets:
+    def test_every_controller_states_what_its_model_simulates(self):
+        for name in CONTROLLERS:
+            assert model_steps(CONTROLLERS[name]()), f"{name}: add its type to MODEL_STEPS in eval/loops/budgets.py"
+
+    @pytest.mark.parametrize("name", ["zv", "lqg", "preview", "adaptive"])
+    def test_that_is_what_it_simulates(self, name: str, monkeypatch: pytest.MonkeyPatch):
+        counts, controller, actions = Counter[str](), CONTROLLERS[name](), 40
+
+        def counted(module: Any, function: str, steps: Any) -> None:
+            whole = getattr(module, function)
+
+            def call(*arguments: Any) -> Any:
+                counts["steps"] += steps(arguments)
+                return whole(*arguments)
+
+            monkeypatch.setattr(module, function, call)
+
+        counted(ArmSimulation, "advance", lambda _: 1)
+        for module in (arm_ekf, identification):
+            counted(module, "simulated", lambda arguments: 1 + arm_ekf.DIFFERENCED if arguments[3] else 1)
+        env = BeltArmVectorEnv(1, randomization="train")
+        observation, memory = env.reset(seed=LOOPS.first)[0], None
+        for _ in range(actions):
+            action, memory = controller.predict(observation, memory)
+            observation = env.step(action)[0]
+        stated = model_steps(controller)
+        assert stated is not None
+        assert counts["steps"] <= stated.simulated * actions
+        assert counts["steps"] >= stated.simulated * (actions - 2)  # nothing is known yet at the first
+
+    def test_methods_stand_side_by_side(self):
+        found = {of.name: of for of in budgets(("rigid", "zv"))}
+        assert list(found)[:2] == ["rigid", "zv"]
+        assert {of.kind for of in found.values()} == {"classical", "learned"}
+        assert found["zv"].samples == read_file()["zv"]["provenance"]["steps"]
+        assert found["rigid"].samples == 0
+        assert found["student"].runs == 5
+        assert found["student"].steps == model_steps(CONTROLLERS["adaptive"]())
+        assert found["ppo"].steps == ModelSteps(2 + arm_ekf.DIFFERENCED, 0)
+
+
+def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    shown = ("paper", "ei", "adaptive")
+    code, errors = stopped(baselines.main, (*shown, "--arms", "8", "--batch", "2", "--out", "out"), tmp_path)
+    assert code == 0, errors
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"summary.md", "margins.png", "poles.png", "breaks.png"}
+    page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
+    tables = {part.split("\n")[0]: part for part in page.split("\n## ")}
+    for name in shown:
+        assert f"\n### {name}\n" in tables["Each controller"]
+        for title in ("At a glance", "Linear loops", "Costs", "Time", "Budgets on equal terms"):
+            assert f"\n| {name} | " in tables[title], title
+    for change in CHANGES:
+        assert f"\n| {change.title} | " in tables["Where each breaks"]
+    assert "\n| student | 5 | " in tables["Budgets on equal terms"]
+    assert tables["What identification is worth"].count(" of 8 | ×") == 2
+    assert "nan" not in page
+    printed = capsys.readouterr().out
+    assert all(f"\n| {name} | " in printed for name in shown)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("adaptve",), "no controller 'adaptve' to show; did you mean 'adaptive'?"),
+        (("--arms", "7"), "--arms must lie within 8 and 10000, got 7"),
+        (("--batch", "0"), "--batch must lie within 1 and 100000, got 0"),
+        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
+    ],
+)
+def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    assert message in mistake(baselines.main, arguments, tmp_path)
