@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from baselines.models.friction import sliding_torques
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Floats
@@ -28,9 +29,7 @@ from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
 from beltarm_env.kernels.layout import LANES, store_plant
-from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.models import LUMPED
-from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.physics.trigonometry import sin_cos, wrapped
 
@@ -210,9 +209,6 @@ def motor_torques(beliefs: Floats, nominal: Floats, states: Floats) -> tuple[Flo
     for arm in range(len(states)):
         z = beliefs[:, arm]
         believe(z, nominal, row)
-        plant, drive = plant_of(row), drive_of(row)
-        angle, speed = states[arm, 0], states[arm, 1]
-        x = ArmState(angle + 0.5 * CONTROL_PERIOD * speed, speed, states[arm, 2], states[arm, 3])
-        friction[arm] = plant.coulomb_friction * coupling(x, angles_of(x, plant, drive), plant, drive).friction
-        others[arm] = z[DISTURBANCE] + ripple_torque(z, angle, speed)
+        friction[arm], _ = sliding_torques(row, states[arm])
+        others[arm] = z[DISTURBANCE] + ripple_torque(z, states[arm, 0], states[arm, 1])
     return friction, others

@@ -23,7 +23,7 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.iterative.lesson import Notes
 from baselines.models.linear import at_angle, linear_arm
-from baselines.optimal.norm_optimal import Trial, Weights, optimal_change
+from baselines.optimal.norm_optimal import Trial, Weights, followed, optimal_change
 from baselines.reading import Reading
 from baselines.servo.paper import PaperController, PaperMemory
 from beltarm_env import EPISODE_STEPS, ArmParams
@@ -111,13 +111,4 @@ class MotorLearningController(ClassicalController[PaperMemory]):
         scales = np.repeat(np.array([POSITION_SCALE, VELOCITY_SCALE]), 2)
         weights = Weights(np.tile(1 / scales**2, (len(angle), 1)), np.full(len(angle), _SMOOTHNESS), _EFFORT)
         change, gain = optimal_change(trial, weights, torque)
-        return _followed(trial, change, gain)
-
-
-def _followed(trial: Trial, change: Floats, gain: Floats) -> Floats:
-    """Changes of the torque [N m], shape (T,), by simulating the linear trial under its law."""
-    z, changes = np.zeros(5), np.empty_like(change)
-    for k in range(len(change)):
-        changes[k] = z[4] = change[k] - gain[k] @ z
-        z[:4] = trial.transition[k] @ z[:4] + trial.by_torque[k] * changes[k]
-    return changes
+        return followed(trial, change, gain)[0]

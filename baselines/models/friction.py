@@ -33,8 +33,11 @@ import numpy as np
 from baselines.gains import Gains, tunable
 from baselines.models.rigid_arm import Motion
 from beltarm_env import CONTROL_PERIOD
-from beltarm_env.arm import COLUMN
+from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
+from beltarm_env.physics.drive import angles_of, coupling, drive_of
+from beltarm_env.physics.state import ArmState
 
 _RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
 
@@ -81,3 +84,17 @@ def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: fl
         width: The torque that does [N m].
     """
     return np.minimum(np.maximum(motor_speed / slow + torque / width, -1.0), 1.0)
+
+
+@compiled
+def sliding_torques(row: Floats, state: Floats) -> tuple[float, float]:
+    """Return dry friction of a motor that slides forward, as it varies over the turn, and torque ripple [N m].
+
+    Args:
+        row: Constants of the arm, shape (len(FIELDS),).
+        state: x at the beginning of a sample, shape (4,); torques are those in its middle.
+    """
+    plant, drive, speed = plant_of(row), drive_of(row), state[1]
+    x = ArmState(state[0] + 0.5 * CONTROL_PERIOD * speed, speed, state[2], state[3])
+    coupled = coupling(x, angles_of(x, plant, drive), plant, drive)
+    return plant.coulomb_friction * coupled.friction, coupled.ripple

@@ -10,10 +10,10 @@ believes in, breakaway and its variation over the turn included. Its direction i
 small speed it is that of the torque asked for, over a ramp through zero: a torque too small to be meant does not make
 a motor at rest break away.
 
-Every 30 ms the rest of the move is replanned for arms whose estimated constants have changed by more than 2 %
-(certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995). At an episode's start the arm is that of
-the design model: nothing is carried over from one episode to the next. The plan takes a belt that stiffens for one of
-its mean stiffness K_s, which it has at the torsion of a moderate move.
+tau_ff and x_ref are planned for the task's own cost, and anew as the estimated constants change
+(`baselines.optimal.replanning`). At an episode's start the arm is that of the design model: nothing is carried over
+from one episode to the next. The plan takes a belt that stiffens for one of its mean stiffness K_s, which it has at the
+torsion of a moderate move.
 """
 
 from __future__ import annotations
@@ -27,14 +27,12 @@ from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
-from baselines.optimal.plan import Plans, Weights, plan_moves, planned_torque, replanned
+from baselines.optimal.plan import Weights, plan_moves, planned_torque
+from baselines.optimal.replanning import STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import ArmParams, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
-
-_EVERY = 20  # samples between plans
-_CHANGE = 0.02  # of a constant, relative, from which a plan is stale
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,8 @@ class AdaptiveGains(Gains):
     swing_doubt: float = tunable(0.3, 0.05, 1.0, log=True)  # [-]      of ln S before anything is known
     stiffness_doubt: float = tunable(0.3, 0.05, 0.6, log=True)  # [-]      of ln K_s
     friction_doubt: float = tunable(0.2, 0.05, 0.5, log=True)  # [-]      of ln V_a1, ln tau_c
-    torque_noise: float = tunable(3e-3, 3e-4, 0.03, log=True)  # [N m]      process noise at the motor
-    acceleration_noise: float = tunable(1.0, 0.1, 10.0, log=True)  # [rad/s^2]  process noise of the torsion
+    torque_noise: float = tunable(2e-3, 3e-4, 0.03, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(0.5, 0.1, 10.0, log=True)  # [rad/s^2]  process noise of the torsion
     unexplained_torque: float = tunable(5e-4, 5e-5, 1e-2, log=True)  # [N m]      unexplained torque that decays
     friction_share: float = tunable(1.0, 0.5, 1.3)  # c  [-]     of the friction that is compensated
     friction_speed: float = tunable(0.5, 0.05, 20.0, log=True)  # [rad/s]    motor speed below which the plan decides
@@ -64,37 +62,21 @@ class AdaptiveGains(Gains):
             disturbance=self.unexplained_torque,
         )
 
+    def weights(self) -> Weights:
+        """Weights of the plan."""
+        return Weights(self.velocity_weight, self.torque_weight, 0.0)
 
-@dataclass(frozen=True)
-class PlanCache:
-    """Plans of n arms, with the estimated constants that they were computed for."""
+    def compensated(self, friction: Floats, motor_speed: Floats, torque: Floats) -> Floats:
+        """Compute the torques c tau_f dir [N m] that overcome friction, for n motors.
 
-    plans: Plans
-    logs: Floats  # `Belief.logs` at the time, shape (n, 6); NaN where there is no plan
-
-    @classmethod
-    def empty(cls, belief: Belief) -> PlanCache:
-        """Cache without any plan."""
-        return cls([np.empty(0)] * len(belief.logs), np.full_like(belief.logs, np.nan))
-
-    def is_stale(self, belief: Belief, reading: Reading) -> Flags:
-        """Which arms need a new plan, shape (n,): those without one, and every 30 ms those whose belief has changed."""
-        changed = np.abs(belief.logs - self.logs).max(axis=1) > _CHANGE
-        return np.isnan(self.logs[:, 0]) | (changed & (reading.step % _EVERY == 0))
-
-    def drop(self, which: Flags) -> PlanCache:
-        """Cache without the plans of some arms."""
-        return PlanCache(self.plans, np.where(which[:, None], np.nan, self.logs)) if which.any() else self
-
-    def replan(
-        self, which: Flags, reading: Reading, belief: Belief, identifier: ArmIdentifier, weights: Weights
-    ) -> PlanCache:
-        """Cache with new plans for some arms, for their estimated constants."""
-        if not which.any():
-            return self
-        table = _planned_for(identifier.table(belief))
-        plans = replanned(self.plans, which, reading.move, table, weights)
-        return PlanCache(plans, np.where(which[:, None], belief.logs, self.logs))
+        Args:
+            friction: Of each while it slides forward [N m].
+            motor_speed: [rad/s]
+            torque: Asked of the motors beside that [N m].
+        """
+        asked = np.clip(torque / self.rest_width, -1.0, 1.0)
+        direction = np.where(np.abs(motor_speed) > self.friction_speed, np.sign(motor_speed), asked)
+        return self.friction_share * friction * direction
 
 
 @dataclass(frozen=True)
@@ -112,6 +94,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         gains: Weights, prior uncertainty and noise.
         params: The nominal arm; the design model if not given.
         uncertainty: What the identification doubts; by default what the gains say.
+        improvements: Steps by which each plan is improved for the task's own cost; 0 leaves it as the squares have it.
     """
 
     def __init__(
@@ -119,11 +102,13 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         gains: AdaptiveGains | None = None,
         params: ArmParams | None = None,
         uncertainty: Uncertainty | None = None,
+        improvements: int = STEPS,
     ) -> None:
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
-        self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight, 0.0)
-        self._identifier = ArmIdentifier(self.params, uncertainty or self.gains.uncertainty())
+        self._weights, self._improvements = self.gains.weights(), improvements
+        self.uncertainty = uncertainty or self.gains.uncertainty()
+        self._identifier = ArmIdentifier(self.params, self.uncertainty)
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
@@ -132,29 +117,31 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
     def resting_gain(self, joint: float) -> Floats:
         """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
         move = np.array([[joint, joint, 0.5, 0.2]])
-        table = _planned_for(nominal_row(self.params)[None])
+        table = planned_for(nominal_row(self.params)[None])
         return plan_moves(move, table, self._weights).gain[0, 0, :4]
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         belief = self._identified(reading, begins, memory.belief if memory else None)
-        cache = memory.cache.drop(begins) if memory else PlanCache.empty(belief)
-        cache = cache.replan(cache.is_stale(belief, reading), reading, belief, self._identifier, self._weights)
-        state = self._identifier.ahead(belief)
-        last = np.zeros(len(begins))  # on which nothing depends: the plan does not weigh the change of the torque
-        torque = planned_torque(cache.plans, reading.step + belief.delay, state, last)
+        state, delay = self._identifier.ahead(belief), belief.delay
+        table = planned_for(self._identifier.table(belief))
+        now = Situation(reading.move, reading.step, reading.step + delay, state, belief.logs, table)
+        cache = memory.cache if memory else PlanCache.empty(now.logs, self._improvements)
+        cache = cache.begun(begins, now, self._weights)
+        last = np.zeros(len(begins))  # on which nothing depends: the gain does not weigh the change of the torque
+        torque = planned_torque(cache.plans, now.time, state, last)
         friction, others = self._identifier.motor_torques(belief, state)
-        asked = np.clip(torque / self.gains.rest_width, -1.0, 1.0)
-        direction = np.where(np.abs(state[:, 1]) > self.gains.friction_speed, np.sign(state[:, 1]), asked)
-        return torque + self.gains.friction_share * friction * direction - others, AdaptiveMemory(belief, cache)
+        torque = torque + self.gains.compensated(friction, state[:, 1], torque) - others
+        return torque, AdaptiveMemory(belief, cache.worked_on(now, self._weights))
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""
         return self._identifier.update(belief, reading, begins)
 
 
-def _planned_for(table: Floats) -> Floats:
+def planned_for(table: Floats) -> Floats:
     """Constants that plans are made for: those of `table`, with the belt's mean stiffness."""
+    table = table.copy()
     table[:, COLUMN.belt_stiffening] = 0.0
     return table
 

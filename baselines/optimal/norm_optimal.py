@@ -67,7 +67,9 @@ class Weights(NamedTuple):
 
 
 @compiled
-def optimal_change(trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
+def optimal_change(
+    trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
+) -> tuple[Floats, Floats]:
     """Minimise the cost of the next trial.
 
     Args:
@@ -75,24 +77,45 @@ def optimal_change(trial: Trial, weights: Weights, torque: Floats, limit: float 
         weights: Of errors and torque.
         torque: tau [N m], shape (T,).
         limit: Of the next trial's torques [N m].
+        before: Torque before the first sample [N m].
 
     Returns:
         c [N m] of shape (T,) and K of shape (T, n + 1).
     """
     steps, states = trial.by_torque.shape
-    size = states + 1
-    change, gain = np.empty(steps), np.empty((steps, size))
+    change, gain = np.empty(steps), np.empty((steps, states + 1))
+    if states == 4:
+        _solve(5, trial, weights, torque, limit, before, change, gain)  # with a literal, loops are unrolled
+    else:
+        _solve(states + 1, trial, weights, torque, limit, before, change, gain)
+    return change, gain
+
+
+@inlined
+def _solve(
+    size: int,
+    trial: Trial,
+    weights: Weights,
+    torque: Floats,
+    limit: float,
+    before: float,
+    change: Floats,
+    gain: Floats,
+) -> None:
+    """Write the law of `optimal_change`, backwards over `size` states: those of the trial, and the last change."""
+    states = size - 1
     to_go, slope, nothing = no_cost(size), np.empty(size + 2), np.zeros(size)
     f, g = np.zeros((size, size)), np.ones(size)
     f[states, states] = 1.0
-    for k in range(steps - 1, -1, -1):
+    for k in range(len(torque) - 1, -1, -1):
         _add_errors(to_go, trial, weights, k)
+        to_go.matrix[states, states] += weights.effort
         for i in range(states):
             g[i] = f[i, states] = trial.by_torque[k, i]
             for j in range(states):
                 f[i, j] = trial.transition[k, i, j]
-        smoothness, before = weights.smoothness[k], torque[k - 1] if k > 0 else 0.0
-        slope_in_input(size, to_go, f, g, nothing, (smoothness, smoothness * (torque[k] - before)), slope)
+        smoothness, jump = weights.smoothness[k], torque[k] - (torque[k - 1] if k > 0 else before)
+        slope_in_input(size, to_go, f, g, nothing, (smoothness, smoothness * jump), slope)
         change[k] = free_input(size, slope, gain[k])
         left = min(max(change[k], -limit - torque[k]), limit - torque[k])
         if left != change[k]:
@@ -100,19 +123,39 @@ def optimal_change(trial: Trial, weights: Weights, torque: Floats, limit: float 
             gain[k, states] = 1.0
         step_back(size, to_go, f, slope, gain[k], change[k])
         gain[k, states] -= 1.0  # from a law for v[k] - v[k-1] to one for v[k]
-    return change, gain
 
 
 @inlined
 def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None:
-    """Add the cost of errors and torque change after sample k."""
+    """Add the cost of the errors after sample k."""
     for error in range(4):
         for i in range(4):
             weighted = weights.errors[k, error] * trial.of_state[k, error, i]
             to_go.vector[i] += weighted * trial.errors[k, error]
             for j in range(4):
                 to_go.matrix[i, j] += weighted * trial.of_state[k, error, j]
-    to_go.matrix[4, 4] += weights.effort
+
+
+@compiled
+def followed(trial: Trial, change: Floats, gain: Floats) -> tuple[Floats, Floats]:
+    """Follow the law v[k] = change[k] - gain[k] z_k on the linear problem, from dx_0 = 0.
+
+    Returns:
+        v [N m] of shape (T,), and dx after each sample, shape (T, n).
+    """
+    steps, states = trial.by_torque.shape
+    changes, away = np.empty(steps), np.empty((steps, states))
+    now, last = np.zeros(states), 0.0
+    for k in range(steps):
+        v = change[k] - gain[k, states] * last
+        for j in range(states):
+            v -= gain[k, j] * now[j]
+        for i in range(states):
+            away[k, i] = trial.by_torque[k, i] * v
+            for j in range(states):
+                away[k, i] += trial.transition[k, i, j] * now[j]
+        now, last, changes[k] = away[k], v, v
+    return changes, away
 
 
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
@@ -174,6 +217,7 @@ class Linearisation:
         return Trial(transition, np.ascontiguousarray(slopes[:, size]), errors, of_state)
 
 
+@compiled
 def norm_weights(
     errors: Floats, torque_change: Floats, limit: float, effort: float, soft: tuple[float, float]
 ) -> Weights:
@@ -190,5 +234,7 @@ def norm_weights(
     velocity = np.maximum(np.hypot(errors[:, 2], errors[:, 3]) / VELOCITY_SCALE, soft[0])
     change = np.maximum(np.abs(torque_change) / limit, soft[1])
     of_position, of_velocity = 0.5 / (position * POSITION_SCALE**2), 0.5 / (velocity * VELOCITY_SCALE**2)
-    of_errors = np.column_stack([of_position, of_position, of_velocity, of_velocity])
+    of_errors = np.empty(errors.shape)
+    of_errors[:, 0] = of_errors[:, 1] = of_position
+    of_errors[:, 2] = of_errors[:, 3] = of_velocity
     return Weights(of_errors, 0.5 * TORQUE_RATE_WEIGHT / (change * limit**2), effort)

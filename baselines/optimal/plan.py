@@ -52,8 +52,8 @@ class Plan(NamedTuple):
 
 
 @inlined
-def _set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
-    """Write A, b and d of the step between two samples of the reference, each an angle and a speed."""
+def set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
+    """Write A (4, 4), b and d (4,) of the step between two samples of the reference, each an angle and a speed."""
     row, weight = place(now[0])
     m2, turning = turning_load(now[0], now[1], plant)
     for i in range(4):
@@ -76,7 +76,7 @@ def _plan_move(task: Floats, plant: Plant, model: LinearArms, weights: Quadruple
         angle, speed = task[k + 1, 0], task[k + 1, 1]
         add_tip_cost(to_go.matrix, angle, speed, bounded_sine(angle), plant, (weights[0], weights[1]))
         to_go.matrix[4, 4] += weights[2]
-        _set_step(task[k], task[k + 1], plant, model, f, g, h)
+        set_step(task[k], task[k + 1], plant, model, f, g, h)
         for i in range(4):
             f[i, 4] = g[i]
         slope_in_input(5, to_go, f, g, h, (weights[3], 0.0), slope)

@@ -23,7 +23,7 @@ from baselines.reading import read
 from baselines.tools.files import require_writable, write_text
 from baselines.tools.provenance import command_line
 from baselines.yardsticks.clairvoyant import optimum
-from baselines.yardsticks.privileged import privileged_controller
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import EPISODE_STEPS, ArmParams, __version__
 from beltarm_env.arm import params_columns, params_table
 from beltarm_env.arrays import Flags, Singles
@@ -112,7 +112,7 @@ def read_file(path: Path = FILE) -> tuple[dict[str, Any], list[Scenario], Single
 def solve(scenario: Scenario) -> dict[str, Any]:
     """Plan one scenario, beginning with the torques of `privileged`, replay the plan, and return the row to store."""
     began = time.perf_counter()
-    guess = run(privileged_controller([scenario.params]), [scenario], sensors="full")
+    guess = run(PrivilegedController([scenario.params]), [scenario], sensors="full")
     found = optimum(scenario.params, scenario.move, guess.torque[:, 0] / scenario.params.torque_limit)
     seconds = time.perf_counter() - began
     replayed = replay([scenario], found.actions[None])

@@ -1,25 +1,26 @@
 """Privileged preview LQG: a yardstick with true constants and true state, never ranked among the controllers.
 
-The law of `baselines.optimal.preview` without an observer: the plan is that of the true arm, and its state is read from
-the environment's full observation (motor angle and speed by the encoder, torsion exactly). The motor's torque and the
-commands under way follow from what was commanded, and the state when the command acts is simulated on the true arm.
+The law of `baselines.optimal.adaptive` without an identification: the plan for the task's own cost is that of the true
+arm, friction over the turn and torque ripple are the true ones, and the arm's state is read from the environment's full
+observation (motor angle and speed by the encoder, torsion exactly). The motor's torque and the commands under way
+follow from what was commanded, and the state when the command acts is simulated on the true arm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from baselines.controller import ClassicalController
 from baselines.gains import tuned
 from baselines.models.actuator import dead_time
-from baselines.optimal.adaptive import AdaptiveGains
-from baselines.optimal.plan import Plans, planned_torque, replanned
-from baselines.optimal.preview import PreviewGains
-from baselines.reading import Reading, last_share
+from baselines.models.friction import sliding_torques
+from baselines.optimal.adaptive import AdaptiveGains, planned_for
+from baselines.optimal.plan import planned_torque
+from baselines.optimal.replanning import PlanCache, Situation
+from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import params_table
 from beltarm_env.arrays import Flags, Floats
@@ -30,9 +31,8 @@ from beltarm_env.simulation import ArmSimulation, X
 class PrivilegedMemory:
     """Plans and states of n arms."""
 
-    plans: Plans
+    cache: PlanCache
     arms: Floats  # states of arms and drives, as `ArmSimulation` has them
-    added: Floats  # torque beside the plan's [N m], shape (n,)
 
 
 class PrivilegedController(ClassicalController[PrivilegedMemory]):
@@ -40,15 +40,19 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
 
     Args:
         arms: The true constants, one for each row of the observations, with one gear ratio and torque limit.
-        gains: Weights of the plan and of the friction compensation.
+        gains: Those of `adaptive`: its tuned ones if not given, so that what not knowing the arm costs is seen.
+
+    Raises:
+        ValueError: If the file of gains is damaged or out of date.
     """
 
     sensors = "full"
 
-    def __init__(self, arms: Sequence[ArmParams], gains: PreviewGains | None = None) -> None:
+    def __init__(self, arms: Sequence[ArmParams], gains: AdaptiveGains | None = None) -> None:
         super().__init__(arms[0])
-        self.gains = gains or PreviewGains()
+        self.gains = gains or tuned("adaptive", AdaptiveGains)
         self._table = params_table(arms)
+        self._planned_for = planned_for(self._table)
         self._delays = np.array([dead_time(arm) for arm in arms]) / CONTROL_PERIOD
         self._simulation = ArmSimulation(arms)
 
@@ -66,29 +70,10 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         if memory is not None:
             arms = np.where(begins[:, None], arms, self._simulation.advance(memory.arms, command))
         arms[:, :X] = np.column_stack([reading.motor_angle, reading.motor_speed, reading.torsion])
-        ahead = self._simulation.ahead(arms, command, self._delays)
-        plans = replanned(memory.plans if memory else None, begins, reading.move, self._table, self.gains.weights())
-        last = last_share(reading, memory.added if memory else None, begins)
-        torque = planned_torque(plans, reading.step + self._delays, ahead, last)
-        added = self.gains.friction(self._table, ahead[:, 1], torque)
-        return torque + added, PrivilegedMemory(plans, arms, added)
-
-
-def privileged_controller(
-    arms: Sequence[ArmParams], gains: Literal["default", "adaptive"] = "default"
-) -> PrivilegedController:
-    """Yardstick for given arms.
-
-    Args:
-        arms: The true constants, one for each row of the observations.
-        gains: Weights of plan and friction compensation: "default" are untuned; "adaptive" are the tuned ones of
-            `adaptive`, beside which the yardstick then shows what not knowing the arm costs.
-
-    Raises:
-        ValueError: If the file of gains is damaged or out of date.
-    """
-    if gains == "default":
-        return PrivilegedController(arms)
-    g = tuned("adaptive", AdaptiveGains)
-    shared = {name: getattr(g, name) for name in ("velocity_weight", "torque_weight", "friction_share")}
-    return PrivilegedController(arms, PreviewGains(**shared))
+        ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
+        time = reading.step + self._delays
+        now = Situation(reading.move, reading.step, time, ahead, constant, self._planned_for)
+        cache = (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, self.gains.weights())
+        torque = planned_torque(cache.plans, time, ahead, np.zeros(len(begins)))
+        friction, ripple = np.array([sliding_torques(*pair) for pair in zip(self._table, ahead, strict=True)]).T
+        return torque + self.gains.compensated(friction, ahead[:, 1], torque) - ripple, PrivilegedMemory(cache, arms)

@@ -9,7 +9,7 @@ from typing import Any
 from baselines import CONTROLLERS
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.yardsticks.privileged import privileged_controller
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording, rollout
@@ -37,14 +37,14 @@ class Advance:
 
 
 def _identifying(*held: str) -> Callable[[], Any]:
-    """`adaptive`, which believes some of its `Uncertainty` to be what the design model says."""
+    """`adaptive`, which plans with squares, and believes some of its `Uncertainty` to be what the design model says."""
 
     def make() -> Any:
         gains = tuned("adaptive", AdaptiveGains)
         known: dict[str, float] = dict.fromkeys(held, 0.0)
         if set(_ARM) <= set(held):
             known |= {**dict.fromkeys(_DRIFTS, 0.0), "disturbance": max(_UNEXPLAINED, gains.unexplained_torque)}
-        return AdaptiveController(gains, uncertainty=replace(gains.uncertainty(), **known))
+        return AdaptiveController(gains, uncertainty=replace(gains.uncertainty(), **known), improvements=0)
 
     return make
 
@@ -58,6 +58,7 @@ ADVANCES = (
     Advance("+ delay and current loop", "adaptive", _identifying(*_TURNING, *_RIPPLE)),
     Advance("+ friction over the turn, breakaway, stiffening", "adaptive", _identifying(*_RIPPLE)),
     Advance("+ torque ripple", "adaptive", _identifying()),
+    Advance("+ plans for the task's own cost", "adaptive", CONTROLLERS["adaptive"]),
     Advance("arm, drive and state known (no controller)", "privileged", None),
 )
 """The chain."""
@@ -86,5 +87,5 @@ def _rollout(advance: Advance, arms: int) -> Recording:
         return rollout(advance.make(), arms, seed=LOOPS.first, randomization="train")
     env = BeltArmVectorEnv(arms, randomization="train", sensors="full")
     env.reset(seed=LOOPS.first)
-    controller = privileged_controller(list(env.params))
+    controller = PrivilegedController(list(env.params))
     return rollout(controller, arms, seed=LOOPS.first, randomization="train", sensors="full")

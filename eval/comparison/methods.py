@@ -13,7 +13,7 @@ from typing import Any, Literal
 from agents.policy.bundle import load_controller, read_spec
 from baselines import CONTROLLERS
 from baselines.gains import read_file
-from baselines.yardsticks.privileged import privileged_controller
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
@@ -50,7 +50,7 @@ class Method:
         """
         source = self.sources[seed]
         if self.kind == "privileged":
-            return privileged_controller(arms)
+            return PrivilegedController(arms)
         if self.kind == "learned":
             return load_controller(Path(source))[0]
         return custom.make(source) if self.kind == "added" else CONTROLLERS[source]()

@@ -13,7 +13,7 @@ import numpy as np
 
 from baselines import CONTROLLERS
 from baselines.yardsticks.oracle import METRICS, read_file
-from baselines.yardsticks.privileged import privileged_controller
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import params_columns, params_table
 from beltarm_env.arrays import Floats
@@ -35,7 +35,7 @@ def makers(names: Sequence[str]) -> dict[str, Maker]:
     Raises:
         ValueError: If the file of gains is damaged.
     """
-    return {**{name: blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: privileged_controller}
+    return {**{name: blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: PrivilegedController}
 
 
 def blind(controller: Controller) -> Maker:

@@ -14,7 +14,7 @@ from baselines import PaperController, tuned_controller
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.motor_learning import MotorLearningController
-from baselines.yardsticks.privileged import privileged_controller
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, rollout
@@ -93,7 +93,7 @@ def _privileged(arms: int, seed: int, randomization: str) -> Controller:
     """The plan of `adaptive`, with its gains, for arms whose constants and state are known."""
     env = BeltArmVectorEnv(arms, randomization=randomization)  # pyright: ignore[reportArgumentType]
     env.reset(seed=seed)
-    return privileged_controller(env.params, gains="adaptive")
+    return PrivilegedController(env.params)
 
 
 def run_study(arms: int, repetitions: int, seed: int) -> list[RepetitionResult]:

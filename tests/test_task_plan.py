@@ -1,0 +1,126 @@
+"""Plans for the task's own cost, and their work while the arm moves."""
+
+import numpy as np
+
+from baselines.optimal.plan import Weights, planned_torque, replanned
+from baselines.optimal.replanning import STEPS, PlanCache, Situation
+from baselines.optimal.task_plan import anchored, improved
+from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env.arm import params_table, plant_of
+from beltarm_env.physics.kinematics import tip_errors
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+from beltarm_env.task.reference import TRAPEZOID, sample_references
+
+MOVES = np.array([[0.2, 1.0, 0.7, 0.2], [1.3, 0.3, 0.8, 0.25], [0.05, 0.7, 0.6, 0.16]])
+ARM = ArmParams(coulomb_friction=0.0)
+TABLE = np.repeat(params_table([ARM]), len(MOVES), axis=0)
+WEIGHTS = Weights(0.5, 10.0, 0.0)
+ALL = np.ones(len(MOVES), np.bool_)
+
+
+def planned(steps: int):
+    """Plans from rest, `anchored`, after some steps of improvement."""
+    rest = np.column_stack([ARM.gear_ratio * MOVES[:, 0], np.zeros((len(MOVES), 3))])
+    start, plans = np.zeros(len(MOVES)), replanned(None, ALL, MOVES, TABLE, WEIGHTS)
+    plans = anchored(plans, ALL, start, rest, MOVES, TABLE)
+    for _ in range(steps):
+        plans, _ = improved(plans, ALL, start, MOVES, TABLE)
+    return plans
+
+
+def simulated_costs(plans) -> np.ndarray:
+    """Costs, as the task has them, of the plans' laws on the nonlinear arm, by the environment's integrator."""
+    simulation, states = ArmSimulation([ARM] * len(MOVES)), np.zeros((len(MOVES), 4))
+    states[:, 0] = ARM.gear_ratio * MOVES[:, 0]
+    tasks = np.empty((len(MOVES), EPISODE_STEPS + 1, 3))
+    sample_references(TRAPEZOID, MOVES, 0.0015, tasks)
+    costs, last = np.zeros(len(MOVES)), np.zeros(len(MOVES))
+    for k in range(1000):
+        torque = planned_torque(plans, np.full(len(MOVES), float(k)), states, last)
+        torque = np.clip(torque, -ARM.torque_limit, ARM.torque_limit)
+        states = simulation.advance(states, torque)
+        for i in range(len(MOVES)):
+            (error,) = tip_errors(states[i : i + 1], tasks[i, k + 1 : k + 2, :2], plant_of(TABLE[i]))
+            costs[i] += np.hypot(error[0], error[1]) / POSITION_SCALE + np.hypot(error[2], error[3]) / VELOCITY_SCALE
+        costs += TORQUE_RATE_WEIGHT * np.abs(torque - last) / ARM.torque_limit
+        last = torque
+    return costs
+
+
+def test_improvement_lowers_the_tasks_cost_on_the_nonlinear_arm():
+    before, after = simulated_costs(planned(0)), simulated_costs(planned(6))
+    assert (after < 0.97 * before).all(), (before, after)
+
+
+def test_improved_plans_keep_within_the_torque_limit():
+    for plan in planned(30):
+        assert np.abs(plan[:-1, 9]).max() <= ARM.torque_limit
+
+
+def test_anchoring_changes_nothing_about_the_law():
+    rng = np.random.default_rng(3)
+    before = replanned(None, ALL, MOVES, TABLE, WEIGHTS)
+    time = np.array([40.3, 200.0, 610.8])
+    there = np.array([plan[int(t), :4] for plan, t in zip(before, time, strict=True)])
+    there += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], there.shape)
+    after = anchored(before, ALL, time, there, MOVES, TABLE)
+    for later in (1, 2, 100):
+        whole = np.floor(time) + later
+        x = np.array([plan[int(t), :4] for plan, t in zip(before, whole, strict=True)])
+        x += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], x.shape)
+        torques = [planned_torque(plans, whole, x, np.zeros(3)) for plans in (before, after)]
+        np.testing.assert_allclose(*torques, rtol=1e-9)
+    for arm, plan in enumerate(after):
+        k, share = int(time[arm]), time[arm] % 1
+        now = plan[k, :4] + share * (plan[k + 1, :4] - plan[k, :4])
+        assert (np.abs(now - there[arm]) < [0.02, 0.3, 1e-4, 5e-3]).all()
+
+
+def test_plans_are_improved_alone_as_beside_others():
+    together, _ = improved(planned(0), ALL, np.full(3, 5.0), MOVES, TABLE)
+    for i in range(3):
+        one = slice(i, i + 1)
+        alone, _ = improved(planned(0)[one], ALL[one], np.full(1, 5.0), MOVES[one], TABLE[one])
+        assert alone[0].tobytes() == together[i].tobytes()
+
+
+def test_what_is_past_or_not_asked_for_stays():
+    before = planned(0)
+    after, gained = improved(before, np.array([True, False, True]), np.array([100.0, 0.0, 1199.0]), MOVES, TABLE)
+    assert gained.tolist() == [True, False, False]
+    assert (after[0][:101, 9] == before[0][:101, 9]).all() and (after[0][:102, :4] == before[0][:102, :4]).all()
+    assert not (after[0][101:, 9] == before[0][101:, 9]).all()
+    assert all((after[i] == before[i]).all() for i in (1, 2))
+
+
+class TestReplanning:
+    @staticmethod
+    def situation(step: int, logs: np.ndarray) -> Situation:
+        steps = np.full(3, step)
+        rest = np.column_stack([ARM.gear_ratio * MOVES[:, 0], np.zeros((3, 3))])
+        return Situation(MOVES, steps, steps + 1.4, rest, logs, TABLE)
+
+    def test_first_plan_is_ready_when_the_move_begins(self):
+        cache = PlanCache.empty(np.zeros((3, 1))).begun(ALL, self.situation(0, np.zeros((3, 1))), WEIGHTS)
+        assert cache.steps_left.tolist() == [0, 0, 0]
+        again = cache.worked_on(self.situation(20, np.full((3, 1), 0.01)), WEIGHTS)
+        assert again.plans is cache.plans  # nothing has changed by more than 2 %
+
+    def test_a_sample_has_one_piece_of_work_and_changes_nothing_that_acts_now(self):
+        before = PlanCache.empty(np.zeros((3, 1))).begun(ALL, self.situation(0, np.zeros((3, 1))), WEIGHTS)
+        changed = np.array([[0.03], [0.0], [0.03]])
+        now = self.situation(20, changed)
+        cache = before.worked_on(now, WEIGHTS)
+        assert cache.steps_left.tolist() == [STEPS, 0, STEPS]
+        assert cache.plans[1] is before.plans[1]
+        for left in range(STEPS - 1, -1, -1):
+            following = cache.worked_on(self.situation(21, changed), WEIGHTS)
+            assert following.steps_left.tolist() == [left, 0, left]
+            assert all((a[:23, 9] == b[:23, 9]).all() for a, b in zip(cache.plans, following.plans, strict=True))
+            cache = following
+        assert cache.worked_on(self.situation(22, changed), WEIGHTS).plans is cache.plans
+
+    def test_plans_are_not_made_anew_between_times(self):
+        before = PlanCache.empty(np.zeros((3, 1))).begun(ALL, self.situation(0, np.zeros((3, 1))), WEIGHTS)
+        assert before.worked_on(self.situation(19, np.full((3, 1), 0.5)), WEIGHTS).plans is before.plans
