@@ -60,3 +60,9 @@ CONTROLLERS: dict[str, Callable[..., Any]] = {
 
 Call without arguments, or with `params` for arms with another gear ratio or torque limit than the nominal one's.
 """
+
+DOMINATED = {"retuned": "flat", "zv": "flat", "ei": "flat", "disturbance": "flat"}
+"""Controllers that another one, no more complex, beats on every split, by cost, tip error and residual; and which.
+
+They stay available by name; comparisons leave them out unless they are named.
+"""

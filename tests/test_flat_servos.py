@@ -9,9 +9,9 @@ import pytest
 
 from baselines.loops.laws import law_of
 from baselines.models.actuator import dead_time
+from baselines.models.flatness import smoothed
 from baselines.models.linear import ANGLES
 from baselines.models.rigid_arm import RigidArm
-from baselines.optimal.flatness import smoothed
 from baselines.servo.adrc import AdrcController, AdrcGains, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from baselines.servo.shaping import ShapingController

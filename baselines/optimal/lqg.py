@@ -3,7 +3,7 @@
     tau_m = tau_flat(t + h/2) + v - d + tau_f,    v = -K(theta_1,ref) [x - x_flat(t); v_last]
 
 at the time t at which the command acts. State and torque of the smoothed move come from the flat output, see
-`baselines.optimal.flatness`; the torque is the one in the middle of the sample over which it is held. Estimates x, of
+`baselines.models.flatness`; the torque is the one in the middle of the sample over which it is held. Estimates x, of
 the state at t, and d are those of `baselines.estimation.observer`, a Kalman filter on the encoder that models stiction.
 The gain is the steady-state optimum (LQR) of the linear arm at each of 46 joint angles, interpolated at the angle of
 the reference. It minimises
@@ -28,8 +28,8 @@ from scipy.linalg import solve, solve_discrete_are
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.models.actuator import dead_time
+from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothed
 from baselines.models.linear import ANGLES, at_angle, linear_arm
-from baselines.optimal.flatness import Corners, SpreadGains, flat_motion, smoothed
 from baselines.optimal.plan import Weights
 from baselines.optimal.preview import PreviewGains
 from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights

@@ -35,9 +35,9 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
+from baselines.models.flatness import Corners, SpreadGains, smoothed
 from baselines.models.friction import FrictionGains, commanded_direction, friction_level
 from baselines.models.rigid_arm import RigidArm, motor_errors
-from baselines.optimal.flatness import Corners, SpreadGains, smoothed
 from baselines.reading import Reading, chosen, last_share
 from baselines.servo.flat import joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams

@@ -4,10 +4,10 @@
     push = M (K_p (e + K_i integral of e dt) + K_v e'),    e = G theta_1,flat(t) - theta_a
 
 The corners of the task's trapezoid are spread, and state and torque of motor *and* belt along it follow in closed form
-(`baselines.optimal.flatness`; Fliess, Lévine, Martin and Rouchon 1995). So the motor is not asked to follow the link's
+(`baselines.models.flatness`; Fliess, Lévine, Martin and Rouchon 1995). So the motor is not asked to follow the link's
 reference, as under a rigid arm's torque, but to be ahead of it by the torsion that moves the link; then the belt is at
-rest where the link is, as far as the arm is the design model. De Luca and Lucibello (1998) feed forward robots with
-elastic joints in this way, around a PD on the motors that needs no state of the link.
+rest where the link is, as far as the arm is the design model. That a PD on the motors of robots with elastic joints
+needs no state of the links is Tomei's (1991); fed forward with their flat motion and torque it is De Luca's (2000).
 
 The servo is `baselines.servo.pid`: stiff where the motor's own encoder sees, blind to the belt. No observer, nothing to
 be misled by an arm that is not the design model; but what rings then, rings on. The torque is the one in the middle of
@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.gains import tunable
+from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothed
 from baselines.models.rigid_arm import Motion
-from baselines.optimal.flatness import Corners, SpreadGains, flat_motion, smoothed
 from baselines.servo.pid import PidGains, PidServo
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Floats
