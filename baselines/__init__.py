@@ -9,14 +9,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from baselines.registry import CONTROLLERS, TUNABLE, tuned_controller
+    from baselines.registry import CONTROLLERS, DOMINATED, TUNABLE, tuned_controller
     from baselines.servo.paper import PaperController, PaperGains, rigid_controller
 
 
-__all__ = ["CONTROLLERS", "TUNABLE", "PaperController", "PaperGains", "rigid_controller", "tuned_controller"]
+__all__ = [
+    "CONTROLLERS",
+    "DOMINATED",
+    "TUNABLE",
+    "PaperController",
+    "PaperGains",
+    "rigid_controller",
+    "tuned_controller",
+]
 
 _HOME = {
-    **dict.fromkeys(("CONTROLLERS", "TUNABLE", "tuned_controller"), "baselines.registry"),
+    **dict.fromkeys(("CONTROLLERS", "DOMINATED", "TUNABLE", "tuned_controller"), "baselines.registry"),
     **dict.fromkeys(("PaperController", "PaperGains", "rigid_controller"), "baselines.servo.paper"),
 }
 

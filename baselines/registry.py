@@ -11,7 +11,10 @@ from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.optimal.lqg import LqgController, LqgGains
 from baselines.optimal.mpc import MpcController, MpcGains
 from baselines.optimal.preview import PreviewController, PreviewGains
+from baselines.optimal.robust import RobustController, RobustGains
+from baselines.servo.adrc import AdrcController, AdrcGains
 from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
+from baselines.servo.flat import FlatController, FlatGains
 from baselines.servo.paper import PaperController, rigid_controller
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.servo.shaping import GAINS as SHAPING_GAINS
@@ -23,8 +26,11 @@ TUNABLE = {
     "retuned": Tunable(RetunedController, RetunedGains),
     **{kind: Tunable(partial(ShapingController, kind=kind), gains) for kind, gains in SHAPING_GAINS.items()},
     "smooth": Tunable(SmoothController, SmoothGains),
+    "flat": Tunable(FlatController, FlatGains),
     "disturbance": Tunable(DisturbanceController, DisturbanceGains),
+    "adrc": Tunable(AdrcController, AdrcGains),
     "lqg": Tunable(LqgController, LqgGains),
+    "robust": Tunable(RobustController, RobustGains),
     "preview": Tunable(PreviewController, PreviewGains),
     "mpc": Tunable(MpcController, MpcGains),
     "adaptive": Tunable(AdaptiveController, AdaptiveGains),
@@ -53,4 +59,10 @@ CONTROLLERS: dict[str, Callable[..., Any]] = {
 """Controllers by the name used on command lines, in results and in policy bundles.
 
 Call without arguments, or with `params` for arms with another gear ratio or torque limit than the nominal one's.
+"""
+
+DOMINATED = {"retuned": "flat", "zv": "flat", "ei": "flat", "disturbance": "flat"}
+"""Controllers that another one, no more complex, beats on every split, by cost, tip error and residual; and which.
+
+They stay available by name; comparisons leave them out unless they are named.
 """

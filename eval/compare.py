@@ -1,6 +1,6 @@
 """Compare controllers on the same scenarios: `python eval/compare.py`.
 
-Runs all classical controllers, the shipped policies and a yardstick that knows its arm on every split, prints a table,
+Runs the classical controllers, the shipped policies and a yardstick that knows its arm on every split, prints a table,
 and writes report.html, results.json, episodes.csv, summary.md and pictures. What is done is kept in the folder, and not
 done again.
 """
@@ -38,7 +38,8 @@ class Config:
     """Compare controllers on the belt-driven arm."""
 
     methods: tuple[str, ...] = ()
-    """Methods to run, by name. Default: all classical controllers, all policies, the yardstick and what --add names."""
+    """Methods to run, by name. Default: all classical controllers but those that a simpler one beats everywhere
+    (docs/baselines.md), all policies, the yardstick and what --add names."""
     splits: tuple[str, ...] = ()
     """Splits to run them on. Default: all."""
     policy: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()

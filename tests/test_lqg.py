@@ -18,8 +18,8 @@ from baselines.estimation.observer import kalman_gains
 from baselines.gains import tuned
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.actuator import dead_time
+from baselines.models.flatness import Corners, FlatMotion, flat_motion, smoothed
 from baselines.models.linear import ANGLES, linear_arm
-from baselines.optimal.flatness import Corners, FlatMotion, flat_motion, smoothed
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.optimal.plan import Weights
 from baselines.optimal.tip_error import bounded_sine, softened_sine, tip_error_rows

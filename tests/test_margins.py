@@ -14,10 +14,11 @@ from delays import late_arm
 
 from baselines import CONTROLLERS, TUNABLE, PaperController
 from baselines.gains import Gains, Tunable, tunable
-from baselines.loops.condition import CORNERS, LOOP_FIELDS, MarginCondition, believing, corner, least_margins
+from baselines.loops.condition import MarginCondition, believing, least_margins
 from baselines.loops.laws import law_of
 from baselines.loops.margins import Margins, margins
 from baselines.loops.models import Loop, System, arms_at_angles, is_stable, law_system, loop_at, sampled_arm, stacked
+from baselines.models.corners import CORNERS, LOOP_FIELDS, corner
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.pid import PidGains

@@ -19,12 +19,13 @@ from safetensors.numpy import save_file
 from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec, save_bundle
 from agents.residual.controller import ResidualSettings
-from baselines import CONTROLLERS
+from baselines import CONTROLLERS, DOMINATED
 from eval import compare
 from eval.comparison import custom, pairs
 from eval.comparison.methods import classical_methods, learned_methods, shipped_policies
 from eval.comparison.pairs import LEFT, Pair, read_kept, run_and_keep
 from eval.comparison.results import Comparison
+from eval.comparison.run import choose_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
@@ -217,13 +218,21 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
 # Which methods
 
 
-def test_all_methods_run_on_a_split_by_default(tmp_path: Path):
+def test_all_methods_run_on_a_split_by_default_but_those_that_are_dominated(tmp_path: Path):
     arguments = ("--splits", "structural", "--episodes", "4", "--jobs", "1", "--out", "out")
     code, errors = stopped(compare.main, arguments, tmp_path)
     assert code == 0, errors
     rows = read_results(tmp_path / "out" / "results.json")["rows"]
     shipped = {path.parent.name for path in shipped_policies()}
-    assert {row["method"] for row in rows} == {*CONTROLLERS, *shipped, "privileged"}
+    assert {row["method"] for row in rows} == {*CONTROLLERS, *shipped, "privileged"} - {*DOMINATED}
+
+
+def test_dominated_methods_run_where_they_are_named():
+    for name, better in DOMINATED.items():
+        assert name in CONTROLLERS and better in {*CONTROLLERS} - {*DOMINATED}
+        assert [method.name for method in choose_methods((name, "paper"))] == ["paper", name]
+    default = [method.name for method in choose_methods(())]
+    assert default[:2] == ["paper", "rigid"] and not {*DOMINATED} & {*default}
 
 
 def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:

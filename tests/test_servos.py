@@ -17,7 +17,9 @@ from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import Motion, RigidArm
 from baselines.reading import read
+from baselines.servo.adrc import AdrcController, AdrcGains
 from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
+from baselines.servo.flat import FlatController, FlatGains
 from baselines.servo.paper import PaperController
 from baselines.servo.pid import PidGains
 from baselines.servo.retuned import RetunedController, RetunedGains
@@ -34,9 +36,11 @@ SERVOS: dict[str, Callable[..., Any]] = {
     "zv": partial(ShapingController, kind="zv"),
     "zvd": partial(ShapingController, kind="zvd"),
     "ei": partial(ShapingController, kind="ei"),
+    "flat": FlatController,
     "disturbance": DisturbanceController,
+    "adrc": AdrcController,
 }
-ALL_GAINS = (RetunedGains, SmoothGains, ShapingGains, ExtraInsensitiveGains, DisturbanceGains)
+ALL_GAINS = (RetunedGains, SmoothGains, ShapingGains, ExtraInsensitiveGains, FlatGains, DisturbanceGains, AdrcGains)
 MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
 
 

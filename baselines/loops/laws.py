@@ -31,6 +31,7 @@ from baselines.optimal.horizon import plan as plan_horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.mpc import MpcController
 from baselines.optimal.preview import PreviewController
+from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.paper import PaperController, TorsionSimulation
 from baselines.servo.pid import PidServo
@@ -115,6 +116,24 @@ def disturbance_law(controller: DisturbanceController, k: int) -> Law:
     return Law(4, step)
 
 
+def adrc_law(controller: AdrcController, k: int) -> Law:
+    """Both bandwidths; memory: the observer's state, and the pushes before the last one."""
+    params, gains = controller.params, controller.gains
+    inertia = float(RigidArm(params).inertia(ANGLES[k]))
+    whole, rest = divmod(dead_time(params) / CONTROL_PERIOD, 1.0)
+    late = int(whole)
+
+    def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
+        pushes = np.array([last, *memory[3:]])
+        acting = pushes[late] + rest * (pushes[late + 1] - pushes[late])
+        state = observe(
+            ExtendedState(*memory[:3, None]), np.array([acting / inertia]), np.array([angle]), gains.observer
+        )
+        return float(inertia * feedback(state, gains.bandwidth)[0]), np.append(np.ravel(state), pushes[:-1])
+
+    return Law(4 + late, step)
+
+
 def _ahead_feedback(params: ArmParams, k: int, gain: Floats, noise: Noise) -> Law:
     """-K (x when the command acts, net torque of the last sample) - d, with the motor sliding.
 
@@ -141,8 +160,13 @@ def _ahead_feedback(params: ArmParams, k: int, gain: Floats, noise: Noise) -> La
     return Law(size + 2, step)
 
 
-def preview_law(controller: PreviewController | LqgController, k: int) -> Law:
-    """State feedback of `lqg`, which is the gain of the plan of `preview` at rest, long before the episode's end."""
+def lqg_law(controller: LqgController, k: int) -> Law:
+    """State feedback, optimal or robust."""
+    return _ahead_feedback(controller.params, k, controller.feedback[k], controller.gains.noise())
+
+
+def preview_law(controller: PreviewController, k: int) -> Law:
+    """Gain of the plan at rest, long before the episode's end: that of LQG with the same weights."""
     params, g = controller.params, controller.gains
     return _ahead_feedback(params, k, feedback_gains(params, g.weights())[k], g.noise())
 
@@ -211,7 +235,8 @@ LAWS: dict[type, Callable[[Any, int], Law]] = {
     RetunedController: retuned_law,
     PidServo: pid_law,
     DisturbanceController: disturbance_law,
-    LqgController: preview_law,
+    AdrcController: adrc_law,
+    LqgController: lqg_law,
     PreviewController: preview_law,
     MpcController: mpc_law,
     AdaptiveController: adaptive_law,

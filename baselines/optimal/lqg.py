@@ -3,7 +3,7 @@
     tau_m = tau_flat(t + h/2) + v - d + tau_f,    v = -K(theta_1,ref) [x - x_flat(t); v_last]
 
 at the time t at which the command acts. State and torque of the smoothed move come from the flat output, see
-`baselines.optimal.flatness`; the torque is the one in the middle of the sample over which it is held. Estimates x, of
+`baselines.models.flatness`; the torque is the one in the middle of the sample over which it is held. Estimates x, of
 the state at t, and d are those of `baselines.estimation.observer`, a Kalman filter on the encoder that models stiction.
 The gain is the steady-state optimum (LQR) of the linear arm at each of 46 joint angles, interpolated at the angle of
 the reference. It minimises
@@ -27,24 +27,15 @@ from scipy.linalg import solve, solve_discrete_are
 
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, StickSlipObserver
-from baselines.gains import Gains, tunable
 from baselines.models.actuator import dead_time
+from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothed
 from baselines.models.linear import ANGLES, at_angle, linear_arm
-from baselines.optimal.flatness import Corners, flat_motion, smoothed
 from baselines.optimal.plan import Weights
 from baselines.optimal.preview import PreviewGains
 from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
 from baselines.reading import Reading, chosen, last_share
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
-
-
-@dataclass(frozen=True)
-class SpreadGains(Gains):
-    """Smoothness of the move: times over which the corners of its trapezoid are spread."""
-
-    first_spread: float = tunable(0.3, 0.02, 2.0, log=True)  # [periods]  of the first corner
-    spread: float = tunable(0.6, 0.02, 4.0, log=True)  # [periods]  of the others
 
 
 @dataclass(frozen=True)
@@ -94,7 +85,8 @@ class LqgController(ClassicalController[LqgMemory]):
         self.gains = gains or LqgGains()
         self._row = self.params.row()
         self._lead = dead_time(self.params)
-        self._feedback = feedback_gains(self.params, self.gains.weights())
+        self.feedback = feedback_gains(self.params, self.gains.weights())
+        """Gains K at each of `ANGLES`, shape (46, 5)."""
         self._observer = StickSlipObserver(self.params, self.gains.noise())
 
     def law(self, reading: Reading, begins: Flags, memory: LqgMemory | None) -> tuple[Floats, LqgMemory]:
@@ -105,7 +97,7 @@ class LqgController(ClassicalController[LqgMemory]):
         wanted = flat_motion(corners, time, self.params).state
         now = flat_motion(corners, time + 0.5 * CONTROL_PERIOD, self.params)
         last = last_share(reading, memory.added if memory else None, begins)
-        gain = at_angle(self._feedback, wanted[:, 0] / self.params.gear_ratio)
+        gain = at_angle(self.feedback, wanted[:, 0] / self.params.gear_ratio)
         feedback = gain[:, :4] * (estimate.ahead - wanted)
         deviation = -(feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3]) - gain[:, 4] * last
         torque = now.torque + deviation

@@ -9,13 +9,15 @@ command acts; the errors are of now. The derivative acts on the measured speed; 
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID ignores the belt: `SmoothController` and `ShapingController` plan motions that do not excite it.
+The PID ignores the belt: those who plan the motion see to it that it is not excited. `PidServo` follows any motion of
+the joint with its torque, `RampServo` one whose speed is a sum of ramps, with the torque of a rigid arm.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.friction import FrictionGains, commanded_direction, friction_level
 from baselines.models.ramps import Ramps, motion_at
-from baselines.models.rigid_arm import RigidArm, motor_errors
+from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
 from baselines.reading import Reading, chosen
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
@@ -39,15 +41,75 @@ class PidGains(FrictionGains):
     integral: float = tunable(2.0, 0.01, 100.0, log=True)  # K_i  [1/s]
 
 
+Planned = TypeVar("Planned", bound=tuple[Any, ...])
+"""A plan: a named tuple of arrays, the arms first."""
+
+
 @dataclass(frozen=True, slots=True)
-class PidMemory:
+class PidMemory(Generic[Planned]):
     """Memory from sample to sample."""
 
     integral: Floats  # of the motor's angle error [rad s], shape (n,)
-    ramps: Ramps  # as planned
+    planned: Planned
 
 
-class PidServo(ClassicalController[PidMemory]):
+class PidServo(ClassicalController[PidMemory[Planned]]):
+    """PID along a planned motion; a subclass writes `plan` and `motion`.
+
+    Args:
+        gains: Of the servo.
+        params: The design model.
+    """
+
+    def __init__(self, gains: PidGains, params: ArmParams | None) -> None:
+        super().__init__(params)
+        self._gains = gains
+        self._arm = RigidArm(self.params)
+        self._row = self.params.row()
+        self._lead = dead_time(self.params)
+
+    @abstractmethod
+    def plan(self, moves: Floats) -> Planned:
+        """Plan for moves of shape (n, 4): start, goal [rad], duration, ramp time [s]."""
+
+    @abstractmethod
+    def motion(self, planned: Planned, start: Floats, time: Floats) -> tuple[Motion, Floats]:
+        """Motion of the joint, and its motor torque [N m] but for dry friction, of n arms.
+
+        Args:
+            planned: Their plan.
+            start: Joint angles before the move [rad], shape (n,).
+            time: Since the move's start [s], shape (n,).
+        """
+
+    def law(
+        self, reading: Reading, begins: Flags, memory: PidMemory[Planned] | None
+    ) -> tuple[Floats, PidMemory[Planned]]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        integral, planned = self._recall(memory, begins, reading)
+        time, start = CONTROL_PERIOD * reading.step.astype(np.float64), reading.move[:, 0]
+        wanted, _ = self.motion(planned, start, time)
+        led, torque = self.motion(planned, start, time + self._lead)
+        error, speed_error = motor_errors(reading, wanted, self.params)
+        p, gains, inertia = self.params, self._gains, self._arm.inertia(wanted.angle)
+        push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
+        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        torque = torque + level * commanded_direction(led, push, gains.rest_width) + push
+        winding = (np.abs(torque) > p.torque_limit) & (torque * error > 0)
+        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), planned)
+
+    def _recall(self, memory: PidMemory[Planned] | None, begins: Flags, now: Reading) -> tuple[Floats, Planned]:
+        """Integral and plan at this sample: zero and a new one where an episode begins."""
+        if memory is None:
+            return np.zeros(len(begins)), self.plan(now.move)
+        if not begins.any():
+            return memory.integral, memory.planned
+        pairs = zip(self.plan(now.move), memory.planned, strict=True)
+        planned = type(memory.planned)(*(chosen(begins, *pair) for pair in pairs))
+        return np.where(begins, 0.0, memory.integral), planned
+
+
+class RampServo(PidServo[Ramps]):
     """PID along planned ramps; a subclass writes `plan`.
 
     Args:
@@ -57,36 +119,11 @@ class PidServo(ClassicalController[PidMemory]):
     """
 
     def __init__(self, gains: PidGains, params: ArmParams | None, smooth: bool) -> None:
-        super().__init__(params)
-        self._gains, self._smooth = gains, smooth
-        self._arm = RigidArm(self.params)
-        self._row = self.params.row()
-        self._lead = dead_time(self.params)
+        super().__init__(gains, params)
+        self._smooth = smooth
 
-    @abstractmethod
-    def plan(self, moves: Floats) -> Ramps:
-        """Ramps for moves of shape (n, 4): start, goal [rad], duration, ramp time [s]."""
-
-    def law(self, reading: Reading, begins: Flags, memory: PidMemory | None) -> tuple[Floats, PidMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        integral, ramps = self._recall(memory, begins, reading)
-        time = CONTROL_PERIOD * reading.step.astype(np.float64)
-        wanted, led = (motion_at(ramps, reading.move[:, 0], time + lead, self._smooth) for lead in (0.0, self._lead))
-        error, speed_error = motor_errors(reading, wanted, self.params)
-        p, gains, inertia = self.params, self._gains, self._arm.inertia(wanted.angle)
-        push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
-        viscous = p.motor_viscous_friction * p.gear_ratio * led.speed
-        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
-        friction = level * commanded_direction(led, push, gains.rest_width)
-        torque = self._arm.torque(led) + viscous + friction + push
-        winding = (np.abs(torque) > p.torque_limit) & (torque * error > 0)
-        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), ramps)
-
-    def _recall(self, memory: PidMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Ramps]:
-        """Integral and plan at this sample: zero and a new one where an episode begins."""
-        if memory is None:
-            return np.zeros(len(begins)), self.plan(now.move)
-        if not begins.any():
-            return memory.integral, memory.ramps
-        ramps = Ramps(*(chosen(begins, *pair) for pair in zip(self.plan(now.move), memory.ramps, strict=True)))
-        return np.where(begins, 0.0, memory.integral), ramps
+    def motion(self, planned: Ramps, start: Floats, time: Floats) -> tuple[Motion, Floats]:
+        """Motion along the ramps, and the torque of a rigid arm, see `PidServo`."""
+        wanted = motion_at(planned, start, time, self._smooth)
+        viscous = self.params.motor_viscous_friction * self.params.gear_ratio * wanted.speed
+        return wanted, self._arm.torque(wanted) + viscous

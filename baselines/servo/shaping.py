@@ -36,7 +36,7 @@ import numpy as np
 from baselines.gains import tunable
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps
-from baselines.servo.pid import PidGains, PidServo
+from baselines.servo.pid import PidGains, RampServo
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Floats
 
@@ -76,7 +76,7 @@ def shaper(kind: Kind, mode: Mode, vibration: float = 0.0) -> tuple[Floats, Floa
     return weights / weights.sum(axis=1, keepdims=True), 0.5 * mode.period[:, None] * number
 
 
-class ShapingController(PidServo):
+class ShapingController(RampServo):
     """PID along a shaped trapezoid.
 
     Args:

@@ -24,7 +24,7 @@ import numpy as np
 from baselines.gains import tunable
 from baselines.models.modes import held_mode
 from baselines.models.ramps import Ramps
-from baselines.servo.pid import PidGains, PidServo
+from baselines.servo.pid import PidGains, RampServo
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Floats
 
@@ -36,7 +36,7 @@ class SmoothGains(PidGains):
     ramp: float = tunable(1.43, 0.1, 5.0)  # [periods of the mode]  least time of a ramp
 
 
-class SmoothController(PidServo):
+class SmoothController(RampServo):
     """PID along an S-curve.
 
     Args:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from baselines import DOMINATED
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from beltarm_env import ArmParams
@@ -36,7 +37,7 @@ def choose_methods(
     """Choose methods by name, and check the user's own.
 
     Args:
-        names: Names of the methods; none for all.
+        names: Names of the methods; none for all but those that are dominated, see `baselines.registry.DOMINATED`.
         policies: Folders of policies, in place of the shipped ones.
         added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class.
         results: Folder of the comparison, see `eval.comparison.custom.identity`.
@@ -50,7 +51,7 @@ def choose_methods(
     for name in all_names:
         if all_names.count(name) > 1:
             raise ValueError(f"two methods are called {name!r}: give yours another name")
-    wanted = chosen("method", names, all_names)
+    wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
     if names and set(wanted) == {PRIVILEGED}:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
     methods = [method for method in known if method.name in wanted]

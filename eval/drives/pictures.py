@@ -21,12 +21,12 @@ from eval.style.figures import save_figures
 _FAMILIES: tuple[tuple[str, tuple[str, ...]], ...] = (
     (PINK, ("paper", "rigid", "retuned")),
     (SKY, ("zv", "zvd", "ei")),
-    (GREEN, ("smooth", "disturbance")),
-    (BLUE, ("lqg", "preview", "mpc")),
+    (GREEN, ("smooth", "disturbance", "flat", "adrc")),
+    (BLUE, ("lqg", "robust", "preview", "mpc")),
     (VERMILION, ("adaptive",)),
     (ORANGE, ("ppo", "student")),
 )
-_LINES = (("-", "o"), ("--", "s"), (":", "^"))  # within a family
+_LINES = (("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"))  # within a family
 _COLUMNS = 3
 _BEYOND = "#F0F0F0"
 _METRICS = {"cost": "cost", "tip_rms": "tip_rms_mm", "residual": "residual_pp_mm"}
@@ -42,7 +42,7 @@ def save_pictures(study: DriveStudy, folder: Path) -> list[Path]:
 def styles(names: list[str]) -> dict[str, tuple[str, str, str]]:
     """Colour, line and marker of each controller: those of one family have one colour."""
     found = {name: (colour, *line) for colour, family in _FAMILIES for name, line in zip(family, _LINES, strict=False)}
-    others = zip(("0.2", "0.45", "0.65"), _LINES, strict=True)
+    others = zip(("0.2", "0.4", "0.55", "0.7"), _LINES, strict=True)
     return {name: found.get(name) or next(((grey, *line) for grey, line in others), ("0.8", "-", "")) for name in names}
 
 

@@ -29,10 +29,12 @@ after which speed and angle are the task's again. The last two corners stay wher
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from baselines.gains import Gains, tunable
 from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table, plant_of
@@ -41,6 +43,14 @@ from beltarm_env.jit import compiled, inlined
 
 _LONGEST_FIRST, _LONGEST = 0.5, 1.0  # spreads over the ramp time: so that the corners keep their order
 _SHORTEST_LAG = 1e-12  # [s]  instead of none
+
+
+@dataclass(frozen=True)
+class SpreadGains(Gains):
+    """Smoothness of the move: times over which the corners of its trapezoid are spread."""
+
+    first_spread: float = tunable(0.3, 0.02, 2.0, log=True)  # [periods]  of the first corner
+    spread: float = tunable(0.6, 0.02, 4.0, log=True)  # [periods]  of the others
 
 
 class Corners(NamedTuple):
@@ -58,6 +68,7 @@ class FlatMotion(NamedTuple):
     link: Floats  # phi and its first four derivatives [rad/s^k], shape (n, 5)
     state: Floats  # x = [theta_a, omega_a, theta_s, omega_s], shape (n, 4)
     torque: Floats  # tau_m without Coulomb friction [N m], shape (n,)
+    acceleration: Floats  # of the motor [rad/s^2], shape (n,)
 
 
 def smoothed(moves: Floats, params: ArmParams, first: float, others: float) -> Corners:
@@ -108,6 +119,7 @@ def _flat_motions(
     link: Floats,
     state: Floats,
     torque: Floats,
+    acceleration: Floats,
 ) -> None:
     plant = plant_of(row)
     gear, stiffness = plant.gear, plant.stiffness
@@ -137,13 +149,13 @@ def _flat_motions(
         state[i, 3] = (rate - lag * curve) / stiffness
         state[i, 2] = belt / stiffness - lag * state[i, 3]
         state[i, 0], state[i, 1] = gear * (p + state[i, 2]), gear * (v + state[i, 3])
-        acceleration = gear * (a + curve / stiffness)
-        torque[i] = acceleration / plant.inverse_motor_inertia + plant.viscous_friction * state[i, 1] + belt / gear
+        acceleration[i] = gear * (a + curve / stiffness)
+        torque[i] = acceleration[i] / plant.inverse_motor_inertia + plant.viscous_friction * state[i, 1] + belt / gear
 
 
 def flat_motion(corners: Corners, time: Floats, params: ArmParams) -> FlatMotion:
     """Motion, state and torque at times [s] since the moves' starts, shape (n,); phi'''' is right-continuous."""
     count = len(time)
-    motion = FlatMotion(np.empty((count, 5)), np.empty((count, 4)), np.empty(count))
+    motion = FlatMotion(np.empty((count, 5)), np.empty((count, 4)), np.empty(count), np.empty(count))
     _flat_motions(*corners, np.ascontiguousarray(time, np.float64), params_table([params])[0], *motion)
     return motion

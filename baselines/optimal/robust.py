@@ -1,0 +1,251 @@
+"""Robust LQ: the gain that costs least over the corners of the training ranges, with an observer that errs on them.
+
+The law is that of `baselines.optimal.lqg`, along the same smoothed move and with the same observer:
+
+    tau_m = tau_flat + v - d + tau_f,    v = -K(theta_1,ref) [x - x_flat; v_last]
+
+There, K is best for the design model whose state is known. Here, at each joint angle, one K is best for the arms that
+may come instead, with the state as the observer of the *design model* has it, which is wrong on all of them but one. It
+minimises the mean over the corners c of `baselines.models.corners` of
+
+    J_c(K) = E |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho v^2 + R (tau - tau_last)^2
+
+in the loop of arm c behind its own drive: with s = [arm and drive; estimate; d; v; tau_last; rounding; unknown torque],
+
+    s+ = A_c(K) s + w,    w ~ (0, W_c),    X = A X A' + W,    Y = A'Y A + Q,    J_c = tr(Q X),    dJ_c/dA = 2 Y A X
+
+where w is the process noise that the filter counts on, the encoder's rounding, the growth of a torque that nobody knows
+and that is forgotten after 0.3 s, and steps of the motor's angle, as of one that friction stops, which the observer
+sees. A is linear in K, and J is descended from the gain of LQG
+(L-BFGS). A loop that is unstable on one arm costs infinitely much, so K holds all of them at once. The late corners
+count a second time with one sample more of latency, which is the delay that tuned loops have to bear.
+
+Levine and Athans 1970 (gains for a state that is not all measured, by two Lyapunov equations); Ackermann 1980 and Ly,
+Bryson and Cannon 1985 (one gain for several arms). H-infinity synthesis would bound what is unknown by discs around the
+response; here it is a handful of constants with known ranges, and the corners say more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.gains import tunable
+from baselines.models.actuator import dead_time
+from baselines.models.corners import CORNERS, LOOP_FIELDS
+from baselines.models.linear import ANGLES, linear_arm
+from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
+from baselines.optimal.plan import Weights
+from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
+from beltarm_env import CONTROL_PERIOD, ArmParams, sampled_state_space
+from beltarm_env.arrays import Floats
+from beltarm_env.task.ranges import design_model
+from beltarm_env.timing import LATENCY_SAMPLES
+
+_PLACES = list(range(0, len(ANGLES), 5))  # of `ANGLES`, at which gains are found; between them they are interpolated
+_FORGOTTEN = 0.3  # [s]  time constant of the unknown torque
+_DOUBLINGS = 40  # of the time that a Lyapunov sum covers: 2^40 samples, unless it has converged before
+_CONVERGED, _DIVERGED = 1e-9, 1e30
+_TRIES, _BEYOND = 10, 1e-3  # to stabilise all loops; distance of the largest pole to 1 after A was shrunk
+_STEPS = 60
+
+
+@dataclass(frozen=True)
+class RobustGains(LqgGains):
+    """Gains as of LQG, and how far off its place the motor comes to stand."""
+
+    first_spread: float = tunable(0.2, 0.02, 2.0, log=True)  # [periods]  of the first corner
+    spread: float = tunable(0.7, 0.02, 4.0, log=True)  # [periods]  of the others
+    torque_weight: float = tunable(100.0, 1e-2, 1e4, log=True)  # rho     [1/(N m)^2]
+    change_weight: float = tunable(200.0, 1e-2, 1e5, log=True)  # R     [1/(N m)^2]
+    torque_noise: float = tunable(0.01, 1e-4, 0.1, log=True)  # [N m]      process noise at the motor
+    acceleration_noise: float = tunable(2.0, 0.01, 300.0, log=True)  # [rad/s^2]  process noise of the torsion
+    rest_width: float = tunable(0.08, 0.0001, 0.3, log=True)  # [N m]     torque that decides it while the motor rests
+    angle_noise: float = tunable(0.1, 0.001, 10.0, log=True)  # sigma_0  [rad/sqrt(s)]  of the motor's angle
+
+
+class Loops(NamedTuple):
+    """Loops of m arms with one observer, but for K: s+ = A s + b v+, v+ = -K F s, with n states of a loop."""
+
+    transition: Floats  # A, shape (m, n, n)
+    fed_back: Floats  # F: [x when the command acts, as estimated; v], shape (m, 5, n)
+    noise: Floats  # W, shape (m, n, n)
+    cost: Floats  # Q, shape (n, n)
+    push: int  # row of v
+
+
+def arms_around(params: ArmParams) -> list[ArmParams]:
+    """Arms as far from `params` as the corners are from the middle of the training ranges."""
+    middle, latest = design_model(), LATENCY_SAMPLES * CONTROL_PERIOD
+    arms = []
+    for corner in CORNERS.values():
+        moved = {name: getattr(params, name) + getattr(corner, name) - getattr(middle, name) for name in LOOP_FIELDS}
+        moved |= {name: max(0.0, value) for name, value in moved.items() if name != "torque_constant_error"}
+        late = moved["command_latency"] + CONTROL_PERIOD
+        arms.append(replace(params, **moved | {"command_latency": min(moved["command_latency"], latest)}))
+        if corner.command_latency > middle.command_latency:
+            arms.append(replace(arms[-1], command_latency=min(late, latest)))
+    return arms
+
+
+def loops_at(params: ArmParams, k: int, weights: Weights, noise: Noise, stopped: float) -> Loops:
+    """Loops of `arms_around` a design model at `ANGLES[k]` with the observer of the design model."""
+    angle, arms = float(ANGLES[k]), arms_around(params)
+    model, by_command, _ = sampled_state_space(params, angle)
+    sampled = [sampled_state_space(arm, angle)[:2] for arm in arms]
+    first = max(len(a) for a, _ in sampled)  # states of arm and drive; then come those of the estimate
+    size = first + len(model) + 5
+    estimate, (d, v, last, rounding, unknown) = slice(first, size - 5), range(size - 5, size)
+    transition, spectra = np.zeros((len(arms), size, size)), np.zeros((len(arms), size, size))
+    for matrix, spectrum, arm, (a, b) in zip(transition, spectra, arms, sampled, strict=True):
+        own, linear = len(a), linear_arm(arm)
+        matrix[:own, :own], matrix[:own, v], matrix[:own, d] = a, b[:, 0], -b[:, 0]
+        matrix[:4, unknown] = linear.by_torque[k]
+        for effect, deviation in ((linear.by_torque, noise.torque), (linear.by_acceleration, noise.acceleration)):
+            spectrum[:4, :4] += deviation**2 * np.outer(effect[k], effect[k])
+    spectra[:, rounding, rounding] = QUANTUM**2 / 12
+    for row, column in product((0, first), repeat=2):  # the arm is elsewhere, and the estimate follows
+        spectra[:, row, column] += stopped**2 * CONTROL_PERIOD
+    spectra[:, unknown, unknown] = noise.disturbance**2 * CONTROL_PERIOD
+    transition[:, unknown, unknown] = 1 - CONTROL_PERIOD / _FORGOTTEN
+    transition[:, last, v], transition[:, last, d] = 1.0, -1.0
+    # The observer: [estimate; d]+ = its prediction under the torque tau_last + d = v, and L times the innovation.
+    filter_gain = kalman_gains(params, noise)[k]
+    innovation = transition[:, 0].copy()
+    innovation[:, rounding] += 1.0
+    innovation[:, estimate] -= model[0]
+    innovation[:, v] -= by_command[0, 0]
+    transition[:, estimate, estimate], transition[:, estimate, v], transition[:, d, d] = model, by_command[:, 0], 1.0
+    transition[:, first : first + 4] += filter_gain[:4, None] * innovation[:, None]
+    transition[:, d] += filter_gain[4] * innovation
+    return Loops(
+        transition,
+        _fed_back(transition, estimate, d, v, model, by_command[:, 0], dead_time(params) / CONTROL_PERIOD),
+        spectra,
+        _cost(params, angle, weights, size),
+        v,
+    )
+
+
+def _fed_back(
+    transition: Floats, estimate: slice, d: int, v: int, model: Floats, by_command: Floats, delay: float
+) -> Floats:
+    """F: the estimate, predicted over a delay [samples] under the torque that is held, and v."""
+    count, size = transition.shape[:2]
+    held = transition[:, d].copy()  # tau_last + d, with d as corrected
+    held[:, d] -= 1.0
+    held[:, v] += 1.0
+    ahead = transition[:, estimate].copy()
+    whole, rest = divmod(delay, 1.0)
+    for share in (*[1.0] * int(whole), rest):
+        ahead += share * (model @ ahead + by_command[:, None] * held[:, None] - ahead)
+    fed_back = np.zeros((count, 5, size))
+    fed_back[:, :4], fed_back[:, 4, v] = ahead[:, :4], 1.0
+    return fed_back
+
+
+def _cost(params: ArmParams, angle: float, weights: Weights, size: int) -> Floats:
+    """Q: of the tip's errors, of v, and of the torque's change, with tau = v - d."""
+    d, v, last = size - 5, size - 4, size - 3
+    cost, change = np.zeros((size, size)), np.zeros(size)
+    add_tip_cost(cost, angle, 0.0, bounded_sine(angle), params.plant(), error_weights(weights.velocity))
+    change[[v, d, last]] = 1.0, -1.0, -1.0
+    cost += weights.change * np.outer(change, change)
+    cost[v, v] += weights.torque
+    return cost
+
+
+def lyapunov(a: Floats, w: Floats) -> Floats | None:
+    """Solution X of X = A X A' + W, by doubling; None if it does not exist. Leading axes are of several equations."""
+    x, power = w, a
+    for _ in range(_DOUBLINGS):
+        step = power @ x @ power.swapaxes(-1, -2)
+        x = x + step
+        more, all_of_it = (np.diagonal(matrix, axis1=-2, axis2=-1) for matrix in (step, x))
+        if np.all(more <= _CONVERGED * all_of_it):  # of each state by itself: they differ by many orders
+            return x
+        if not more.max() < _DIVERGED:
+            break
+        power = power @ power
+    return None
+
+
+def mean_cost(gain: Floats, loops: Loops, shrunk: float = 1.0) -> tuple[float, Floats]:
+    """Mean of J over the arms and its slope in K, shape (5,); infinite where a loop is unstable.
+
+    Args:
+        gain: K, shape (5,).
+        loops: Of the arms.
+        shrunk: What A is multiplied by: a loop with poles up to 1 / `shrunk` is then stable.
+    """
+    a = shrunk * closed(gain, loops)
+    x = lyapunov(a, loops.noise)
+    y = None if x is None else lyapunov(a.swapaxes(-1, -2), loops.cost)
+    if x is None or y is None:
+        return np.inf, np.zeros(5)
+    of_push = 2 * shrunk * (y[:, loops.push, None] @ a @ x)[:, 0]
+    slope = -(loops.fed_back @ of_push[:, :, None])[:, :, 0].mean(axis=0)
+    return float((loops.cost * x).sum() / len(a)), slope
+
+
+def closed(gain: Floats, loops: Loops) -> Floats:
+    """A of the loops with a gain K of shape (5,), shape (m, n, n)."""
+    a = loops.transition.copy()
+    a[:, loops.push] = -gain @ loops.fed_back
+    return a
+
+
+def least_cost_gain(start: Floats, loops: Loops) -> Floats:
+    """Gain K that costs least over the arms of some loops, shape (5,), by descent from another.
+
+    Where that one leaves loops unstable, their A is shrunk until they are not, J is descended, and A shrunk less.
+
+    Raises:
+        ValueError: If no gain is found that holds all arms.
+    """
+    gain, scale = start, np.abs(start)
+    for _ in range(_TRIES):
+        radius = float(np.abs(np.linalg.eigvals(closed(gain, loops))).max())
+        if radius < 1:
+            return _descended(gain, scale, loops, 1.0)
+        gain = _descended(gain, scale, loops, 1 / (radius + _BEYOND))
+    raise ValueError("no gain found that holds all corners: give the observer less noise of the torsion")
+
+
+def _descended(start: Floats, scale: Floats, loops: Loops, shrunk: float) -> Floats:
+    first, _ = mean_cost(start, loops, shrunk)
+
+    def relative(change: Floats) -> tuple[float, Floats]:
+        cost, slope = mean_cost(start + scale * change, loops, shrunk)
+        return (cost / first, scale * slope / first) if np.isfinite(cost) else (1e3, np.zeros(5))
+
+    found = minimize(relative, np.zeros(5), jac=True, method="L-BFGS-B", options={"maxiter": _STEPS})
+    return start + scale * found.x
+
+
+@lru_cache(maxsize=64)
+def robust_gains(params: ArmParams, weights: Weights, noise: Noise, stopped: float) -> Floats:
+    """Gains K on [x - x_ref; v_last] at each of `ANGLES`, shape (46, 5)."""
+    start = feedback_gains(params, LqgGains().weights())
+    found = [least_cost_gain(start[k], loops_at(params, k, weights, noise, stopped)) for k in _PLACES]
+    return np.column_stack([np.interp(ANGLES, ANGLES[_PLACES], column) for column in np.transpose(found)])
+
+
+class RobustController(LqgController):
+    """Flatness feed-forward and robust LQ on encoder observations.
+
+    Args:
+        gains: Smoothness, weights and noise.
+        params: The design model, about which the corners lie.
+    """
+
+    def __init__(self, gains: RobustGains | None = None, params: ArmParams | None = None) -> None:
+        gains = gains or RobustGains()
+        super().__init__(gains, params)
+        self.feedback = robust_gains(self.params, gains.weights(), gains.noise(), gains.angle_noise)
