@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
+from beltarm_env.metrics import METRICS
+
 Floats = NDArray[np.float64]
 
 RESAMPLES = 2000
@@ -33,6 +35,11 @@ class Estimate:
 def interquartile_mean(values: Floats) -> float:
     """Mean of the middle half of all values, as `scipy.stats.trim_mean` has it, without its cost per call."""
     return float(_middle_mean(np.reshape(values, -1)))
+
+
+def average(name: str, values: Floats) -> float:
+    """Interquartile mean of a metric's values; of shares the plain mean."""
+    return float(values.mean()) if METRICS[name].share else interquartile_mean(values)
 
 
 def _middle_mean(values: Floats) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 
 from PIL import Image
 
-from beltarm_env.metrics import TORQUES
+from beltarm_env.metrics import TORQUE_QUALITY
 from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
 from eval.views.frame import frame_of_rows, part
@@ -16,7 +16,7 @@ from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
 
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
-_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", *TORQUES[1:])
+_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", *TORQUE_QUALITY)
 _DETAILED = "randomized"
 
 
