@@ -123,7 +123,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights = Weights(self.gains.velocity_weight, self.gains.torque_weight, 0.0)
-        self._identifier = ArmIdentifier(self.params, uncertainty or self.gains.uncertainty())
+        felt = self.sensors == "accelerometer"
+        self._identifier = ArmIdentifier(self.params, uncertainty or self.gains.uncertainty(), felt)
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""
