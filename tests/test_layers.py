@@ -19,7 +19,7 @@ FLOORS = {
     "agents": ("residual", "policy", "runs", "learners"),
     "eval": (
         *("style", "comparison", "views"),
-        *("verification loops drives advances", "reproduction", "learning repetition speed"),
+        *("verification loops drives advances sensing", "reproduction", "learning repetition speed"),
     ),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.

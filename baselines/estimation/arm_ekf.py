@@ -20,7 +20,13 @@ parameter estimator, IEEE TAC 24, 1979; R. K. Mehra: Approaches to adaptive filt
 
 What an accelerometer feels depends on x at both ends of the sample (`baselines.estimation.felt`). So it is predicted
 with x, as two more entries that last for one sample: their rows of F and Q follow from the same simulations, and
-correct what stood before by their covariance with it.
+correct what stood before by their covariance with it. These innovations are watched too: the readings count as W times
+as noisy as the data sheet says,
+
+    W <- max(1, W (1 + 0.05 (min(nu^2 / S, 10) - 1)))
+
+for each reading, so that nu^2 / S is 1 in the mean or below. Where W > 100, what is felt is not this arm's: the filter
+begins anew with the nominal constants, and does not listen to the accelerometer any more in this episode.
 """
 
 from __future__ import annotations
@@ -63,6 +69,9 @@ _SLIDES = 2  # counts that a motor at rest cannot move by
 _LOOSE = 1e-2  # torque noise that lets a simulated motor go [N m]
 _WATCH = 0.05  # share of the last innovation in w
 _LOST = 8.0  # of w
+_SHOCK = 10.0  # most of nu^2 / S that counts in one reading of the accelerometer
+_MISTRUSTED = 100.0  # of W
+_DEAF = 1e6  # W of an accelerometer that is not listened to
 _FRICTION = LOGS.start + arm_of.IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
 
 
@@ -125,6 +134,7 @@ class Tracks(NamedTuple):
     mean: Floats  # z, shape (SIZE or FELT_SIZE, m)
     covariance: Floats  # of it, shape (SIZE, SIZE, m) or (FELT_SIZE, FELT_SIZE, m)
     surprise: Floats  # w, shape (m,)
+    unrest: Floats  # W of the accelerometer, shape (m,); 1 without one
 
 
 @compiled
@@ -224,7 +234,7 @@ def _corrected(
     deviations: tuple[float, float],
     growth: Floats,
     kept: float,
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Kalman filter step from the simulations of `simulated`; `growth` and `kept` are those of `Uncertainty`."""
     arms, size, axes = len(measured), len(tracks.mean), len(felt)
     noise, holds = np.zeros((2, 4 + axes, arms)), np.empty(arms, np.bool_)
@@ -240,7 +250,7 @@ def _corrected(
                 noise[0, axis, arm] += slope * noise[0, i, arm]
                 noise[1, axis, arm] += slope * noise[1, i, arm]
     covariance = _prior(tracks.mean, predicted, tracks.covariance, noise, kept)
-    mean, surprise = np.empty((size + axes, arms)), tracks.surprise.copy()
+    mean, surprise, unrest = np.empty((size + axes, arms)), tracks.surprise.copy(), tracks.unrest.copy()
     mean[:size] = tracks.mean
     innovation, total = np.empty(arms), np.empty(arms)
     for arm in range(arms):
@@ -258,17 +268,19 @@ def _corrected(
             surprise[arm] += _WATCH * (innovation[arm] * innovation[arm] / total[arm] - surprise[arm])
     _learn(mean, covariance, 0, innovation, total)
     for axis in range(axes):
-        _learn(
-            mean,
-            covariance,
-            size + axis,
-            felt[axis] - mean[size + axis],
-            covariance[size + axis, size + axis] + felt_variance[axis],
-        )
+        innovation[:] = felt[axis] - mean[size + axis]
+        total[:] = covariance[size + axis, size + axis] + felt_variance[axis] * tracks.unrest**2
+        unrest *= 1 + _WATCH * (np.minimum(innovation**2 / total, _SHOCK) - 1)
+        _learn(mean, covariance, size + axis, innovation, total)
     for arm in range(arms):
         if holds[arm]:
             mean[1, arm] = 0.0
-    return mean[:size].copy(), covariance[:size, :size].copy(), surprise
+    return (
+        mean[:size].copy(),
+        covariance[:size, :size].copy(),
+        surprise,
+        np.where(tracks.unrest >= _DEAF, _DEAF, np.maximum(unrest, 1.0)),
+    )
 
 
 class ArmFilter:
@@ -292,7 +304,7 @@ class ArmFilter:
         u = self.uncertainty
         spread = u.covariance_felt(resolution) if self._felt else u.covariance(resolution)
         covariance = np.repeat(spread[:, :, None], len(angles), axis=2)
-        return Tracks(mean, covariance, np.ones(len(angles)))
+        return Tracks(mean, covariance, np.ones(len(angles)), np.ones(len(angles)))
 
     def step(
         self,
@@ -313,13 +325,17 @@ class ArmFilter:
         """
         u, predicted = self.uncertainty, simulated(tracks.mean, self.nominal, commands, True)
         by_noise = at_angle(self._by_noise, predicted[0, 0] / self.params.gear_ratio)
-        mean, covariance, surprise = _corrected(
+        mean, covariance, surprise, unrest = _corrected(
             predicted, tracks, measured, resolution, *felt, by_noise, (u.torque, u.acceleration), self._growth, u.kept
         )
         size = len(mean)
-        new = Tracks(np.clip(mean, LOWEST[:size, None], HIGHEST[:size, None]), covariance, surprise)
-        lost = surprise > _LOST
-        return self._begun_anew(new, lost) if lost.any() else new
+        new = Tracks(np.clip(mean, LOWEST[:size, None], HIGHEST[:size, None]), covariance, surprise, unrest)
+        mistrusted = (unrest > _MISTRUSTED) & (unrest < _DEAF)
+        lost = (surprise > _LOST) | mistrusted
+        if not lost.any():
+            return new
+        anew = self._begun_anew(new, lost)
+        return anew._replace(unrest=np.where(mistrusted, _DEAF, np.where(lost, unrest, anew.unrest)))
 
     def _begun_anew(self, tracks: Tracks, lost: Flags) -> Tracks:
         """Filters of which some are lost, those with the nominal constants again; in their states, but less sure."""

@@ -63,15 +63,23 @@ def felt_over(before: Floats, after: Floats, plant: Plant) -> Floats:
     return result
 
 
-def _slopes(angle: float, plant: Plant) -> Floats:
+def felt_slopes(angle: float, plant: Plant) -> Floats:
     """Derivatives of what is felt by x at a sample's end, of an arm at rest at a joint angle [rad]: shape (AXES, 4)."""
     at_rest = np.tile([angle * plant.gear, 0.0, 0.0, 0.0], (4, 1))
     up, down = (felt_over(at_rest, at_rest + side * np.diag(_SMALL), plant) for side in (1, -1))
     return (up - down).T / (2 * _SMALL)
 
 
-def _gain(arm: LinearArms, slopes: Floats, noise: Noise, kept: float, across: float) -> Floats:
-    """Steady-state gain L, shape (5, 1 + AXES), of one linear arm at one angle."""
+def steady_felt_gain(arm: LinearArms, slopes: Floats, noise: Noise, kept: float, spread: tuple[float, float]) -> Floats:
+    """Steady-state gain L, shape (5, 1 + AXES), of one linear arm at one angle.
+
+    Args:
+        arm: The linear arm.
+        slopes: dv/dx / T, shape (AXES, 4).
+        noise: Of the process.
+        kept: Share of d that is left after a sample.
+        spread: Standard deviations of what is felt along and across the hand [m/s^2].
+    """
     transition, process = np.diag([0.0, 0.0, 0.0, 0.0, kept]), np.zeros((5, 5))
     transition[:4, :4], transition[:4, 4] = arm.transition, arm.by_torque
     for by_noise, deviation in ((arm.by_torque, noise.torque), (arm.by_acceleration, noise.acceleration)):
@@ -82,9 +90,9 @@ def _gain(arm: LinearArms, slopes: Floats, noise: Noise, kept: float, across: fl
     begins = ends.copy()
     begins[0] = 0.0
     seen, shared = ends @ transition - begins, process @ ends.T
-    measured = ends @ shared + np.diag([QUANTUM**2 / 12, SPREAD**2, SPREAD**2 + across**2])
-    spread = solve_discrete_are(transition.T, seen.T, process, measured, s=shared)
-    return (transition @ spread @ seen.T + shared) @ np.linalg.inv(seen @ spread @ seen.T + measured)
+    measured = ends @ shared + np.diag([QUANTUM**2 / 12, *np.square(spread)])
+    before = solve_discrete_are(transition.T, seen.T, process, measured, s=shared)
+    return (transition @ before @ seen.T + shared) @ np.linalg.inv(seen @ before @ seen.T + measured)
 
 
 @lru_cache(maxsize=8)
@@ -94,11 +102,13 @@ def felt_gains(params: ArmParams, noise: Noise) -> tuple[Floats, Floats]:
     moving, held = (linear_arm(of) for of in (params, replace(params, motor_inertia=_HELD * params.motor_inertia)))
     slides, sticks = np.empty((len(ANGLES), len(_SPEEDS), 5, 1 + AXES)), np.empty((len(ANGLES), 5, 1 + AXES))
     for k, angle in enumerate(ANGLES):
-        slopes = _slopes(angle, plant)
+        slopes = felt_slopes(angle, plant)
         arm = LinearArms(*(part[k] for part in moving))
         for j, speed in enumerate(_SPEEDS):
-            slides[k, j] = _gain(arm, slopes, noise, 1.0, reach * 4 * _ERROR * speed**2)
-        sticks[k] = _gain(LinearArms(*(part[k] for part in held)), slopes, noise, 0.0, 0.0)
+            across = float(np.hypot(SPREAD, reach * 4 * _ERROR * speed**2))
+            slides[k, j] = steady_felt_gain(arm, slopes, noise, 1.0, (SPREAD, across))
+        rest = LinearArms(*(part[k] for part in held))
+        sticks[k] = steady_felt_gain(rest, slopes, noise, 0.0, (SPREAD, SPREAD))
     sticks[:, [0, 1, 4]] = sticks[:, :, 0] = 0.0
     sticks[:, 0, 0] = AT_REST
     return slides, sticks
