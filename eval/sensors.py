@@ -22,7 +22,7 @@ try:
     from eval.comparison.sets import development_set
     from eval.comparison.splits import EPISODES
     from eval.sensing.page import markdown, table
-    from eval.sensing.study import NAMES, TIERS, Results, Times, measure, times
+    from eval.sensing.study import NAMES, TIERS, Results, Times, measure, median_time
 except ModuleNotFoundError as error:
     stop_without("eval/sensors.py", error)
 
@@ -57,7 +57,7 @@ def report(config: Config) -> None:
         for split in splits
         for tier in TIERS
     }
-    taken: Times = {(name, tier): times(name, tier) for name in NAMES for tier in TIERS}
+    taken: Times = {(name, tier): median_time(name, tier) for name in NAMES for tier in TIERS}
     origin = f"`{command_line()}`, beltarm {__version__} ({commit()}), {time.perf_counter() - began:.0f} s."
     write_text(config.out / "summary.md", markdown(results, taken, scenarios.label, config.out, origin))
     for name in NAMES:

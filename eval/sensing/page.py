@@ -45,9 +45,8 @@ def torques_table(results: Results, split: str, times: Times) -> str:
     for (name, at, tier), found in results.items():
         if at == split:
             levels = [rounded(metric, average(metric, found.metrics[metric])) for metric in TORQUE_QUALITY]
-            median, slow = times[name, tier]
-            rows.append([f"`{name}`", tier, *levels, f"{1000 * found.torsion:.2f}", f"{median:.0f} / {slow:.0f}"])
-    head = [*map(heading, TORQUE_QUALITY), "error of the torsion, RMS (mrad)", "per action (µs, median / 99 %)"]
+            rows.append([f"`{name}`", tier, *levels, f"{1000 * found.torsion:.2f}", f"{times[name, tier]:.0f}"])
+    head = [*map(heading, TORQUE_QUALITY), "error of the torsion, RMS (mrad)", "per action, one arm, median (µs)"]
     return markdown_table(["controller", "sensors", *head], rows, "ll" + "r" * len(head))
 
 

@@ -33,8 +33,8 @@ class Found:
 
 Results = dict[tuple[str, str, Tier], Found]
 """By controller, split and sensors."""
-Times = dict[tuple[str, Tier], tuple[float, float]]
-"""Median and 99th percentile of the time per action for one arm [us], by controller and sensors."""
+Times = dict[tuple[str, Tier], float]
+"""Median of the time per action for one arm [us], by controller and sensors."""
 
 
 def controller(name: str, tier: Tier) -> Controller:
@@ -52,9 +52,9 @@ def measure(name: str, tier: Tier, split: Split, episodes: int) -> Found:
     return Found(metrics, int((~run.finished).sum()), float(np.sqrt(np.mean(errors**2))))
 
 
-def times(name: str, tier: Tier) -> tuple[float, float]:
-    """Median and 99th percentile of the time per action for one arm [us]."""
-    return action_times(controller(name, tier), tier)
+def median_time(name: str, tier: Tier) -> float:
+    """Median of the time per action for one arm [us]."""
+    return action_times(controller(name, tier), tier)[0]
 
 
 class _Watched:
