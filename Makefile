@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive tune learning readme
+.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive sensors tune learning readme
 
 ##@ Use
 
@@ -73,6 +73,9 @@ loops: $(READY)  ## Margins, costs and times of every controller, and where it b
 
 drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/drive; takes five minutes
 	$(BIN)/python eval/drive.py --out docs/drive $(ARGS)
+
+sensors: $(READY)  ## What an accelerometer buys the best two controllers, in docs/sensors
+	$(BIN)/python eval/sensors.py --out docs/sensors $(ARGS)
 
 steps: $(READY)  ## What each step from the paper's controller to the best classical one brings, in docs/from_1991
 	$(BIN)/python eval/from_1991.py --out docs/from_1991 $(ARGS)

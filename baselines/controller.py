@@ -25,7 +25,7 @@ class ClassicalController(ABC, Generic[Memory]):
             and actions are scaled by, must be those of the arms that it drives.
     """
 
-    sensors: ClassVar[Literal["encoder", "full"]] = "encoder"
+    sensors: ClassVar[Literal["encoder", "full", "accelerometer"]] = "encoder"
 
     def __init__(self, params: ArmParams | None) -> None:
         self.params = params or design_model()

@@ -25,6 +25,7 @@ class Reading(NamedTuple):
     step: Integers  # control periods since the move's start
     last_command: Floats  # torque commanded over the last period [N m]
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
+    acceleration: Floats | None  # of the tip along and across the hand [m/s^2], (n, 2); of "accelerometer" alone
 
 
 def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> Reading:
@@ -33,7 +34,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
     Args:
         observations: Of `sensors` or of a tier with more entries, which are ignored.
         params: Arm with the torque limit that commands are scaled by.
-        sensors: "encoder", or "full" for the torsion as well.
+        sensors: "encoder", "full" for the torsion as well, or "accelerometer" for the tip's acceleration.
 
     Raises:
         ValueError: If there are fewer entries than the sensors have.
@@ -55,8 +56,14 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         move=np.stack([seen[name] for name in MOVE_FIELDS], axis=1),
         step=np.rint(seen["elapsed_time"] / CONTROL_PERIOD).astype(np.intp),
         last_command=seen["last_command"] * params.torque_limit,
-        torsion=np.stack([seen["torsion"], seen["torsion_speed"]], axis=1) if sensors == "full" else None,
+        torsion=_stacked(seen, "torsion", "torsion_speed"),
+        acceleration=_stacked(seen, "tip_acceleration_along", "tip_acceleration_across"),
     )
+
+
+def _stacked(seen: dict[str, Floats], *names: str) -> Floats | None:
+    """Some entries side by side, shape (n, len(names)); None where the sensors do not have them."""
+    return np.stack([seen[name] for name in names], axis=1) if names[0] in seen else None
 
 
 def last_share(now: Reading, added: Floats | None, begins: Flags) -> Floats:

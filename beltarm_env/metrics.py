@@ -45,7 +45,9 @@ METRICS = {
 }
 """All metrics of an episode, by name, in the order in which they are shown; lower is better in every one."""
 SHOWN = tuple(name for name, metric in METRICS.items() if not metric.detail)
-TORQUES = ("torque_rms", "torque_rate_rms", "torque_reversals_hz", "saturated_share")
+TORQUE_QUALITY = ("torque_rate_rms", "torque_reversals_hz", "saturated_share")
+"""What tells a method that wins by hammering: columns of every table that compares methods."""
+TORQUES = ("torque_rms", *TORQUE_QUALITY)
 """What a motor has to follow."""
 
 

@@ -65,6 +65,9 @@ class Config:
     classical controller that runs, which --methods chooses. Takes about a minute for all of them."""
     fresh: bool = False
     """Run everything again, whatever is kept of earlier runs."""
+    computing_time: bool = False
+    """Computing time counts: each method's commands act later by its own time per action, the 99th percentile for one
+    arm. It is measured once and kept in computing_time.json; needs a folder of its own."""
     jobs: int | None = None
     """Number of processes; by default one per core."""
 
@@ -95,6 +98,7 @@ def run(config: Config) -> None:
             config.out,
             config.jobs or default_jobs(),
             fresh=config.fresh,
+            computing_time=config.computing_time,
             done=lambda done, total: progress.update(task, completed=done, total=total),
         )
     failures = publish(comparison, scenarios.splits, config.out, console, maps=config.maps).failures

@@ -17,7 +17,7 @@ import torch
 from browser import Page, browser
 from jsonschema import Draft202012Validator
 
-from beltarm_env.metrics import TORQUES, heading
+from beltarm_env.metrics import TORQUE_QUALITY, TORQUES, heading
 from eval.comparison.methods import (
     added_method,
     classical_methods,
@@ -93,6 +93,7 @@ def test_torques_of_every_method_are_everywhere(compared: tuple[Path, str], resu
     assert [line.split(" | ")[0].strip("|* ") for line in section.splitlines()[-len(METHODS) :]] == METHODS
     table = (compared[0] / "report.html").read_text().split("<summary>Torques on nominal</summary>")[1]
     assert all(f'data-value="{method}"' in table.split("</details>")[0] for method in METHODS)
+    assert all(heading(name) in block(results) for name in TORQUE_QUALITY)
 
 
 def test_rows_of_the_results(results: dict[str, Any]):

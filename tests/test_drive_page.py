@@ -12,6 +12,8 @@ from commands import mistake, stopped
 
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
+from beltarm_env.metrics import TORQUE_QUALITY
+from beltarm_env.metrics import heading as of_metric
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval import drive
 from eval.drives.effects import ALL, EFFECTS, IDEAL, heading, with_effect
@@ -63,6 +65,9 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert set(rows) == {(name, effect, size) for name in ("paper", "zvd") for effect in EFFECTS for size in (0, 1, 2)}
     (table,) = (block for block in page.split("\n\n") if block.startswith("| controller"))
     assert table in capsys.readouterr().out
+    (torques,) = (block for block in page.split("\n\n") if block.startswith("| torques"))
+    assert all(of_metric(name) in torques for name in TORQUE_QUALITY)
+    assert [line.split(" | ")[0].strip("| ") for line in torques.splitlines()[2:]] == ["paper", "zvd"]
     cells = {line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ")[1:] for line in table.splitlines()[2:]}
     for name in ("paper", "zvd"):
         places = [(next(iter(EFFECTS)), 0), *((effect, 1) for effect in EFFECTS)]

@@ -11,6 +11,7 @@ from commands import mistake, stopped
 
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
+from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
 from eval import from_1991
@@ -46,6 +47,7 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not re.search(r"\b(nan|inf)\b", page)
     rows = [line for line in page.splitlines() if line.startswith("|")]
     assert len(rows) == 2 + len(ADVANCES) + 1
+    assert all(heading(name) in rows[0] for name in TORQUE_QUALITY)
 
 
 def test_too_few_arms_are_a_mistake(tmp_path: Path):

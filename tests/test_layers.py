@@ -19,7 +19,7 @@ FLOORS = {
     "agents": ("residual", "policy", "runs", "learners"),
     "eval": (
         *("style", "comparison", "views"),
-        *("verification drives advances", "loops", "reproduction", "learning repetition speed"),
+        *("verification drives advances sensing", "loops", "reproduction", "learning repetition speed"),
     ),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.

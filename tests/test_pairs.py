@@ -20,15 +20,17 @@ from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec, save_bundle
 from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
+from beltarm_env.rollout import rollout
 from eval import compare
-from eval.comparison import custom, pairs
-from eval.comparison.methods import classical_methods, learned_methods, shipped_policies
-from eval.comparison.pairs import LEFT, Pair, read_kept, run_and_keep
-from eval.comparison.results import Comparison
+from eval.comparison import computing_time, custom, pairs
+from eval.comparison.methods import Method, classical_methods, learned_methods, shipped_policies
+from eval.comparison.pairs import LEFT, Pair, measure, read_kept, run_and_keep
+from eval.comparison.results import TIMED_NOTE, Comparison
 from eval.comparison.run import choose_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
+from eval.views.readme import block
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -168,6 +170,100 @@ def test_new_weights_and_fresh_runs_are_run(
         cost, kept, output = compared(0.0)
         assert (cost, kept) == (first, 1)
         assert f"Results of Mine will not be used again: {tmp_path} is too large" in output
+
+
+# Computing time
+
+
+class Clock:
+    """Stand-in for what measures times: says which it is told to, and remembers of whom it was asked."""
+
+    def __init__(self, **times: tuple[float, float]) -> None:
+        self.times, self.asked = times, []
+
+    def __call__(self, method: Method) -> tuple[float, float]:
+        self.asked.append(method.name)
+        return self.times[method.name]
+
+
+def test_computing_time_makes_commands_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """As if the arms' drives were that much slower, and said so; a method that is too slow fails, and no other."""
+    monkeypatch.setattr(computing_time, "_time", Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0)))
+    chosen = ("--methods", "paper", "rigid", "--splits", "nominal", "drive", "--episodes", "4", "--jobs", "1")
+    code, errors = stopped(compare.main, (*chosen, "--computing-time", "--out", "late"), tmp_path)
+    assert code == 1
+    lines = errors.strip().splitlines()
+    assert [line.split(":")[1] for line in lines] == [" rigid failed on drive"]
+    assert "with 900 us of computing time, commands would be up to" in lines[0] and "can be 4500 us late" in lines[0]
+    results = read_results(tmp_path / "late" / "results.json")
+    rows = {(row["method"], row["split"]): row for row in results["rows"]}
+    assert results["provenance"]["computing_time"] is True
+    assert {key: row["added_latency_us"] for key, row in rows.items()} == {
+        ("paper", "nominal"): pytest.approx(300),
+        ("rigid", "nominal"): pytest.approx(900),
+        ("paper", "drive"): pytest.approx(300),
+    }
+    split = development_set().splits["nominal"]
+    options = split.arguments(slice(4))["options"]
+    options["params"]["command_latency"] = options["params"]["command_latency"] + 3e-4
+    by_hand = rollout(CONTROLLERS["paper"](), 4, seed=split.seed, options=options)
+    kept = measure(Pair(pair().method, split.later(3e-4), 4))
+    assert np.array_equal(kept["cost"][0], by_hand.cost)
+    assert not np.array_equal(kept["cost"], measure(pair())["cost"])
+    assert rows["paper", "nominal"]["metrics"]["cost"]["iqm"] == pytest.approx(np.sort(by_hand.cost)[1:3].mean())
+    for name in ("summary.md", "report.html"):
+        text = (tmp_path / "late" / name).read_text()
+        assert TIMED_NOTE in text and "latency that it was given (µs)" in text
+    assert TIMED_NOTE in block(results) and TIMED_NOTE in " ".join(capsys.readouterr().out.split())
+
+
+def test_computing_times_are_measured_once_and_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    clock = Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0))
+    monkeypatch.setattr(computing_time, "_time", clock)
+    chosen = ("--methods", "paper", "rigid", "--splits", "nominal", "--episodes", "4", "--jobs", "1")
+
+    def pairs_after(*options: str) -> set[str]:
+        code, errors = stopped(compare.main, (*chosen, *options), tmp_path)
+        assert code == 0, errors
+        return {path.name for path in (tmp_path / "one" / "pairs").iterdir()}
+
+    first = pairs_after("--computing-time", "--out", "one")
+    clock.times["paper"] = (60.0, 400.0)  # the machine is busier now, and kept results are of before
+    assert pairs_after("--computing-time", "--out", "one") == first
+    assert clock.asked == ["paper", "rigid"]
+    assert "computing time counts, this run is without it" in mistake(compare.main, (*chosen, "--out", "one"), tmp_path)
+    (tmp_path / "one" / "results.json").unlink()  # whoever removes it as told has the pairs of both side by side
+    assert pairs_after("--out", "one") > first and len(pairs_after("--out", "one")) == 4
+    assert "computing time does not count, this run is with it" in mistake(
+        compare.main, (*chosen, "--computing-time", "--out", "one"), tmp_path
+    )
+    (tmp_path / "one" / "results.json").unlink()
+    clock.asked.clear()
+    later = pairs_after("--computing-time", "--fresh", "--out", "one")
+    assert clock.asked == ["paper", "rigid"] and len(later) == 4
+    assert len(later - first) == 3, "of the old times, the results of paper are gone"
+
+
+def test_computing_times_of_a_damaged_file_or_other_code_are_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    clock = Clock(paper=(50.0, 300.0))
+    monkeypatch.setattr(computing_time, "_time", clock)
+    method = pair().method
+    file = tmp_path / computing_time.FILE
+    for count, content in enumerate((None, "{", "[]", '{"paper": {"key": "x"}}', None), 1):
+        if content is not None:
+            file.write_text(content)
+        elif count > 1:
+            method = replace(method, identity="other gains")
+        assert computing_time.measured_once([method], tmp_path) == {"paper": (50.0, 300.0)}
+        assert len(clock.asked) == count
+    computing_time.measured_once([method], tmp_path)
+    assert len(clock.asked) == 5
+    computing_time.measured_once([replace(method, identity=None)], tmp_path)
+    assert len(clock.asked) == 6
 
 
 # What goes wrong

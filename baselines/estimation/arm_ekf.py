@@ -25,6 +25,16 @@ is 1 where the encoder moves as expected. Where w > 1, the torque noise is multi
 its arm less. Where w > 8, nothing that it has identified explains the encoder: it begins anew with the nominal
 constants, and with it the plans that rely on it. See L. Ljung: Asymptotic behavior of the extended Kalman filter as a
 parameter estimator, IEEE TAC 24, 1979; R. K. Mehra: Approaches to adaptive filtering, IEEE TAC 17, 1972.
+
+What an accelerometer feels depends on x at both ends of the sample (`baselines.estimation.felt`). So it is predicted
+with x, as two more entries that last for one sample: their rows of F and Q follow from the same simulations, and
+correct what stood before by their covariance with it. These innovations are watched too: the readings count as W times
+as noisy as the data sheet says,
+
+    W <- max(1, W (1 + 0.05 (min(nu^2 / S, 10) - 1)))
+
+for each reading, so that nu^2 / S is 1 in the mean or below. Where W > 100, what is felt is not this arm's: the filter
+begins anew with the nominal constants, and does not listen to the accelerometer any more in this episode.
 """
 
 from __future__ import annotations
@@ -36,9 +46,12 @@ import numpy as np
 
 from baselines.estimation import believed_arm as arm_of
 from baselines.estimation.believed_arm import (
+    BIAS,
     DELAY,
     DIFFERENCED,
     DISTURBANCE,
+    ERROR_SINE,
+    FELT_SIZE,
     HIGHEST,
     LAG,
     LOGS,
@@ -51,15 +64,22 @@ from baselines.estimation.believed_arm import (
     ripple_shape,
     simulated,
 )
+from baselines.estimation.felt import AXES
 from baselines.models.linear import at_angle, linear_arms
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled
+from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
+UNFELT = np.empty((0, 0)), np.empty((0, 0))
+"""What is felt without an accelerometer."""
 _SLIDES = 2  # counts that a motor at rest cannot move by
 _LOOSE = 1e-2  # torque noise that lets a simulated motor go [N m]
 _WATCH = 0.05  # share of the last innovation in w
 _LOST = 8.0  # of w
+_SHOCK = 10.0  # most of nu^2 / S that counts in one reading of the accelerometer
+_MISTRUSTED = 100.0  # of W
+_DEAF = 1e6  # W of an accelerometer that is not listened to
 _FRICTION = LOGS.start + arm_of.IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
 
 
@@ -85,6 +105,7 @@ class Uncertainty:
     acceleration: float = 1.0  # torsional, white [rad/s^2]
     disturbance: float = 5e-4  # of d [N m]
     memory: float = 0.02  # time in which d decays [s]
+    kinematic_error: float = 1.2e-4  # of e_s and e_c [rad]
 
     def covariance(self, resolution: float) -> Floats:
         """Initial covariance of z, shape (SIZE, SIZE), at rest, for an encoder of `resolution` [rad]."""
@@ -95,14 +116,20 @@ class Uncertainty:
         result[LOGS, LOGS] += self.torque_constant**2
         return result
 
+    def covariance_felt(self, resolution: float) -> Floats:
+        """Initial covariance of z with an accelerometer, shape (FELT_SIZE, FELT_SIZE)."""
+        result = np.diag(np.square([*[0.0] * SIZE, *[self.kinematic_error] * 2, *[ZERO_G / 3**0.5] * AXES]))
+        result[:SIZE, :SIZE] = self.covariance(resolution)
+        return result
+
     @property
     def kept(self) -> float:
         """Share of d that is left after a sample."""
         return float(np.exp(-CONTROL_PERIOD / self.memory))
 
     def growth(self) -> Floats:
-        """Variance that each entry of z gains in a sample, but for x: shape (SIZE,)."""
-        result = np.zeros(SIZE)
+        """Variance that each entry of z gains in a sample, but for x: shape (FELT_SIZE,)."""
+        result = np.zeros(FELT_SIZE)
         result[LOGS.start : DISTURBANCE] = self.drift**2 * CONTROL_PERIOD
         result[_FRICTION : _FRICTION + 2] += self.friction_drift**2 * CONTROL_PERIOD
         result[DISTURBANCE] = (1 - self.kept**2) * self.disturbance**2
@@ -112,9 +139,50 @@ class Uncertainty:
 class Tracks(NamedTuple):
     """State of m filters, each of one arm, along the last axis: kernels process many of them side by side."""
 
-    mean: Floats  # z, shape (SIZE, m)
-    covariance: Floats  # of it, shape (SIZE, SIZE, m)
+    mean: Floats  # z, shape (SIZE or FELT_SIZE, m)
+    covariance: Floats  # of it, shape (SIZE, SIZE, m) or (FELT_SIZE, FELT_SIZE, m)
     surprise: Floats  # w, shape (m,)
+    unrest: Floats  # W of the accelerometer, shape (m,); 1 without one
+
+
+@compiled
+def _jacobian(before: Floats, predicted: Floats, rows: int) -> Floats:
+    """Derivatives by z of x after a sample, and of what is felt over it, shape (rows, size, m); see `_prior`."""
+    size, count = before.shape
+    jacobian = np.zeros((rows, size, count))
+    for i in range(rows):
+        for j in range(DIFFERENCED):
+            for arm in range(count):
+                jacobian[i, j, arm] = (predicted[j + 1, i, arm] - predicted[0, i, arm]) / STEPS[j]
+    for k in range(len(ORDERS)):
+        for arm in range(count):
+            sine, cosine = ripple_shape(before[0, arm], before[1, arm], k)
+            for i in range(rows):
+                jacobian[i, RIPPLE.start + 2 * k, arm] = jacobian[i, DISTURBANCE, arm] * sine
+                jacobian[i, RIPPLE.start + 2 * k + 1, arm] = jacobian[i, DISTURBANCE, arm] * cosine
+    if size > SIZE:
+        for j in range(2):
+            for i in range(rows):
+                for arm in range(count):
+                    k = DIFFERENCED + j
+                    jacobian[i, ERROR_SINE + j, arm] = (predicted[k + 1, i, arm] - predicted[0, i, arm]) / STEPS[k]
+        for axis in range(AXES):
+            jacobian[4 + axis, BIAS + axis] = 1.0
+    return jacobian
+
+
+@compiled
+def _learn(mean: Floats, covariance: Floats, entry: int, innovation: Floats, total: Floats) -> None:
+    """Correct mean and covariance, in place, by the innovation of one entry and its variance; both of shape (m,)."""
+    row, gain = covariance[entry].copy(), covariance[:, entry].copy()
+    for i in range(len(mean)):
+        for arm in range(len(total)):
+            gain[i, arm] = gain[i, arm] / total[arm]
+            mean[i, arm] += gain[i, arm] * innovation[arm]
+    for i in range(len(mean)):
+        for j in range(len(mean)):
+            for arm in range(len(total)):
+                covariance[i, j, arm] = covariance[i, j, arm] - gain[i, arm] * row[j, arm]
 
 
 @compiled
@@ -122,45 +190,40 @@ def _prior(before: Floats, predicted: Floats, covariance: Floats, noise: Floats,
     """Covariance before the measurement: F P F' + Q, where F is the unit matrix but for its rows of x, and of d.
 
     Args:
-        before: z, shape (SIZE, m).
-        predicted: From `simulated`, shape (1 + DIFFERENCED, 4, m).
-        covariance: P, shape (SIZE, SIZE, m).
-        noise: What torque and torsional acceleration do to x, each by its standard deviation, shape (2, 4, m).
+        before: z, shape (size, m).
+        predicted: From `simulated`.
+        covariance: P, shape (size, size, m).
+        noise: What torque and torsional acceleration do to x and to what is felt, each by its standard deviation, shape
+            (2, rows, m) with rows = 4, or 4 + AXES with an accelerometer.
         kept: Share of d that is left.
 
     Returns:
-        Shape (SIZE, SIZE, m); Q of x alone.
+        Shape (size + rows - 4, size + rows - 4, m), what is felt coming last; Q of x and of what is felt alone.
     """
-    count = covariance.shape[2]
-    jacobian, half, prior = np.empty((4, SIZE, count)), np.empty((4, SIZE, count)), covariance.copy()
-    for i in range(4):
-        for j in range(DIFFERENCED):
-            for arm in range(count):
-                jacobian[i, j, arm] = (predicted[j + 1, i, arm] - predicted[0, i, arm]) / STEPS[j]
-    for k in range(len(ORDERS)):
-        for arm in range(count):
-            sine, cosine = ripple_shape(before[0, arm], before[1, arm], k)
-            for i in range(4):
-                jacobian[i, RIPPLE.start + 2 * k, arm] = jacobian[i, DISTURBANCE, arm] * sine
-                jacobian[i, RIPPLE.start + 2 * k + 1, arm] = jacobian[i, DISTURBANCE, arm] * cosine
-    for j in range(SIZE):
-        for i in range(4):
+    size, _, count = covariance.shape
+    rows = noise.shape[1]
+    jacobian, half = _jacobian(before, predicted, rows), np.empty((rows, size, count))
+    prior = np.empty((size + rows - 4, size + rows - 4, count))
+    prior[:size, :size] = covariance
+    for j in range(size):
+        for i in range(rows):
             for arm in range(count):
                 total = 0.0
-                for m in range(SIZE):
+                for m in range(size):
                     total += jacobian[i, m, arm] * covariance[m, j, arm]
                 half[i, j, arm] = total
-    for i in range(4):
-        for j in range(4):
+    for i in range(rows):
+        to = i if i < 4 else size + i - 4
+        for j in range(rows):
             for arm in range(count):
                 total = noise[0, i, arm] * noise[0, j, arm] + noise[1, i, arm] * noise[1, j, arm]
-                for m in range(SIZE):
+                for m in range(size):
                     total += half[i, m, arm] * jacobian[j, m, arm]
-                prior[i, j, arm] = total
-        for j in range(4, SIZE):
+                prior[to, j if j < 4 else size + j - 4, arm] = total
+        for j in range(4, size):
             for arm in range(count):
-                prior[i, j, arm] = prior[j, i, arm] = half[i, j, arm]
-    for i in range(SIZE):
+                prior[to, j, arm] = prior[j, to, arm] = half[i, j, arm]
+    for i in range(len(prior)):
         for arm in range(count):
             prior[i, DISTURBANCE, arm] *= kept
             prior[DISTURBANCE, i, arm] *= kept
@@ -173,19 +236,21 @@ def _corrected(
     tracks: Tracks,
     measured: Floats,
     resolution: Floats,
+    felt: Floats,
+    felt_variance: Floats,
     by_noise: Floats,
     deviations: tuple[float, float],
     slow: tuple[float, float],
     growth: Floats,
     kept: float,
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Kalman filter step from the simulations of `simulated`; `growth` and `kept` are those of `Uncertainty`.
 
     `deviations` are those of torque and torsional acceleration, `slow` that of the friction of a slow motor [N m] and
     the speed at which half of it is left [rad/s].
     """
-    arms = len(measured)
-    noise, holds = np.empty((2, 4, arms)), np.empty(arms, np.bool_)
+    arms, size, axes = len(measured), len(tracks.mean), len(felt)
+    noise, holds = np.zeros((2, 4 + axes, arms)), np.empty(arms, np.bool_)
     for arm in range(arms):
         sticks = predicted[0, 1, arm] == 0.0
         holds[arm] = sticks and abs(measured[arm] - predicted[0, 0, arm]) <= _SLIDES * resolution[arm]
@@ -194,38 +259,51 @@ def _corrected(
         torque = (0.0 if holds[arm] else _LOOSE) if sticks else sliding
         for i in range(4):
             noise[0, i, arm], noise[1, i, arm] = torque * by_noise[arm, 0, i], deviations[1] * by_noise[arm, 1, i]
-    prior, gain = _prior(tracks.mean, predicted, tracks.covariance, noise, kept), np.empty((SIZE, arms))
-    mean, surprise = tracks.mean.copy(), tracks.surprise.copy()
+            for axis in range(4, 4 + axes):
+                slope = (predicted[i - 4, axis, arm] - predicted[0, axis, arm]) / STEPS[i]
+                noise[0, axis, arm] += slope * noise[0, i, arm]
+                noise[1, axis, arm] += slope * noise[1, i, arm]
+    covariance = _prior(tracks.mean, predicted, tracks.covariance, noise, kept)
+    mean, surprise, unrest = np.empty((size + axes, arms)), tracks.surprise.copy(), tracks.unrest.copy()
+    mean[:size] = tracks.mean
+    innovation, total = np.empty(arms), np.empty(arms)
     for arm in range(arms):
         for i in range(4):
             mean[i, arm] = predicted[0, i, arm]
+        for axis in range(axes):
+            mean[size + axis, arm] = predicted[0, 4 + axis, arm] + mean[BIAS + axis, arm]
         mean[DISTURBANCE, arm] *= kept
-        for i in range(4, SIZE):
-            prior[i, i, arm] += growth[i]
-        innovation, rounding = measured[arm] - mean[0, arm], resolution[arm] * resolution[arm]
-        prior[0, 0, arm] += rounding / 120  # keeps the angle open to the encoder
-        total = prior[0, 0, arm] + rounding / 12
+        for i in range(4, size):
+            covariance[i, i, arm] += growth[i]
+        innovation[arm], rounding = measured[arm] - mean[0, arm], resolution[arm] * resolution[arm]
+        covariance[0, 0, arm] += rounding / 120  # keeps the angle open to the encoder
+        total[arm] = covariance[0, 0, arm] + rounding / 12
         if not holds[arm]:
-            surprise[arm] += _WATCH * (innovation * innovation / total - surprise[arm])
-        for i in range(SIZE):
-            gain[i, arm] = prior[i, 0, arm] / total
-            mean[i, arm] += gain[i, arm] * innovation
+            surprise[arm] += _WATCH * (innovation[arm] * innovation[arm] / total[arm] - surprise[arm])
+    _learn(mean, covariance, 0, innovation, total)
+    for axis in range(axes):
+        innovation[:] = felt[axis] - mean[size + axis]
+        total[:] = covariance[size + axis, size + axis] + felt_variance[axis] * tracks.unrest**2
+        unrest *= 1 + _WATCH * (np.minimum(innovation**2 / total, _SHOCK) - 1)
+        _learn(mean, covariance, size + axis, innovation, total)
+    for arm in range(arms):
         if holds[arm]:
             mean[1, arm] = 0.0
-    covariance = np.empty_like(prior)
-    for i in range(SIZE):
-        for j in range(SIZE):
-            for arm in range(arms):
-                covariance[i, j, arm] = prior[i, j, arm] - gain[i, arm] * prior[0, j, arm]
-    return mean, covariance, surprise
+    return (
+        mean[:size].copy(),
+        covariance[:size, :size].copy(),
+        surprise,
+        np.where(tracks.unrest >= _DEAF, _DEAF, np.maximum(unrest, 1.0)),
+    )
 
 
 class ArmFilter:
-    """Extended Kalman filter for arms that are nominally `params`."""
+    """Extended Kalman filter for arms that are nominally `params`, with an accelerometer on their ends if `felt`."""
 
-    def __init__(self, params: ArmParams, uncertainty: Uncertainty) -> None:
+    def __init__(self, params: ArmParams, uncertainty: Uncertainty, felt: bool = False) -> None:
         self.params = params
         self.uncertainty = uncertainty
+        self._felt = felt
         self.nominal = arm_of.nominal_row(params)
         self._growth = uncertainty.growth()
         excess = params.static_friction_excess * params.coulomb_friction
@@ -235,14 +313,23 @@ class ArmFilter:
 
     def initial(self, angles: Floats, resolution: float) -> Tracks:
         """Filters of nominal arms at rest at motor angles of shape (m,), measured with a resolution [rad]."""
-        mean = np.zeros((SIZE, len(angles)))
+        mean = np.zeros((FELT_SIZE if self._felt else SIZE, len(angles)))
         mean[0] = angles
         mean[LAG] = max(self.params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
         mean[DELAY] = mean[LAG] + self.params.command_latency / CONTROL_PERIOD
-        covariance = np.repeat(self.uncertainty.covariance(resolution)[:, :, None], len(angles), axis=2)
-        return Tracks(mean, covariance, np.ones(len(angles)))
+        u = self.uncertainty
+        spread = u.covariance_felt(resolution) if self._felt else u.covariance(resolution)
+        covariance = np.repeat(spread[:, :, None], len(angles), axis=2)
+        return Tracks(mean, covariance, np.ones(len(angles)), np.ones(len(angles)))
 
-    def step(self, tracks: Tracks, commands: Floats, measured: Floats, resolution: Floats) -> Tracks:
+    def step(
+        self,
+        tracks: Tracks,
+        commands: Floats,
+        measured: Floats,
+        resolution: Floats,
+        felt: tuple[Floats, Floats] = UNFELT,
+    ) -> Tracks:
         """Predict over one sample and correct by its measurement.
 
         Args:
@@ -250,14 +337,22 @@ class ArmFilter:
             commands: Up to this sample, latest first [N m], shape (m, HISTORY).
             measured: Motor angle [rad], shape (m,).
             resolution: Of the encoder [rad], shape (m,).
+            felt: From `felt.unfiltered`, of an accelerometer.
         """
         u, predicted = self.uncertainty, simulated(tracks.mean, self.nominal, commands, True)
         by_noise = at_angle(self._by_noise, predicted[0, 0] / self.params.gear_ratio)
         noise = (u.torque, u.acceleration), self._slow, self._growth, u.kept
-        mean, covariance, surprise = _corrected(predicted, tracks, measured, resolution, by_noise, *noise)
-        new = Tracks(np.clip(mean, LOWEST[:, None], HIGHEST[:, None]), covariance, surprise)
-        lost = surprise > _LOST
-        return self._begun_anew(new, lost) if lost.any() else new
+        mean, covariance, surprise, unrest = _corrected(
+            predicted, tracks, measured, resolution, *felt, by_noise, *noise
+        )
+        size = len(mean)
+        new = Tracks(np.clip(mean, LOWEST[:size, None], HIGHEST[:size, None]), covariance, surprise, unrest)
+        mistrusted = (unrest > _MISTRUSTED) & (unrest < _DEAF)
+        lost = (surprise > _LOST) | mistrusted
+        if not lost.any():
+            return new
+        anew = self._begun_anew(new, lost)
+        return anew._replace(unrest=np.where(mistrusted, _DEAF, np.where(lost, unrest, anew.unrest)))
 
     def _begun_anew(self, tracks: Tracks, lost: Flags) -> Tracks:
         """Filters of which some are lost, those with the nominal constants again; in their states, but less sure."""

@@ -18,8 +18,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from baselines.estimation.arm_ekf import ArmFilter, Tracks, Uncertainty
+from baselines.estimation.arm_ekf import UNFELT, ArmFilter, Tracks, Uncertainty
 from baselines.estimation.believed_arm import DELAY, HISTORY, LOGS, believed_table, motor_torques, simulated
+from baselines.estimation.felt import unfiltered
 from baselines.estimation.observer import QUANTUM
 from baselines.reading import Reading
 from beltarm_env import ArmParams
@@ -41,6 +42,7 @@ class Belief:
     count: Floats = field(repr=False)  # the encoder's resolution [rad], shape (n,); 0 before it has moved
     angle: Floats = field(repr=False)  # last measured [rad], shape (n,)
     commands: Floats = field(repr=False)  # the last ones, latest first [N m], shape (n, HISTORY)
+    felt: Floats | None = field(default=None, repr=False)  # last accelerations [m/s^2], shape (n, 2), where measured
 
     @property
     def state(self) -> Floats:
@@ -95,12 +97,18 @@ class IdentifyingController(ABC, Generic[Memory]):
 
 
 class ArmIdentifier:
-    """Identification of arms that are nominally `params`."""
+    """Identification of arms that are nominally `params`.
 
-    def __init__(self, params: ArmParams, uncertainty: Uncertainty | None = None) -> None:
+    Args:
+        params: The nominal arm.
+        uncertainty: What is doubted.
+        felt: Whether there is an accelerometer on the arm's end, whose readings are used.
+    """
+
+    def __init__(self, params: ArmParams, uncertainty: Uncertainty | None = None, felt: bool = False) -> None:
         self.params = params
         self.uncertainty = uncertainty or Uncertainty()
-        self._filter = ArmFilter(params, self.uncertainty)
+        self._filter = ArmFilter(params, self.uncertainty, felt)
 
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
@@ -114,15 +122,16 @@ class ArmIdentifier:
             reading: Measurements, and the torque commanded at the last sample.
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
         """
-        angle = reading.motor_angle
+        angle, felt = reading.motor_angle, reading.acceleration
         if belief is None:
             tracks = self._filter.initial(angle, COARSEST)
-            return Belief(tracks, np.zeros(len(angle)), angle, np.zeros((len(angle), HISTORY)))
+            return Belief(tracks, np.zeros(len(angle)), angle, np.zeros((len(angle), HISTORY)), felt)
         count = common_count(belief.count, np.abs(angle - belief.angle))
         commands = np.column_stack([reading.last_command, belief.commands[:, :-1]])
         resolution = np.where(count > 0, np.maximum(count, QUANTUM), COARSEST)
-        tracks = self._filter.step(belief.tracks, commands, angle, resolution)
-        return self.reset(Belief(tracks, count, angle, commands), angle, begins)
+        accelerations = UNFELT if felt is None or belief.felt is None else unfiltered(felt, belief.felt)
+        tracks = self._filter.step(belief.tracks, commands, angle, resolution, accelerations)
+        return self.reset(Belief(tracks, count, angle, commands, felt), angle, begins)
 
     def reset(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
         """Reset the belief about arms that begin an episode, at rest at motor angles [rad] of shape (n,)."""
@@ -135,6 +144,7 @@ class ArmIdentifier:
             np.where(begins, 0.0, belief.count),
             np.where(begins, angle, belief.angle),
             np.where(begins[:, None], 0.0, belief.commands),
+            belief.felt,
         )
 
     def ahead(self, belief: Belief) -> Floats:

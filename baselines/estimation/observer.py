@@ -43,7 +43,8 @@ from beltarm_env.task.sensors import ENCODER_COUNTS
 QUANTUM = 2 * np.pi / ENCODER_COUNTS
 """One count of the encoder [rad]."""
 _SLIDES = 2 * QUANTUM  # an innovation that a motor at rest cannot cause
-_AT_REST = 0.2  # correction of the angle of a motor at rest, per sample
+AT_REST = 0.2
+"""Correction of the angle of a motor at rest, per sample."""
 _LARGEST_TORQUE = 0.05  # of d [N m]; beyond any friction's error
 _LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])  # of the state: keeps an estimate that has diverged finite
 
@@ -134,11 +135,21 @@ class StickSlipObserver:
         moving = estimate.arm[:, 1] != 0
         torque = reading.last_command + np.where(moving, estimate.disturbance, 0.0)
         predicted = estimate.simulation.advance(estimate.arm, torque)
-        innovation = reading.motor_angle - predicted[:, 0]
-        gains = at_angle(self._gains, predicted[:, 0] / self.params.gear_ratio)
-        sticks = (predicted[:, 1] == 0) & (np.abs(innovation) <= _SLIDES)
-        gains[sticks] = _AT_REST, 0.0, 0.0, 0.0, 0.0
-        x = predicted[:, :X] + gains[:, :X] * innovation[:, None]
-        predicted[:, :X] = np.clip(x, -_LARGEST, _LARGEST)
-        disturbance = estimate.disturbance + gains[:, X] * innovation
+        sticks = (predicted[:, 1] == 0) & (np.abs(reading.motor_angle - predicted[:, 0]) <= _SLIDES)
+        correction = self._correction(estimate, reading, predicted, sticks)
+        predicted[:, :X] = np.clip(predicted[:, :X] + correction[:, :X], -_LARGEST, _LARGEST)
+        disturbance = estimate.disturbance + correction[:, X]
         return predicted, np.clip(disturbance, -_LARGEST_TORQUE, _LARGEST_TORQUE)
+
+    def _correction(self, estimate: Estimate, reading: Reading, predicted: Floats, sticks: Flags) -> Floats:
+        """What the readings add to the predicted [x; d], shape (n, 5).
+
+        Args:
+            estimate: That of the last sample.
+            reading: Measurements.
+            predicted: From `estimate`, shape (n, size).
+            sticks: Which motors stick, shape (n,).
+        """
+        gains = at_angle(self._gains, predicted[:, 0] / self.params.gear_ratio)
+        gains[sticks] = AT_REST, 0.0, 0.0, 0.0, 0.0
+        return gains * (reading.motor_angle - predicted[:, 0])[:, None]

@@ -108,7 +108,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
         self.uncertainty = uncertainty or self.gains.uncertainty()
-        self._identifier = ArmIdentifier(self.params, self.uncertainty)
+        self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
 
     def belief(self, memory: AdaptiveMemory) -> Belief:
         """Belief at the sample that the memory belongs to."""

@@ -12,6 +12,7 @@ and parameters that differ break it, which is why the noise of the filter and th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -75,13 +76,15 @@ class PreviewController(ClassicalController[PreviewMemory]):
         params: The design model.
     """
 
+    observer: ClassVar[type[StickSlipObserver]] = StickSlipObserver
+
     def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or PreviewGains()
         self._table = params_table([self.params])
         self._delay = dead_time(self.params) / CONTROL_PERIOD
         self._weights = self.gains.weights()
-        self._observer = StickSlipObserver(self.params, self.gains.noise())
+        self._observer = self.observer(self.params, self.gains.noise())
 
     def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""

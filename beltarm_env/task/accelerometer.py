@@ -37,10 +37,11 @@ BANDWIDTH = 260.0
 """Of the low-pass, at which it lets through 1/sqrt(2) [Hz]."""
 NOISE = 400e-6 * _G * math.sqrt(0.5 * math.pi * BANDWIDTH)
 """Standard deviation of a reading's noise [m/s^2]: density times the root of the low-pass's noise bandwidth."""
+DECAY = math.exp(-2 * math.pi * BANDWIDTH * CONTROL_PERIOD)
+"""Share of the low-passed acceleration that is left after a sample: exp(-T / tau)."""
 DRAWS = 3
 """Uniform random numbers that an episode takes: the noise's seed, and the bias along and across the hand."""
 
-_DECAY = math.exp(-2 * math.pi * BANDWIDTH * CONTROL_PERIOD)  # of the low-pass, over a sample
 _SEEDS = 2.0**32
 _MEAN = 2 * 65535  # of the sum of four numbers from 0 to 65535
 _PER_DEVIATION = 1 / math.sqrt((65536.0**2 - 1) / 3)
@@ -65,7 +66,7 @@ def bias_of(uniform: float) -> float:
 def low_passed(filtered: float, before: float, now: float) -> float:
     """Return the low-passed acceleration [m/s^2] one sample on, from the last and the velocities [m/s] at both."""
     mean = (now - before) * (1 / CONTROL_PERIOD)
-    return mean + (filtered - mean) * _DECAY
+    return mean + (filtered - mean) * DECAY
 
 
 @inlined

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from beltarm_env.metrics import heading
 from beltarm_env.task.seeds import LOOPS
 from eval.advances.study import ADVANCES, BESIDE, SHOWN, Found
-from eval.comparison.estimates import interquartile_mean, worst_mean
+from eval.comparison.estimates import average, interquartile_mean, worst_mean
 from eval.style.colours import BLUE, GREEN, VERMILION
 from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
-from eval.style.text import number
+from eval.style.metrics import rounded
 
 
 def table(found: list[Found]) -> str:
@@ -22,10 +22,9 @@ def table(found: list[Found]) -> str:
     rows = []
     for advance, of in zip([*ADVANCES, BESIDE], found, strict=True):
         costs = of.metrics["cost"]
-        levels = [interquartile_mean(of.metrics[name]) for name in SHOWN]
+        cost, *others = (rounded(name, average(name, of.metrics[name])) for name in SHOWN)
         tail = [f"{costs.mean():.0f}", f"{worst_mean(costs):.0f}", str(of.left)]
-        others = [number(level, 1) for level in levels[1:]]
-        rows.append([advance.title, f"`{advance.name}`", f"{levels[0]:.0f}", *tail, *others])
+        rows.append([advance.title, f"`{advance.name}`", cost, *tail, *others])
     head = ["step", "controller", "cost", "mean", "worst 5 %", "left", *map(heading, SHOWN[1:])]
     return markdown_table(head, rows, "ll" + "r" * (len(head) - 2))
 
@@ -67,7 +66,7 @@ def markdown(found: list[Found], folder: Path, origin: str) -> str:
         "identification have those of `adaptive`, with what is not yet identified held at the design model's value.",
         "![Waterfall of the cost](waterfall.png)",
         "Cost is the interquartile mean, beside it the mean, the mean of the worst 5 % of the arms, and how many arms "
-        "left the workspace; then interquartile means.",
+        "left the workspace; then interquartile means (of shares: means).",
         table(found),
         "A step need not help. Constants of the arm alone, identified as if the drive were what the data sheet says, "
         "take its delay, friction and ripple for something else; the last row has the same law with nothing "

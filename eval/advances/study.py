@@ -12,11 +12,12 @@ from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Floats
+from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.seeds import LOOPS
 
 MOST_ARMS = 10_000
-SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", "torque_rate_rms", "torque_reversals_hz")
+SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
 
 _ARM = ("swing", "stiffness", "motor_inertia", "friction", "inertia", "torque_constant")

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
+from beltarm_env.metrics import METRICS
+
 Floats = NDArray[np.float64]
 
 RESAMPLES = 2000
@@ -39,6 +41,11 @@ def worst_mean(values: Floats) -> float:
     """Mean of the largest 5 % of all values."""
     ordered = np.sort(values, axis=None)
     return float(ordered[-max(1, round(0.05 * ordered.size)) :].mean())
+
+
+def average(name: str, values: Floats) -> float:
+    """Interquartile mean of a metric's values; of shares the plain mean."""
+    return float(values.mean()) if METRICS[name].share else interquartile_mean(values)
 
 
 def _middle_mean(values: Floats) -> Floats:

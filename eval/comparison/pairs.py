@@ -54,9 +54,7 @@ class Pair:
 
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
-        of_method = [self.method.name, self.method.kind, self.method.identity]
-        content = [EDITION, VERSION, self.split.of, self.split.digest, self.episodes, *of_method, _code()]
-        key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+        key = key_of(self.method, EDITION, VERSION, self.split.of, self.split.digest, self.episodes)
         return folder / "pairs" / f"{self.stem}.{key}.npz"
 
     @property
@@ -82,6 +80,12 @@ def attempt(method: str, split: str, run: Callable[[], _Result], where: str = ""
     except Exception as error:
         message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
         return Failure(method, split, message[:_LONGEST_MESSAGE])
+
+
+def key_of(method: Method, *others: str | int) -> str:
+    """Hash of everything that a method depends on, and of what else is given."""
+    content = [*others, method.name, method.kind, method.identity, _code()]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
 @cache

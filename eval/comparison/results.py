@@ -21,6 +21,12 @@ from eval.comparison.pairs import LEFT, Failure, Metrics
 from eval.comparison.sets import SetLabel
 
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
+COMPUTING_TIME = "computing_time"
+"""Entry of the provenance: whether every method's commands were later by its own computing time."""
+TIMED_NOTE = (
+    "Computing time counts: commands of each method are later than by the drive alone, by the 99th percentile of its "
+    "own time per action for one arm."
+)
 _THRESHOLDS = 25  # of a performance profile
 
 Against = dict[str, dict[str, dict[str, Paired]]]
@@ -38,6 +44,7 @@ class MethodOutcome:
     metrics: Metrics  # each (seeds, episodes)
     estimates: dict[str, Estimate]
     action_times: tuple[float, float]  # median, 99th percentile [us]
+    latency: float = 0.0  # of its computing time, which its commands had beyond the drive's [s]
 
     @property
     def seeds(self) -> int:
@@ -57,10 +64,12 @@ class MethodOutcome:
         return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
 
 
-def make_outcome(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> MethodOutcome:
+def make_outcome(
+    method: Method, split: str, metrics: Metrics, action_times: tuple[float, float], latency: float = 0.0
+) -> MethodOutcome:
     """Estimate the metrics of one method on one split."""
     estimates = {name: estimate(metrics[name], mean=METRICS[name].share) for name in SHOWN}
-    return MethodOutcome(method, split, metrics, estimates, action_times)
+    return MethodOutcome(method, split, metrics, estimates, action_times, latency)
 
 
 class Profiles(NamedTuple):
@@ -81,6 +90,16 @@ class Comparison:
     failures: list[Failure]
     scenario_set: SetLabel  # what the splits belong to
     provenance: dict[str, Any]
+
+    @property
+    def timed(self) -> bool:
+        """Whether every method's commands were later by its own computing time."""
+        return bool(self.provenance.get(COMPUTING_TIME))
+
+    @property
+    def note(self) -> str:
+        """What its numbers are worth."""
+        return self.scenario_set.note + (f" {TIMED_NOTE}" if self.timed else "")
 
     def with_failures(self, failures: list[Failure]) -> Comparison:
         """Copy with more failures, one per method and split."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from baselines import DOMINATED
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
-from beltarm_env import ArmParams
+from eval.comparison.computing_time import Times, measured_once, measured_times
 from eval.comparison.methods import (
     PRIVILEGED,
     Method,
@@ -24,11 +24,18 @@ from eval.comparison.methods import (
 )
 from eval.comparison.pairs import Failure, Pair, attempt, run_pairs
 from eval.comparison.protocol import first_failure
-from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome, provenance
+from eval.comparison.results import (
+    COMPUTING_TIME,
+    Comparison,
+    MethodOutcome,
+    make_comparison,
+    make_outcome,
+    provenance,
+)
 from eval.comparison.scenarios import require_same_physics
 from eval.comparison.schema import require_same_set
 from eval.comparison.sets import ScenarioSet
-from eval.comparison.timing import action_times
+from eval.comparison.splits import Split
 
 
 def choose_methods(
@@ -69,6 +76,7 @@ def compare(
     jobs: int,
     *,
     fresh: bool = False,
+    computing_time: bool = False,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> Comparison:
     """Run methods on splits and compare what comes out.
@@ -80,29 +88,62 @@ def compare(
         folder: Where results are kept.
         jobs: Number of processes.
         fresh: Whether to run everything again.
+        computing_time: Whether each method's commands are later by its own time per action, see
+            `eval.comparison.computing_time`.
         done: Called with the number of pairs of method and split that are done, and of all.
 
     Raises:
         OSError: If the folder cannot be written to, or a process was killed.
-        ValueError: If the folder has results of other scenarios, the arms do not move as they did when the scenarios
-            were drawn, or no method could be run.
+        ValueError: If the folder has results of other scenarios, or some in which computing time counts as it does not
+            here, the arms do not move as they did when the scenarios were drawn, or no method could be run.
         KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept.
     """
     began = time.perf_counter()
     require_writable(folder)
     if (folder / "results.json").exists():
-        require_same_set(folder / "results.json", scenarios.label)
+        require_same_set(folder / "results.json", scenarios.label, computing_time)
     require_same_physics(scenarios)
-    pairs = [Pair(method, split, episodes) for split in scenarios.splits.values() for method in methods]
+    times = measured_once(methods, folder, fresh=fresh) if computing_time else measured_times(methods)
+    runs = [
+        _Run(method, split, times[method.name], computing_time, episodes)
+        for split in scenarios.splits.values()
+        for method in methods
+    ]
+    pairs = [run.pair for run in runs if isinstance(run.pair, Pair)]
     if fresh:
         for pair in pairs:
             pair.file(folder).unlink(missing_ok=True)
     kept = _kept(pairs, folder)
-    outcomes, failures = _outcomes(pairs, folder, jobs, done)
+    outcomes, failures = _outcomes(runs, folder, jobs, done)
     if not any(outcome.ranked for outcome in outcomes):
         raise ValueError(f"no method could be run: {failures[0].method} on {failures[0].split}: {failures[0].message}")
     origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
-    return make_comparison(outcomes, failures, scenarios.label, origin | {"pairs_kept_before": kept})
+    origin |= {"pairs_kept_before": kept, COMPUTING_TIME: computing_time}
+    return make_comparison(outcomes, failures, scenarios.label, origin)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A method on a split, with the time that it takes for an action; one that fails where it is timed is not run."""
+
+    method: Method
+    split: Split
+    times: Times | Failure
+    computing_time: bool  # whether its commands are later by that time
+    episodes: int
+
+    @property
+    def latency(self) -> float:
+        """Time by which its commands are later than the drive's latency [s]."""
+        return 1e-6 * self.times[1] if self.computing_time and not isinstance(self.times, Failure) else 0.0
+
+    @cached_property
+    def pair(self) -> Pair | Failure:
+        """What is run, or why nothing is."""
+        if isinstance(self.times, Failure):
+            return replace(self.times, split=self.split.name)
+        late = attempt(self.method.name, self.split.name, lambda: self.split.later(self.latency))
+        return late if isinstance(late, Failure) else Pair(self.method, late, self.episodes)
 
 
 def _kept(pairs: list[Pair], folder: Path) -> int:
@@ -110,36 +151,28 @@ def _kept(pairs: list[Pair], folder: Path) -> int:
 
 
 def _outcomes(
-    pairs: list[Pair], folder: Path, jobs: int, done: Callable[[int, int], object]
+    runs: list[_Run], folder: Path, jobs: int, done: Callable[[int, int], object]
 ) -> tuple[list[MethodOutcome], list[Failure]]:
-    """Outcomes and failures of all pairs; a controller that fails on a single arm, where it is timed, is not run."""
-    methods = {pair.method.name: pair.method for pair in pairs}
-    times = {name: attempt(name, "", partial(_time, method), "one arm") for name, method in methods.items()}
-    sound = [pair for pair in pairs if not isinstance(times[pair.method.name], Failure)]
+    """Outcomes and failures of all runs."""
+    pairs = [run.pair for run in runs if isinstance(run.pair, Pair)]
     finished: list[Pair] = []
 
     def one_more(pair: Pair) -> None:
         finished.append(pair)
-        done(len(finished), len(sound))
+        done(len(finished), len(pairs))
 
     try:
-        results = dict(zip(map(id, sound), run_pairs(sound, folder, jobs, one_more), strict=True))
+        results = iter(run_pairs(pairs, folder, jobs, one_more))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"interrupted: {_kept(sound, folder)} of {len(sound)} pairs of method and split are kept in {folder}; the "
+            f"interrupted: {_kept(pairs, folder)} of {len(pairs)} pairs of method and split are kept in {folder}; the "
             "same command goes on from there"
         ) from None
     outcomes, failures = [], []
-    for pair in pairs:
-        took, result = times[pair.method.name], results.get(id(pair))
-        if isinstance(took, Failure):
-            failures.append(replace(took, split=pair.split.name))
-        elif isinstance(result, Failure):
+    for run in runs:
+        result = run.pair if isinstance(run.pair, Failure) else next(results)
+        if isinstance(result, Failure):
             failures.append(result)
-        elif result is not None:
-            outcomes.append(make_outcome(pair.method, pair.split.name, result, took))
+        elif not isinstance(run.times, Failure):
+            outcomes.append(make_outcome(run.method, run.split.name, result, run.times, run.latency))
     return outcomes, failures
-
-
-def _time(method: Method) -> tuple[float, float]:
-    return action_times(method.controller(0, [ArmParams()]), method.sensors)

@@ -10,7 +10,8 @@
   (sees what no other does, never ranked); `split`; `episodes`; `seeds`; `metrics`, by name an interquartile mean `iqm`
   (of shares: a plain mean) with its 95 % interval, `low` to `high`; `failures`, in how many of all `runs` the tip did
   not settle and the arm left its workspace; `action_us`, time per action; `training`, simulator steps and wall-clock of
-  tuning or training, per seed (empty: neither).
+  tuning or training, per seed (empty: neither); `added_latency_us`, by which its commands were later than the drive's
+  latency because computing time counted (0, or not there in older files: it did not).
 - `paired`, one per comparison on the same scenarios: `method`, `other`, `against` ("best classical" or "base"),
   `split`, and by metric the difference `iqm`, `low`, `high`, the `win_rate` (probability of improvement, `win_rate_low`
   to `win_rate_high`), `p` and, after Holm's correction within split and metric, `p_holm`, and a `verdict`.
@@ -37,7 +38,7 @@ from beltarm_env.metrics import SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Paired
 from eval.comparison.methods import Kind
-from eval.comparison.results import PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
+from eval.comparison.results import COMPUTING_TIME, PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
 from eval.comparison.sets import SetLabel
 
 _REMEDY = "they cannot be merged: remove it, or choose another folder"
@@ -78,6 +79,7 @@ def result_row(outcome: MethodOutcome) -> dict[str, Any]:
         "failures": outcome.failures,
         "action_us": {"p50": outcome.action_times[0], "p99": outcome.action_times[1]},
         "training": outcome.method.training,
+        "added_latency_us": 1e6 * outcome.latency,
     }
 
 
@@ -128,8 +130,9 @@ def write_results(comparison: Comparison, folder: Path) -> None:
     write_atomically(folder / "episodes.csv", lambda path: episodes.to_csv(path, index=False, float_format="%.6g"))
 
 
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "required": list(properties), "properties": properties}
+def _object(may_lack: tuple[str, ...] = (), /, **properties: Any) -> dict[str, Any]:
+    required = [name for name in properties if name not in may_lack]
+    return {"type": "object", "required": required, "properties": properties}
 
 
 def _list(items: Any) -> dict[str, Any]:
@@ -140,7 +143,7 @@ def _mapping(values: Any) -> dict[str, Any]:
     return {"type": "object", "additionalProperties": values}
 
 
-_TEXT, _INTEGER, _NUMBER = {"type": "string"}, {"type": "integer"}, {"type": "number"}
+_TEXT, _INTEGER, _NUMBER, _FLAG = ({"type": name} for name in ("string", "integer", "number", "boolean"))
 _ESTIMATE = dict.fromkeys(("iqm", "low", "high"), _NUMBER)
 _PAIR = dict.fromkeys((*_ESTIMATE, "win_rate", "win_rate_low", "win_rate_high", "p", "p_holm"), _NUMBER)
 SCHEMA = _object(
@@ -148,15 +151,18 @@ SCHEMA = _object(
     version=_INTEGER,
     scenario_set=_object(name=_TEXT, sha256=_TEXT),
     provenance=_object(
+        (COMPUTING_TIME,),
         command=_TEXT,
         commit=_TEXT,
         splits_version=_INTEGER,
         split_seeds=_mapping(_INTEGER),
         seconds=_NUMBER,
         pairs_kept_before=_INTEGER,
+        computing_time=_FLAG,
     ),
     rows=_list(
         _object(
+            ("added_latency_us",),
             method=_TEXT,
             kind={"enum": list(get_args(Kind))},
             split=_TEXT,
@@ -166,6 +172,7 @@ SCHEMA = _object(
             failures=_object(runs=_INTEGER, not_settled=_INTEGER, left_workspace=_INTEGER),
             action_us=_object(p50=_NUMBER, p99=_NUMBER),
             training=_mapping(_list(_NUMBER)),
+            added_latency_us=_NUMBER,
         )
     ),
     paired=_list(
@@ -187,6 +194,7 @@ _TYPES = {
     "string": "a text",
     "integer": "an integer",
     "number": "a finite number",
+    "boolean": "true or false",
 }
 
 
@@ -225,19 +233,25 @@ def read_results(path: Path) -> dict[str, Any]:
     return content
 
 
-def require_same_set(path: Path, wanted: SetLabel) -> None:
-    """Check that a `results.json` is of this edition and version, and of this set of scenarios.
+def require_same_set(path: Path, wanted: SetLabel, timed: bool = False) -> None:
+    """Check that a `results.json` is of this edition and version, of this set of scenarios, and as `timed` as wanted.
+
+    Computing time counts in all of a file's results or in none (`timed`).
 
     Raises:
         ValueError: If it is of others, or cannot be read.
     """
-    found = _of_this_version(path).get("scenario_set")
+    content = _of_this_version(path)
+    found = content.get("scenario_set")
     if found != wanted._asdict():
         name, digest = (found.get(key) for key in wanted._fields) if isinstance(found, dict) else (None, None)
         raise ValueError(
             f"{path} has results of the scenarios {name!r} ({str(digest)[:12]}), this run is of {wanted.name!r} "
             f"({wanted.sha256[:12]}); {_REMEDY}"
         )
+    if bool(content.get("provenance", {}).get(COMPUTING_TIME)) != timed:
+        does, now = ("does not count", "with") if timed else ("counts", "without")
+        raise ValueError(f"{path} has results in which computing time {does}, this run is {now} it; {_REMEDY}")
 
 
 def _of_this_version(path: Path) -> Any:

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.arm import NOMINAL, params_columns
+from beltarm_env.arm import COLUMN, NOMINAL, params_columns
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, Ranges
 from beltarm_env.task.seeds import SeedRange
+from beltarm_env.timing import MAX_LATENCY
 
 Floats = NDArray[np.float64]
 
@@ -111,6 +112,24 @@ class Split:
         options = {"params": params_columns(self.table[chosen]), "move": move}
         late = {"delay": self.delays[chosen]} if self.delays.any() else {}
         return {"seed": self.seed, "options": options, **late, **self.settings}
+
+    def later(self, seconds: float) -> Split:
+        """Return the same scenarios with all commands later, by the time that a controller takes [s]; itself for none.
+
+        Raises:
+            ValueError: If commands would be later than an arm's can be.
+        """
+        if seconds == 0:
+            return self
+        table = self.table.copy()
+        table[:, COLUMN.command_latency] += seconds
+        latest = table[:, COLUMN.command_latency].max()
+        if latest > MAX_LATENCY:
+            raise ValueError(
+                f"with {1e6 * seconds:.0f} us of computing time, commands would be up to {1e6 * latest:.0f} us late, "
+                f"an arm's can be {1e6 * MAX_LATENCY:.0f} us late: it is too slow for this drive"
+            )
+        return make_split(self.name, f"{self.of} late", self.seed, self.settings, table, self.moves, self.delays)
 
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""

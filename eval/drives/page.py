@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from beltarm_env.arrays import Floats
+from beltarm_env.metrics import TORQUE_QUALITY
+from beltarm_env.metrics import heading as of_metric
 from beltarm_env.task.seeds import DRIVE_SIZES
 from eval.comparison.estimates import estimate, interquartile_mean
 from eval.drives.effects import ALL, EFFECTS, IDEAL, heading
 from eval.drives.study import SHOWN, DriveStudy
 from eval.style.markdown_table import markdown_table
+from eval.style.metrics import rounded
 from eval.style.text import number
 
 _SHIPPED = (
@@ -37,6 +40,13 @@ def costs_table(study: DriveStudy) -> str:
 def _cell(study: DriveStudy, name: str, effect: str) -> str:
     costs, left = study.cost(name, effect), study.left(name, effect)
     return f"{interquartile_mean(costs):.0f} ({costs.mean():.0f})" + (f", {left} left" if left else "")
+
+
+def torques_table(study: DriveStudy) -> str:
+    """What the motor has to follow, on the ideal drive and with all effects at the upper ends of their ranges."""
+    columns = [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)]
+    rows = [[name, *(rounded(of, study.level(name, at, of)) for of, at in columns)] for name in study.names]
+    return markdown_table(["torques", *(f"{of_metric(of)}, {heading(at)}" for of, at in columns)], rows)
 
 
 def sentences(study: DriveStudy) -> list[str]:
@@ -114,6 +124,9 @@ def markdown(study: DriveStudy, pictures: Sequence[Path], origin: str) -> str:
         "## Cost at the upper ends of the training ranges",
         "Interquartile mean, in parentheses the mean, and the number of arms that left the workspace.",
         costs_table(study),
+        "## Torques",
+        "What the motor has to follow, and what tells a controller that hammers; interquartile means, of shares means.",
+        torques_table(study),
         "## Tip and residual vibration",
         f"![RMS error of the tip over the size of each effect]({shown['tip_rms']})",
         f"![Residual vibration over the size of each effect]({shown['residual']})",

@@ -13,13 +13,15 @@ from baselines.tools.parallel import Channel, Failure, run_side_by_side
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import params_columns
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import DRIVE_SIZES
+from eval.comparison.estimates import average
 from eval.comparison.methods import Method, chosen, classical_methods, learned_methods, shipped_policies
 from eval.drives.effects import EFFECTS, IDEAL, with_effect
 
-SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm")
+SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the study."""
 UPPER_END = 1.0
 """Size of an effect at the upper end of its training range."""
@@ -53,17 +55,22 @@ class DriveStudy:
 
     def cost(self, name: str, effect: str) -> Floats:
         """Costs with an effect at the upper end of its range, or on the ideal drive; shape (arms,)."""
-        return self._row(name, effect)[0]
+        outcome, k = self._place(name, effect)
+        return outcome.metrics["cost"][k]
+
+    def level(self, name: str, effect: str, metric: str) -> float:
+        """Interquartile mean of a metric there, of shares the plain mean."""
+        outcome, k = self._place(name, effect)
+        return average(metric, outcome.metrics[metric][k])
 
     def left(self, name: str, effect: str) -> int:
         """Number of arms that left the workspace there."""
-        return int(self._row(name, effect)[1].sum())
+        outcome, k = self._place(name, effect)
+        return int(outcome.left[k].sum())
 
-    def _row(self, name: str, effect: str) -> tuple[Floats, Flags]:
+    def _place(self, name: str, effect: str) -> tuple[Outcome, int]:
         ideal = effect == IDEAL
-        outcome = self.found[name, next(iter(EFFECTS)) if ideal else effect]
-        k = 0 if ideal else self.upper_end
-        return outcome.metrics["cost"][k], outcome.left[k]
+        return self.found[name, next(iter(EFFECTS)) if ideal else effect], 0 if ideal else self.upper_end
 
 
 def check_sizes(sizes: Sequence[float]) -> None:

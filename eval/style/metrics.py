@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from beltarm_env.metrics import METRICS
+from eval.style.text import number
 
 
 def numbers(name: str, value: Any) -> tuple[str, str, str]:
@@ -13,6 +14,12 @@ def numbers(name: str, value: Any) -> tuple[str, str, str]:
     factor = 100 if metric.share else 1
     point, low, high = (f"{factor * number:.{metric.digits}f}" for number in (value.iqm, value.low, value.high))
     return point, low, high
+
+
+def rounded(name: str, value: float) -> str:
+    """Value of a metric by itself, rounded as suits it."""
+    metric = METRICS[name]
+    return number(100 * value if metric.share else value, metric.digits)
 
 
 def cell(name: str, value: Any) -> str:

@@ -26,7 +26,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     parts = [
         "# Comparison on the belt-driven arm",
-        f"**{comparison.scenario_set.note}**",
+        f"**{comparison.note}**",
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
         f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
         f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "
@@ -134,6 +134,7 @@ def compute_table(comparison: Comparison) -> str:
         *("method", "kind", "training seeds", "simulator steps, tuning or training, per seed", "the same in seconds"),
         "per action, one arm (µs, median / 99 %)",
     ]
+    titles += ["latency that it was given (µs)"] if comparison.timed else []
     rows = []
     for outcome in comparison.methods():
         method = outcome.method
@@ -142,8 +143,9 @@ def compute_table(comparison: Comparison) -> str:
         seeds = str(outcome.seeds) if method.kind == "learned" else "-"
         median, slow = outcome.action_times
         name = _italic(method.name, outcome.ranked)
-        rows.append([name, method.kind, seeds, steps, seconds, f"{median:.0f} / {slow:.0f}"])
-    return markdown_table(titles, rows, "llrrrr")
+        given = [f"{1e6 * outcome.latency:.0f}"] if comparison.timed else []
+        rows.append([name, method.kind, seeds, steps, seconds, f"{median:.0f} / {slow:.0f}", *given])
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
 
 def _origin(comparison: Comparison, results: str) -> str:

@@ -8,13 +8,15 @@ from typing import Any
 
 from PIL import Image
 
+from beltarm_env.metrics import TORQUE_QUALITY
+from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
 from eval.views.frame import frame_of_rows, part
 from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
 
 BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
-_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share")
+_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", *TORQUE_QUALITY)
 _DETAILED = "randomized"
 
 
@@ -39,10 +41,12 @@ def _origin(results: dict[str, Any]) -> str:
     unranked = any(row["kind"] == "privileged" for row in results["rows"])
     italics = " In italics: what knows its arm and sees its state, a yardstick that is not ranked." if unranked else ""
     fresh = not provenance.get("pairs_kept_before", 0)
+    timed = f" {TIMED_NOTE}" if provenance.get(COMPUTING_TIME) else ""
     took = f", which took {provenance['seconds']:.0f} s" if fresh else ", part of it from an earlier run"
     return (
         f"{episodes} scenarios per split of the {label.title}; interquartile means (shares: means) with "
-        f"bootstrap 95 % intervals over scenarios and training seeds.{italics} From `{provenance['command']}`{took}."
+        f"bootstrap 95 % intervals over scenarios and training seeds.{italics}{timed} From `{provenance['command']}`"
+        f"{took}."
     )
 
 

@@ -30,7 +30,7 @@ def print_tables(comparison: Comparison, console: Console) -> None:
         for first in range(0, len(splits), fitting):
             console.print(_overview(part(found, split=splits[first : first + fitting], metric=[name]), name))
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
-    console.print(comparison.scenario_set.note, style="bold", soft_wrap=True)
+    console.print(comparison.note, style="bold", soft_wrap=True)
     console.print(f"{episodes} scenarios per split; interquartile means with bootstrap 95 % intervals.")
     console.print(f"[bold]Bold[/bold]: best; [underline]underlined[/underline]: {TIE}.", soft_wrap=True)
     for line in verdicts(comparison):

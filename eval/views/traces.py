@@ -59,11 +59,11 @@ def motions(
         method = outcome.method
         if method.name not in names:
             continue
-        seed = shown_seed(comparison, method.name)
+        seed, late = shown_seed(comparison, method.name), split.later(outcome.latency)
         found = attempt(
             method.name,
             split.name,
-            lambda method=method, seed=seed: split.run(method.controller(seed, []), scenario),
+            lambda method=method, seed=seed, late=late: late.run(method.controller(seed, []), scenario),
             f"alone on scenario {scenario}",
         )
         if isinstance(found, Failure):

@@ -75,7 +75,8 @@ def _cells(outcome: MethodOutcome, params: dict[str, np.ndarray], cells: int, de
     drawn = BeltArmVectorEnv(MAPS.size)
     drawn.reset(seed=MAPS.first)
     move = {name: np.tile(values, cells) for name, values in zip(MOVE_FIELDS, drawn.moves.T, strict=True)}
-    options = {"params": {name: np.repeat(values, MAPS.size) for name, values in params.items()}, "move": move}
+    columns = {name: np.repeat(values, MAPS.size) for name, values in params.items()}
+    options = {"params": {**columns, "command_latency": outcome.latency}, "move": move}
     costs = []
     for seed in range(outcome.seeds):
         controller = outcome.method.controller(seed, [])

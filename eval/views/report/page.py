@@ -64,7 +64,7 @@ def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
         "splits": [(name, SPLITS[name].description) for name in comparison.splits()],
         "episodes": comparison.outcomes[0].metrics["cost"].shape[1],
         "tables": metric_tables(comparison),
-        "set_note": comparison.scenario_set.note,
+        "set_note": comparison.note,
         "set_label": comparison.scenario_set,
         "edition": EDITION,
         "torque_table": torque_table(comparison),

@@ -89,7 +89,9 @@ def effort_table(comparison: Comparison) -> Table:
     """Effort of each method: simulator steps and time of tuning or training, and time per action."""
     columns = ["training seeds", "simulator steps per seed", "wall-clock per seed (s)"]
     columns += ["per action, median (µs)", "per action, 99 % (µs)"]
-    return _table(comparison, "What each method takes", columns, _effort)
+    if not comparison.timed:
+        return _table(comparison, "What each method takes", columns, _effort)
+    return _table(comparison, "What each method takes", [*columns, "latency that it was given (µs)"], _timed_effort)
 
 
 def _table(
@@ -111,6 +113,10 @@ def _effort(outcome: MethodOutcome) -> list[Cell]:
         Cell(f"{seconds:.0f}" if seconds else "–", value=seconds),
     ]
     return [*counts, *(_time_cell(time) for time in outcome.action_times)]
+
+
+def _timed_effort(outcome: MethodOutcome) -> list[Cell]:
+    return [*_effort(outcome), _time_cell(1e6 * outcome.latency)]
 
 
 def _time_cell(time: float) -> Cell:

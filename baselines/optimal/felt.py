@@ -1,0 +1,23 @@
+"""The best controllers with an accelerometer on the arm's end in their filters: same laws, same gains, one sensor more.
+
+A track of its own: what is compared with others has the encoder alone.
+"""
+
+from __future__ import annotations
+
+from baselines.estimation.felt_observer import FeltObserver
+from baselines.optimal.adaptive import AdaptiveController
+from baselines.optimal.preview import PreviewController
+
+
+class FeltAdaptiveController(AdaptiveController):
+    """Adaptive preview LQG on encoder and accelerometer."""
+
+    sensors = "accelerometer"
+
+
+class FeltPreviewController(PreviewController):
+    """Preview LQG on encoder and accelerometer."""
+
+    sensors = "accelerometer"
+    observer = FeltObserver
