@@ -17,7 +17,7 @@ from baselines.iterative.controller import IterativeController, Learning
 from baselines.iterative.lesson import Lesson, Notes
 from baselines.iterative.motor_learning import FeedForward, MotorLearningController
 from baselines.models.linear import at_angle, linear_arm
-from baselines.optimal.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
+from baselines.planning.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
 from beltarm_env import ArmParams, BeltArmEnv
 from beltarm_env.arm import params_table
 from beltarm_env.rollout import Recording, rollout

@@ -13,8 +13,8 @@ FLOORS = {
         *("simulation batch", "env", "vector_env", "rollout"),
     ),
     "baselines": (
-        *("tools", "gains reading", "controller models", "estimation", "servo optimal", "iterative yardsticks loops"),
-        *("registry", "tuning"),
+        *("tools", "gains reading", "controller models", "estimation planning", "servo optimal"),
+        *("iterative yardsticks loops", "registry", "tuning"),
     ),
     "agents": ("residual", "policy", "runs", "learners"),
     "eval": (

@@ -21,8 +21,8 @@ from baselines.models.actuator import dead_time
 from baselines.models.flatness import Corners, FlatMotion, flat_motion, smoothed
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
-from baselines.optimal.plan import Weights
-from baselines.optimal.tip_error import bounded_sine, softened_sine, tip_error_rows
+from baselines.planning.plan import Weights
+from baselines.planning.tip_error import bounded_sine, softened_sine, tip_error_rows
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.physics.sampled import sampled_state_space
 from beltarm_env.rollout import rollout

@@ -15,8 +15,8 @@ from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kal
 from baselines.gains import Gains, tunable, tuned
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
-from baselines.optimal.plan import Weights, plan_moves, planned_torque, replanned
 from baselines.optimal.preview import PreviewController, PreviewGains
+from baselines.planning.plan import Weights, plan_moves, planned_torque, replanned
 from baselines.reading import read
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, observation, state_space

@@ -10,7 +10,7 @@ from baselines.models.linear import ANGLES
 from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
 from baselines.optimal.horizon import _set_up, horizon, plan
 from baselines.optimal.mpc import MpcController, MpcGains
-from baselines.optimal.plan import Weights
+from baselines.planning.plan import Weights
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation

@@ -12,7 +12,6 @@ from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.optimal.lqg import LqgController, feedback_gains
-from baselines.optimal.plan import Weights
 from baselines.optimal.robust import (
     RobustController,
     RobustGains,
@@ -23,6 +22,7 @@ from baselines.optimal.robust import (
     lyapunov,
     mean_cost,
 )
+from baselines.planning.plan import Weights
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.task.ranges import design_model
 

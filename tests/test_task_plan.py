@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from baselines.optimal.plan import Weights, planned_torque, replanned
-from baselines.optimal.replanning import STEPS, PlanCache, Situation
-from baselines.optimal.task_plan import anchored, improved
+from baselines.planning.plan import Weights, planned_torque, replanned
+from baselines.planning.replanning import STEPS, PlanCache, Situation
+from baselines.planning.task_plan import anchored, improved
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arm import params_table, plant_of
 from beltarm_env.physics.kinematics import tip_errors

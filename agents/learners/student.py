@@ -35,7 +35,7 @@ The untrained student is its base, bit for bit. Every fit begins from the weight
 whose learning rate falls to zero: each round ends with a student that is done.
 
 [1] S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret
-Online Learning, AISTATS 2011. [2] See `baselines.optimal.norm_optimal`.
+Online Learning, AISTATS 2011. [2] See `baselines.planning.norm_optimal`.
 """
 
 from __future__ import annotations

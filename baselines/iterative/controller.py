@@ -7,9 +7,9 @@
 with z = [x - x_j; tau[k-1] - tau_j[k-1]], and two things learnt between trials, from encoder and torque alone:
 
 1. The arm. The logarithms of its constants, and how well they are known, begin where the trial before has ended. The
-   plan of `baselines.optimal.plan` is then made for that arm from the move's beginning on.
+   plan of `baselines.planning.plan` is then made for that arm from the move's beginning on.
 2. The torque. The whole trial is filtered once more with the constants that were known at its end, which gives its
-   states x_j. About them the norm-optimal change c_j, K_j of `baselines.optimal.norm_optimal` is computed, with the
+   states x_j. About them the norm-optimal change c_j, K_j of `baselines.planning.norm_optimal` is computed, with the
    tip's estimated errors: the encoder does not see the tip, the identified arm does.
 
 So it learns more than the plan knows: the exact kinematics, the inertia along the motion, the stops of the motor and
@@ -30,7 +30,7 @@ from baselines.estimation.identification import Belief
 from baselines.gains import tuned
 from baselines.iterative.lesson import Law, Lesson, Notes
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
-from baselines.optimal.norm_optimal import Linearisation, norm_weights, optimal_change
+from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats

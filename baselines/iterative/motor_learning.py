@@ -3,7 +3,7 @@
     tau[k] = tau_paper[k] + f_j[k]          f_1 = 0          f_(j+1) = f_j + v_j
 
 tau_paper is eq. (11) with the gains of Table 2, feedback included. v_j is the norm-optimal change (Gunnarsson and
-Norrlof 2001; see `baselines.optimal.norm_optimal`) for the nominal linear loop,
+Norrlof 2001; see `baselines.planning.norm_optimal`) for the nominal linear loop,
 
     dx[k+1] = (A - b k_fb) dx[k] + b v[k],      k_fb = [M_a1 K_p, M_a1 K_v - V_a1, 0, K_4]
 
@@ -23,7 +23,7 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.iterative.lesson import Notes
 from baselines.models.linear import at_angle, linear_arm
-from baselines.optimal.norm_optimal import Trial, Weights, followed, optimal_change
+from baselines.planning.norm_optimal import Trial, Weights, followed, optimal_change
 from baselines.reading import Reading
 from baselines.servo.paper import PaperController, PaperMemory
 from beltarm_env import EPISODE_STEPS, ArmParams

@@ -6,7 +6,7 @@
 The input v is the change of a held quantity u (here torque), which is the last state: g is F's last column, and
 u_k = v_k + the last entry of z_k.
 
-Without limits, dynamic programming gives the minimum in one backward recursion (`baselines.optimal.riccati`).
+Without limits, dynamic programming gives the minimum in one backward recursion (`baselines.planning.riccati`).
 
 Limits: a u beyond its limit is fixed there, v = limit - u_last, which is a linear law as well, and the recursion is
 repeated; a fixed one is freed again once the cost falls towards the inside (Hintermueller, Ito, Kunisch, SIAM J. Optim.
@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
+from baselines.planning.riccati import free_input, no_cost, slope_in_input, step_back
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 

@@ -11,7 +11,7 @@ small speed it is that of the torque asked for, over a ramp through zero: a torq
 a motor at rest break away.
 
 tau_ff and x_ref are planned for the task's own cost, and anew as the estimated constants change
-(`baselines.optimal.replanning`). At an episode's start the arm is that of the design model: nothing is carried over
+(`baselines.planning.replanning`). At an episode's start the arm is that of the design model: nothing is carried over
 from one episode to the next. The plan takes a belt that stiffens for one of its mean stiffness K_s, which it has at the
 torsion of a moderate move.
 """
@@ -27,8 +27,8 @@ from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
-from baselines.optimal.plan import Weights, plan_moves, planned_torque
-from baselines.optimal.replanning import STEPS, PlanCache, Situation
+from baselines.planning.plan import Weights, plan_moves, planned_torque
+from baselines.planning.replanning import STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import ArmParams, design_model
 from beltarm_env.arm import COLUMN

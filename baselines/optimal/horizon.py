@@ -11,7 +11,7 @@ u_last],
 
     z+ = F z + g v + h,    F = [A b; 0 1],    g = [b; 1],    h = [c; 0].
 
-Cost. The tip's errors, linear in e (`baselines.optimal.tip_error`), are squared, over 10 mm and 200 mm/s as in the
+Cost. The tip's errors, linear in e (`baselines.planning.tip_error`), are squared, over 10 mm and 200 mm/s as in the
 environment's cost, and summed at the end of every step, m-fold, with weights 1 and w_v, and so is rho u^2; R v^2 is
 added once per step.
 After the last step comes the LQR's cost-to-go at the reference's angle (from the discrete algebraic Riccati equation),
@@ -31,8 +31,8 @@ from scipy.linalg import solve_discrete_are
 
 from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
-from baselines.optimal.plan import Weights
-from baselines.optimal.tip_error import add_tip_cost, error_weights, softened_sine
+from baselines.planning.plan import Weights
+from baselines.planning.tip_error import add_tip_cost, error_weights, softened_sine
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats

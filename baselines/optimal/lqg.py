@@ -10,7 +10,7 @@ the reference. It minimises
 
     sum of |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho v^2 + R (v - v_last)^2
 
-with the tip's errors about an arm at rest at the angle, linear in z = x - x_flat (`baselines.optimal.tip_error`).
+with the tip's errors about an arm at rest at the angle, linear in z = x - x_flat (`baselines.planning.tip_error`).
 
 `baselines.optimal.preview` weighs the same errors, but over the whole move at once: its gains vary with time, and its
 feed-forward is the optimum for the trapezoid itself. Here the move is first made one that the arm can follow; how
@@ -30,9 +30,9 @@ from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.models.actuator import dead_time
 from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothed
 from baselines.models.linear import ANGLES, at_angle, linear_arm
-from baselines.optimal.plan import Weights
 from baselines.optimal.preview import PreviewGains
-from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
+from baselines.planning.plan import Weights
+from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
 from baselines.reading import Reading, chosen, last_share
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats

@@ -1,6 +1,6 @@
 """Preview LQG: an optimal plan for the move, and a Kalman filter that models stiction.
 
-    tau_m = tau_ff - K [x - x_ref; tau_last] - d + tau_f           plan and gains: `baselines.optimal.plan`
+    tau_m = tau_ff - K [x - x_ref; tau_last] - d + tau_f           plan and gains: `baselines.planning.plan`
 
 with the plan at the time at which the command acts, and the estimates x, of the state then, and d of
 `baselines.estimation.observer`. tau_last is what the plan's law asked for one sample ago, as far as the limit left room
@@ -21,7 +21,7 @@ from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.actuator import dead_time
 from baselines.models.friction import friction_level, smooth_direction
-from baselines.optimal.plan import Plans, Weights, planned_torque, replanned
+from baselines.planning.plan import Plans, Weights, planned_torque, replanned
 from baselines.reading import Reading, last_share
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import params_table

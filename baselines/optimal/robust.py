@@ -41,8 +41,8 @@ from baselines.models.actuator import dead_time
 from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
-from baselines.optimal.plan import Weights
-from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
+from baselines.planning.plan import Weights
+from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, ArmParams, sampled_state_space
 from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import design_model

@@ -9,7 +9,7 @@ Nothing is smoothed and nothing modelled a second time.
 
 From torques that move the arm, `privileged`'s say, each iteration
 
-1. linearises simulation and tip about the motion so far, friction included (`baselines.optimal.norm_optimal`),
+1. linearises simulation and tip about the motion so far, friction included (`baselines.planning.norm_optimal`),
 2. finds the norm-optimal change for each of several prices on the change itself, from almost none to one that allows
    hardly any (K. Levenberg 1944; D. Marquardt 1963), the norms being squares whose weights have the norms' slope there,
 3. simulates all of them side by side, each with the feedback that belongs to it, and keeps the cheapest one.
@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.optimal.norm_optimal import Linearisation, norm_weights, optimal_change
+from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Singles

@@ -18,8 +18,8 @@ from baselines.gains import tuned
 from baselines.models.actuator import dead_time
 from baselines.models.friction import sliding_torques
 from baselines.optimal.adaptive import AdaptiveGains, planned_for
-from baselines.optimal.plan import planned_torque
-from baselines.optimal.replanning import PlanCache, Situation
+from baselines.planning.plan import planned_torque
+from baselines.planning.replanning import PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import params_table

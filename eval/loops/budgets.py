@@ -21,6 +21,8 @@ from baselines.optimal.horizon import STEPS
 from baselines.optimal.lqg import LqgController
 from baselines.optimal.mpc import MpcController
 from baselines.optimal.preview import PreviewController
+from baselines.planning.replanning import STEPS as IMPROVEMENTS
+from baselines.servo.adrc import AdrcController
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.paper import PaperController
 from baselines.servo.pid import PidServo
@@ -44,6 +46,7 @@ def _ahead(params: ArmParams) -> int:
 _FILTER = 1 + DIFFERENCED
 """Of the identification: the arm believed in, and one for each derivative."""
 _ONE_PLAN = EPISODE_STEPS
+_PLANS = 1 + IMPROVEMENTS  # of which all but the first are steps of improvement
 _PLANS_APART = 20  # samples, of a controller that makes plans as it learns about its arm
 
 MODEL_STEPS: dict[type, Callable[[Any], ModelSteps]] = {
@@ -51,10 +54,11 @@ MODEL_STEPS: dict[type, Callable[[Any], ModelSteps]] = {
     RetunedController: lambda _: ModelSteps(1, 0),
     PidServo: lambda _: ModelSteps(0, 0),
     DisturbanceController: lambda _: ModelSteps(0, 0),
+    AdrcController: lambda _: ModelSteps(0, 0),
     LqgController: lambda c: ModelSteps(1 + _ahead(c.params), 0),
     PreviewController: lambda c: ModelSteps(1 + _ahead(c.params), _ONE_PLAN // EPISODE_STEPS),
     MpcController: lambda c: ModelSteps(1 + _ahead(c.params), len(STEPS)),
-    AdaptiveController: lambda c: ModelSteps(_FILTER + _ahead(c.params), _ONE_PLAN // _PLANS_APART),
+    AdaptiveController: lambda c: ModelSteps(_FILTER + _ahead(c.params), _PLANS * _ONE_PLAN // _PLANS_APART),
 }
 """By the type of controller; those of an active set and of plans are for one pass."""
 

@@ -1,11 +1,11 @@
 """Improvement of a plan for the task's own cost, step by step while the arm moves.
 
-The plan of `baselines.optimal.plan` minimises squares. What the task charges are norms, of the tip's exact errors, and
+The plan of `baselines.planning.plan` minimises squares. What the task charges are norms, of the tip's exact errors, and
 the torque's change; and the motor's torque is limited, of which friction takes its share:
 
     min  sum_k |e_p| / 10 mm + |e_v| / 200 mm/s + 0.1 |tau_k - tau_(k-1)| / limit,   |tau_k| <= limit - friction
 
-From the state that the plan has reached, its torques are improved by the step of `baselines.optimal.norm_optimal`, as
+From the state that the plan has reached, its torques are improved by the step of `baselines.planning.norm_optimal`, as
 far along it as the cost falls (a Gauss-Newton step with line search; one step a sample of an optimisation that goes on
 while the arm moves: M. Diehl, H. G. Bock, J. P. Schloeder: A real-time iteration scheme for nonlinear optimization in
 optimal feedback control, SIAM J. Control Optim. 43, 2005). The arm is the plan's, linear about the reference, without
@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.models.linear import LinearArms, linear_arms
-from baselines.optimal.norm_optimal import Trial, followed, norm_weights, optimal_change
-from baselines.optimal.plan import Plans, set_step
-from baselines.optimal.tip_error import bounded_sine, tip_error_rows
+from baselines.planning.norm_optimal import Trial, followed, norm_weights, optimal_change
+from baselines.planning.plan import Plans, set_step
+from baselines.planning.tip_error import bounded_sine, tip_error_rows
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.arrays import Flags, Floats

@@ -13,7 +13,7 @@ motor sticks, b_k = 0. Behind a drive as it is built, the torque that acts and t
     min  sum_k (e_k + C_k dx_k)' W_k (e_k + C_k dx_k) + R v[k]^2 + r_k (D_k + v[k] - v[k-1])^2
 
 with D_k = tau_k - tau_(k-1), over all v at once: the lifted least squares of a whole trial. It is solved exactly,
-backwards over z_k = [dx_k; v[k-1]] (`baselines.optimal.riccati`), the input being v[k] - v[k-1], as feed-forward and
+backwards over z_k = [dx_k; v[k-1]] (`baselines.planning.riccati`), the input being v[k] - v[k-1], as feed-forward and
 feedback v[k] = c[k] - K[k] z_k. Torques have a limit: where on the trial's own path (z_k = 0) v[k] would pass it, the
 law is v[k] = what is left to the limit, whatever z_k (Y. Tassa, N. Mansard, E. Todorov: Control-limited differential
 dynamic programming, ICRA 2014).
@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.optimal.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
+from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats

@@ -2,13 +2,13 @@
 
 Along the reference, z = x - x_ref with x_ref = (G theta_ref, G theta_ref', 0, 0) obeys z[k+1] = A z + b tau + d with
 the sampled linear arm at theta_ref[k] and d = A x_ref[k] - x_ref[k+1] + e M2' theta_ref'^2 / (2 M2). To first order the
-errors e_p, e_v of the tip, in position and velocity, are linear in z (`baselines.optimal.tip_error`). What is minimised
-is the sum over the episode of
+errors e_p, e_v of the tip, in position and velocity, are linear in z (`baselines.planning.tip_error`). What is
+minimised is the sum over the episode of
 
     |e_p / 10 mm|^2 + w_v |e_v / 200 mm/s|^2 + rho tau^2 + R (tau - tau_last)^2,
 
 the squares of what the environment's cost adds up. The change of the torque is the input, which makes the last torque a
-fifth state. Backwards from the end, by `baselines.optimal.riccati`, this gives tau = tau_ff - K [z; tau_last], optimal
+fifth state. Backwards from the end, by `baselines.planning.riccati`, this gives tau = tau_ff - K [z; tau_last], optimal
 from any state: a feed-forward that acts before the reference does, and the feedback that belongs to it. See B. D. O.
 Anderson, J. B. Moore: Optimal Control, 1990, ch. 4.
 
@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.models.linear import LinearArms, between, linear_arms, place, turning_load
-from baselines.optimal.riccati import free_input, no_cost, slope_in_input, step_back
-from baselines.optimal.tip_error import add_tip_cost, bounded_sine, error_weights
+from baselines.planning.riccati import free_input, no_cost, slope_in_input, step_back
+from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Flags, Floats

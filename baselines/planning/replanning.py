@@ -1,7 +1,7 @@
 """Plans of arms about which more and more is known: made anew and improved, a piece of work in each sample.
 
-Before the move the plan of `baselines.optimal.plan` is made for the arm believed in, and improved for the task's own
-cost (`baselines.optimal.task_plan`). Every 30 ms the rest of the move is planned anew for arms whose estimated
+Before the move the plan of `baselines.planning.plan` is made for the arm believed in, and improved for the task's own
+cost (`baselines.planning.task_plan`). Every 30 ms the rest of the move is planned anew for arms whose estimated
 constants have changed by more than 2 % (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995),
 from where the arm is then, and improved in the samples after that.
 
@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.optimal.plan import Plans, Weights, replanned
-from baselines.optimal.task_plan import anchored, improved
+from baselines.planning.plan import Plans, Weights, replanned
+from baselines.planning.task_plan import anchored, improved
 from beltarm_env.arrays import Flags, Floats, Integers
 
 STEPS = 6

@@ -1,0 +1,1 @@
+"""Optimal plans of known moves: what they minimise, how they are found, and made anew while the arm moves."""
