@@ -10,7 +10,7 @@ believes in, breakaway and its variation over the turn included. Its direction i
 small speed it is that of the torque asked for, over a ramp through zero: a torque too small to be meant does not make
 a motor at rest break away.
 
-tau_ff and x_ref are planned for the task's own cost, and anew as the estimated constants change
+tau_ff and x_ref are planned for the task's own cost first, and anew as the estimated constants change
 (`baselines.planning.replanning`). At an episode's start the arm is that of the design model: nothing is carried over
 from one episode to the next. The plan takes a belt that stiffens for one of its mean stiffness K_s, which it has at the
 torsion of a moderate move.
@@ -94,7 +94,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         gains: Weights, prior uncertainty and noise.
         params: The nominal arm; the design model if not given.
         uncertainty: What the identification doubts; by default what the gains say.
-        improvements: Steps by which each plan is improved for the task's own cost; 0 leaves it as the squares have it.
+        improvements: Steps by which the first plan is improved for the task's own cost; 0 leaves it to the squares.
     """
 
     def __init__(
@@ -126,13 +126,13 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         state, delay = self._identifier.ahead(belief), belief.delay
         table = planned_for(self._identifier.table(belief))
         now = Situation(reading.move, reading.step, reading.step + delay, state, belief.logs, table)
-        cache = memory.cache if memory else PlanCache.empty(now.logs, self._improvements)
-        cache = cache.begun(begins, now, self._weights)
+        cache = memory.cache if memory else PlanCache.empty(now.logs)
+        cache = cache.begun(begins, now, self._weights, self._improvements)
         last = np.zeros(len(begins))  # on which nothing depends: the gain does not weigh the change of the torque
         torque = planned_torque(cache.plans, now.time, state, last)
         friction, others = self._identifier.motor_torques(belief, state)
         torque = torque + self.gains.compensated(friction, state[:, 1], torque) - others
-        return torque, AdaptiveMemory(belief, cache.worked_on(now, self._weights))
+        return torque, AdaptiveMemory(belief, cache.renewed(now, self._weights))
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""

@@ -1,17 +1,19 @@
-"""Plans of arms about which more and more is known: made anew and improved, a piece of work in each sample.
+"""Plans of arms about which more and more is known: made before the move, and anew while the arm moves.
 
 Before the move the plan of `baselines.planning.plan` is made for the arm believed in, and improved for the task's own
 cost (`baselines.planning.task_plan`). Every 30 ms the rest of the move is planned anew for arms whose estimated
-constants have changed by more than 2 % (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995),
-from where the arm is then, and improved in the samples after that.
+constants have changed by more than 2 % (certainty equivalence: K. J. Astrom, B. Wittenmark: Adaptive Control, 1995).
+Computing takes time: such a plan, which takes less than a sample, is begun after the torque is given, and acts from the
+next sample on.
 
-Computing takes time. So no sample has more than one piece of work, a new plan or a step of improvement, each of which
-takes less than a sample; it begins after the torque is given, and acts from the next sample on.
+Later plans stay as the squares have them. Improved as well, by a step in each of the samples that follow, they cost 2 %
+less on arms of the training ranges and 6 % more on arms whose structure is not the plan's: what is cut so fine for an
+arm that is believed in suits no other one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from baselines.planning.task_plan import anchored, improved
 from beltarm_env.arrays import Flags, Floats, Integers
 
 STEPS = 6
-"""Steps of improvement of a plan, after which little is left to gain."""
+"""Steps of improvement of the first plan, after which little is left to gain."""
 _EVERY = 20  # samples between plans
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
 
@@ -43,38 +45,28 @@ class PlanCache:
 
     plans: Plans
     logs: Floats  # `Situation.logs` at the time; NaN where there is no plan
-    steps_left: Integers  # steps of improvement to come, shape (n,)
-    steps: int = STEPS  # of improvement of each plan
 
     @classmethod
-    def empty(cls, logs: Floats, steps: int = STEPS) -> PlanCache:
+    def empty(cls, logs: Floats) -> PlanCache:
         """Cache without any plan, for arms with constants as `Situation.logs`."""
-        return cls([np.empty(0)] * len(logs), np.full_like(logs, np.nan), np.zeros(len(logs), np.intp), steps)
+        return cls([np.empty(0)] * len(logs), np.full_like(logs, np.nan))
 
-    def begun(self, begins: Flags, now: Situation, weights: Weights) -> PlanCache:
-        """Cache with plans for arms that begin a move, improved as far as they will be."""
+    def begun(self, begins: Flags, now: Situation, weights: Weights, steps: int = STEPS) -> PlanCache:
+        """Cache with plans for arms that begin a move, improved by some steps."""
         if not begins.any():
             return self
         cache = self._planned(begins, now, weights)
-        plans = cache.plans
-        for _ in range(self.steps):
+        plans = anchored(cache.plans, begins, now.time, now.states, now.moves, now.table)
+        for _ in range(steps):
             plans, _ = improved(plans, begins, now.time, now.moves, now.table)
-        return replace(cache, plans=plans, steps_left=np.where(begins, 0, cache.steps_left))
+        return PlanCache(plans, cache.logs)
 
-    def worked_on(self, now: Situation, weights: Weights) -> PlanCache:
-        """Cache after the work of a sample: a new plan where the old one is stale, elsewhere a step of improvement."""
+    def renewed(self, now: Situation, weights: Weights) -> PlanCache:
+        """Cache with new plans for arms whose plans are stale."""
         stale = (np.abs(now.logs - self.logs).max(axis=1) > _CHANGE) & (now.step % _EVERY == 0)
-        planned = self._planned(stale, now, weights) if stale.any() else self
-        improving = (self.steps_left > 0) & ~stale
-        if not improving.any():
-            return planned
-        plans, gained = improved(planned.plans, improving, now.time, now.moves, now.table)
-        left = planned.steps_left - improving
-        return replace(planned, plans=plans, steps_left=np.where(improving & ~gained, 0, left))
+        return self._planned(stale, now, weights) if stale.any() else self
 
     def _planned(self, which: Flags, now: Situation, weights: Weights) -> PlanCache:
-        """Cache with new plans for some arms, from their present states on."""
+        """Cache with new plans for some arms."""
         plans = replanned(self.plans, which, now.moves, now.table, weights)
-        plans = anchored(plans, which, now.time, now.states, now.moves, now.table)
-        logs = np.where(which[:, None], now.logs, self.logs)
-        return replace(self, plans=plans, logs=logs, steps_left=np.where(which, self.steps, self.steps_left))
+        return PlanCache(plans, np.where(which[:, None], now.logs, self.logs))

@@ -1,4 +1,4 @@
-"""Improvement of a plan for the task's own cost, step by step while the arm moves.
+"""Improvement of a plan for the task's own cost, step by step.
 
 The plan of `baselines.planning.plan` minimises squares. What the task charges are norms, of the tip's exact errors, and
 the torque's change; and the motor's torque is limited, of which friction takes its share:
@@ -6,10 +6,9 @@ the torque's change; and the motor's torque is limited, of which friction takes 
     min  sum_k |e_p| / 10 mm + |e_v| / 200 mm/s + 0.1 |tau_k - tau_(k-1)| / limit,   |tau_k| <= limit - friction
 
 From the state that the plan has reached, its torques are improved by the step of `baselines.planning.norm_optimal`, as
-far along it as the cost falls (a Gauss-Newton step with line search; one step a sample of an optimisation that goes on
-while the arm moves: M. Diehl, H. G. Bock, J. P. Schloeder: A real-time iteration scheme for nonlinear optimization in
-optimal feedback control, SIAM J. Control Optim. 43, 2005). The arm is the plan's, linear about the reference, without
-friction, which is compensated.
+far along it as the cost falls (a Gauss-Newton step with line search; W. Li, E. Todorov: Iterative linear quadratic
+regulator design for nonlinear biological movement systems, ICINCO 2004). The arm is the plan's, linear about the
+reference, without friction, which is compensated.
 
 Of the plan's law only the feed-forward and the motion that belongs to it change: tau = tau_k - K [x - x_k] keeps the
 gain of the squares. So the loop, and its margins, are those of the plan.

@@ -59,7 +59,7 @@ ADVANCES = (
     Advance("+ delay and current loop", "adaptive", _identifying(*_TURNING, *_RIPPLE)),
     Advance("+ friction over the turn, breakaway, stiffening", "adaptive", _identifying(*_RIPPLE)),
     Advance("+ torque ripple", "adaptive", _identifying()),
-    Advance("+ plans for the task's own cost", "adaptive", CONTROLLERS["adaptive"]),
+    Advance("+ first plan for the task's own cost", "adaptive", CONTROLLERS["adaptive"]),
     Advance("arm, drive and state known (no controller)", "privileged", None),
 )
 """The chain."""

@@ -21,7 +21,6 @@ from baselines.optimal.horizon import STEPS
 from baselines.optimal.lqg import LqgController
 from baselines.optimal.mpc import MpcController
 from baselines.optimal.preview import PreviewController
-from baselines.planning.replanning import STEPS as IMPROVEMENTS
 from baselines.servo.adrc import AdrcController
 from baselines.servo.disturbance import DisturbanceController
 from baselines.servo.paper import PaperController
@@ -46,7 +45,6 @@ def _ahead(params: ArmParams) -> int:
 _FILTER = 1 + DIFFERENCED
 """Of the identification: the arm believed in, and one for each derivative."""
 _ONE_PLAN = EPISODE_STEPS
-_PLANS = 1 + IMPROVEMENTS  # of which all but the first are steps of improvement
 _PLANS_APART = 20  # samples, of a controller that makes plans as it learns about its arm
 
 MODEL_STEPS: dict[type, Callable[[Any], ModelSteps]] = {
@@ -58,7 +56,7 @@ MODEL_STEPS: dict[type, Callable[[Any], ModelSteps]] = {
     LqgController: lambda c: ModelSteps(1 + _ahead(c.params), 0),
     PreviewController: lambda c: ModelSteps(1 + _ahead(c.params), _ONE_PLAN // EPISODE_STEPS),
     MpcController: lambda c: ModelSteps(1 + _ahead(c.params), len(STEPS)),
-    AdaptiveController: lambda c: ModelSteps(_FILTER + _ahead(c.params), _PLANS * _ONE_PLAN // _PLANS_APART),
+    AdaptiveController: lambda c: ModelSteps(_FILTER + _ahead(c.params), _ONE_PLAN // _PLANS_APART),
 }
 """By the type of controller; those of an active set and of plans are for one pass."""
 
