@@ -6,9 +6,8 @@ constants have changed by more than 2 % (certainty equivalence: K. J. Astrom, B.
 Computing takes time: such a plan, which takes less than a sample, is begun after the torque is given, and acts from the
 next sample on.
 
-Later plans stay as the squares have them. Improved as well, by a step in each of the samples that follow, they cost 2 %
-less on arms of the training ranges and 6 % more on arms whose structure is not the plan's: what is cut so fine for an
-arm that is believed in suits no other one.
+Later plans stay as the squares have them. Improved as well, they gain little on arms of the training ranges and lose
+more on arms whose structure is not the plan's: what is cut so fine for an arm that is believed in suits no other one.
 """
 
 from __future__ import annotations
