@@ -39,7 +39,7 @@ def test_fresh_sets_share_no_arm_and_lie_beyond_all_others():
 
 
 def test_no_other_module_has_a_range_of_its_own():
-    """A seed of seven digits stands in one module; others name it. Numbers of samples and steps, and budgets, are no seeds."""
+    """A seed of seven digits stands in one module; others name it. Numbers of samples, steps, budgets are no seeds."""
     found = []
     for package in ("beltarm_env", "baselines", "agents", "train", "eval"):
         for path in (ROOT / package).rglob("*.py"):
