@@ -122,7 +122,7 @@ class TestDrive:
             states = np.column_stack([np.full(32, angle), np.zeros((32, 3))])
             phase = table[:, COLUMN.torque_ripple_order] * angle + table[:, COLUMN.torque_ripple_phase]
             ripple = table[:, COLUMN.torque_ripple] * np.sin(phase)
-            unexplained.append([ripple - identifier.motor_torques(belief, states)[1], ripple])
+            unexplained.append([ripple - identifier.other_torques(belief, states), ripple])
         left, whole = np.sqrt(np.mean(np.square(unexplained), axis=0))
         assert np.median(left / whole) < 0.5
 

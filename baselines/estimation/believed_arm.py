@@ -27,7 +27,6 @@ from __future__ import annotations
 import numpy as np
 
 from baselines.estimation.felt import AXES, mean_acceleration
-from baselines.models.friction import sliding_torques
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Floats
@@ -234,21 +233,15 @@ def believed_table(beliefs: Floats, nominal: Floats) -> Floats:
 
 
 @compiled
-def motor_torques(beliefs: Floats, nominal: Floats, states: Floats) -> tuple[Floats, Floats]:
-    """Friction of a motor that slides forward, and what else acts on it: ripple and d.
+def other_torques(beliefs: Floats, states: Floats) -> Floats:
+    """Torque ripple and d, what acts on motors beside their drives and friction [N m], shape (m,).
 
     Args:
         beliefs: z of m arms, shape (SIZE, m).
-        nominal: From `nominal_row`.
         states: x at the beginning of the sample that is asked for, shape (m, 4).
-
-    Returns:
-        Both [N m], of shape (m,), in the middle of the sample.
     """
-    friction, others, row = np.empty(len(states)), np.empty(len(states)), np.empty(len(nominal))
+    torques = np.empty(len(states))
     for arm in range(len(states)):
         z = beliefs[:, arm]
-        believe(z, nominal, row)
-        friction[arm], _ = sliding_torques(row, states[arm])
-        others[arm] = z[DISTURBANCE] + ripple_torque(z, states[arm, 0], states[arm, 1])
-    return friction, others
+        torques[arm] = z[DISTURBANCE] + ripple_torque(z, states[arm, 0], states[arm, 1])
+    return torques

@@ -19,7 +19,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from baselines.estimation.arm_ekf import UNFELT, ArmFilter, Tracks, Uncertainty
-from baselines.estimation.believed_arm import DELAY, HISTORY, LOGS, believed_table, motor_torques, simulated
+from baselines.estimation.believed_arm import DELAY, HISTORY, LOGS, believed_table, other_torques, simulated
 from baselines.estimation.felt import unfiltered
 from baselines.estimation.observer import QUANTUM
 from baselines.reading import Reading
@@ -163,14 +163,14 @@ class ArmIdentifier:
             result[now] = (before + part * (z[:4] - before)).T[now]
         return result
 
-    def motor_torques(self, belief: Belief, states: Floats) -> tuple[Floats, Floats]:
-        """Friction of motors that slide forward, and ripple and all else that acts on them [N m], shape (n,) each.
+    def other_torques(self, belief: Belief, states: Floats) -> Floats:
+        """Torque ripple, and all else but friction that acts on the motors [N m], shape (n,).
 
         Args:
             belief: About n arms.
             states: x at the beginning of the sample that is asked for, shape (n, 4).
         """
-        return motor_torques(belief.tracks.mean, self._filter.nominal, states)
+        return other_torques(belief.tracks.mean, states)
 
 
 @compiled

@@ -87,14 +87,20 @@ def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: fl
 
 
 @compiled
-def sliding_torques(row: Floats, state: Floats) -> tuple[float, float]:
-    """Return dry friction of a motor that slides forward, as it varies over the turn, and torque ripple [N m].
+def sliding_torques(table: Floats, states: Floats) -> tuple[Floats, Floats]:
+    """Return dry friction of motors that slide forward, as it varies over the turn, and torque ripple [N m].
 
     Args:
-        row: Constants of the arm, shape (len(FIELDS),).
-        state: x at the beginning of a sample, shape (4,); torques are those in its middle.
+        table: Constants of n arms, columns as `ArmParams`, shape (n, len(FIELDS)).
+        states: x at the beginning of a sample, shape (n, 4); torques are those in its middle.
+
+    Returns:
+        Both of shape (n,).
     """
-    plant, drive, speed = plant_of(row), drive_of(row), state[1]
-    x = ArmState(state[0] + 0.5 * CONTROL_PERIOD * speed, speed, state[2], state[3])
-    coupled = coupling(x, angles_of(x, plant, drive), plant, drive)
-    return plant.coulomb_friction * coupled.friction, coupled.ripple
+    friction, ripple = np.empty(len(states)), np.empty(len(states))
+    for i in range(len(states)):
+        plant, drive, speed = plant_of(table[i]), drive_of(table[i]), states[i, 1]
+        x = ArmState(states[i, 0] + 0.5 * CONTROL_PERIOD * speed, speed, states[i, 2], states[i, 3])
+        coupled = coupling(x, angles_of(x, plant, drive), plant, drive)
+        friction[i], ripple[i] = plant.coulomb_friction * coupled.friction, coupled.ripple
+    return friction, ripple

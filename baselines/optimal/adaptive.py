@@ -27,6 +27,7 @@ from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
+from baselines.models.friction import sliding_torques
 from baselines.planning.plan import Weights, plan_moves, planned_torque
 from baselines.planning.replanning import STEPS, PlanCache, Situation
 from baselines.reading import Reading
@@ -124,13 +125,13 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         """Torque [N m] of one sample, see `ClassicalController`."""
         belief = self._identified(reading, begins, memory.belief if memory else None)
         state, delay = self._identifier.ahead(belief), belief.delay
-        table = planned_for(self._identifier.table(belief))
-        now = Situation(reading.move, reading.step, reading.step + delay, state, belief.logs, table)
+        table = self._identifier.table(belief)
+        now = Situation(reading.move, reading.step, reading.step + delay, state, belief.logs, planned_for(table))
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins, now, self._weights, self._improvements)
         last = np.zeros(len(begins))  # on which nothing depends: the gain does not weigh the change of the torque
         torque = planned_torque(cache.plans, now.time, state, last)
-        friction, others = self._identifier.motor_torques(belief, state)
+        (friction, _), others = sliding_torques(table, state), self._identifier.other_torques(belief, state)
         torque = torque + self.gains.compensated(friction, state[:, 1], torque) - others
         return torque, AdaptiveMemory(belief, cache.renewed(now, self._weights))
 

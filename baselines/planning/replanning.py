@@ -56,8 +56,7 @@ class PlanCache:
             return self
         cache = self._planned(begins, now, weights)
         plans = anchored(cache.plans, begins, now.time, now.states, now.moves, now.table)
-        for _ in range(steps):
-            plans, _ = improved(plans, begins, now.time, now.moves, now.table)
+        plans, _ = improved(plans, begins, now.time, now.moves, now.table, steps)
         return PlanCache(plans, cache.logs)
 
     def renewed(self, now: Situation, weights: Weights) -> PlanCache:

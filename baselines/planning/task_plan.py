@@ -164,8 +164,10 @@ def anchored(plans: Plans, which: Flags, time: Floats, states: Floats, moves: Fl
     return result
 
 
-def improved(plans: Plans, which: Flags, time: Floats, moves: Floats, table: Floats) -> tuple[Plans, Flags]:
-    """Plans after a step of improvement for some arms, from the sample after this time on.
+def improved(
+    plans: Plans, which: Flags, time: Floats, moves: Floats, table: Floats, steps: int = 1
+) -> tuple[Plans, Flags]:
+    """Plans after some steps of improvement for some arms, from the sample after this time on.
 
     Args:
         plans: Of n arms; those asked for are `anchored`.
@@ -173,6 +175,7 @@ def improved(plans: Plans, which: Flags, time: Floats, moves: Floats, table: Flo
         time: Since the episode's start [samples], shape (n,).
         moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
         table: Constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS)).
+        steps: At most; fewer where there is nothing left to gain.
 
     Returns:
         Plans, and for which arms there was something to gain, shape (n,).
@@ -181,5 +184,9 @@ def improved(plans: Plans, which: Flags, time: Floats, moves: Floats, table: Flo
     for arm in np.flatnonzero(which & (time < _LAST)):
         first = int(time[arm])
         result[arm] = plans[arm].copy()
-        gained[arm] = _improve(result[arm][first:], _problem(moves[arm], table[arm], first + 1))
+        rows, problem = result[arm][first:], _problem(moves[arm], table[arm], first + 1)
+        for _ in range(steps):
+            if not _improve(rows, problem):
+                break
+            gained[arm] = True
     return result, gained

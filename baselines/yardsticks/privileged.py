@@ -75,5 +75,5 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         now = Situation(reading.move, reading.step, time, ahead, constant, self._planned_for)
         cache = (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, self.gains.weights())
         torque = planned_torque(cache.plans, time, ahead, np.zeros(len(begins)))
-        friction, ripple = np.array([sliding_torques(*pair) for pair in zip(self._table, ahead, strict=True)]).T
+        friction, ripple = sliding_torques(self._table, ahead)
         return torque + self.gains.compensated(friction, ahead[:, 1], torque) - ripple, PrivilegedMemory(cache, arms)
