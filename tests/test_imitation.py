@@ -1,4 +1,4 @@
-"""Learning by imitation: what a student is told is the teacher's own torque, and a run can be trusted as any other."""
+"""Learning from a teacher's advice: it is what would have cost less, and a run can be trusted as any other."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ from numpy.typing import NDArray
 
 import agents.learners.student
 import agents.runs.monitor
+from agents.learners import teaching
 from agents.learners.student import Student, StudentConfig
-from agents.learners.teaching import Advised, ask, practise
+from agents.learners.teaching import Advice, ask, best_changes
 from agents.policy.bundle import load_controller
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.training import train
 from baselines import CONTROLLERS
-from baselines.iterative.controller import IterativeController
-from baselines.iterative.lesson import Lesson, Notes
+from baselines.planning.norm_optimal import Linearisation, curved_change, norm_weights
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
-from beltarm_env import EPISODE_STEPS
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, design_model
+from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.reference import TRAPEZOID, sample_references
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
 from eval.learning.curves import find_curves
 
@@ -38,7 +40,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SEED = 5_700_000
 ARMS = 6
 OPTIONS: dict[str, Any] = {
-    **{"arms": 4, "rounds": 2, "repetitions": 1, "epochs": 2, "batch_size": 32},
+    **{"arms": 4, "rounds": 2, "remembered": 2, "epochs": 2, "batch_size": 2, "gru_width": 6},
     **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none"},
 }
 TINY = [
@@ -59,61 +61,155 @@ class Constant:
 
 
 def trial(controller: Controller) -> Recording:
-    return rollout(controller, ARMS, seed=SEED, randomization="ideal")
+    return rollout(controller, ARMS, seed=SEED, randomization="train")
 
 
 def student(residual: float, **settings: Any) -> ResidualController:
-    return ResidualController(CONTROLLERS["adaptive"](), Constant(residual), ResidualSettings(**settings))
+    return ResidualController(CONTROLLERS["preview"](), Constant(residual), ResidualSettings(**settings))
 
 
 @pytest.fixture(scope="module")
-def lesson() -> Lesson:
-    return practise(trial, 2)[0]
+def recording() -> Recording:
+    return trial(CONTROLLERS["preview"]())
+
+
+class Law:
+    """Torques of a recording, changed, with the feedback that the teacher reckons with."""
+
+    def __init__(self, recording: Recording, arm: int) -> None:
+        self.row, self.torque = recording.params[arm], np.ascontiguousarray(recording.torque[:, arm])
+        self.limit, self.options = float(self.row[COLUMN.torque_limit]), {"move": recording.moves[arm]}
+        self.states = np.ascontiguousarray(teaching._motion(recording)[:, arm])
+        task = np.empty((1, EPISODE_STEPS + 1, 3))
+        sample_references(TRAPEZOID, np.ascontiguousarray(recording.moves[[arm]]), CONTROL_PERIOD, task)
+        linearisation = Linearisation(design_model(), EPISODE_STEPS)
+        about = linearisation.about(self.states, self.torque, np.ascontiguousarray(task[0, 1:, :2]), self.row)
+        step = np.diff(self.torque, prepend=0.0)
+        weights = norm_weights(about.errors, step, self.limit, teaching._EFFORT, teaching._SOFT)
+        _, self.gain, self.curvature = curved_change(about, weights, self.torque)
+
+    def cost(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Cost of the task under changes of the torque [N m], shape (candidates, 1200), simulated."""
+        count = len(changes)
+        arms = teaching.ArmSimulation(design_model(), count)
+        table = np.repeat(self.row[None], count, axis=0)
+        now, last = np.repeat(self.states[:1], count, axis=0), np.zeros((count, 1))
+        states, torques = np.empty((EPISODE_STEPS, count, now.shape[1])), np.empty((EPISODE_STEPS, count))
+        for k in range(EPISODE_STEPS):
+            away = np.concatenate([now - self.states[k], last], axis=1)
+            torques[k] = self.torque[k] + changes[:, k] - away @ self.gain[k]
+            last = (torques[k] - self.torque[k])[:, None]
+            arms.set_table(table, np.full(count, float(k)))
+            now = arms.advance(now, torques[k])
+            states[k] = now
+        return self._charged(states, torques)
+
+    def _charged(self, states: NDArray[np.float64], torques: NDArray[np.float64]) -> NDArray[np.float64]:
+        from baselines.planning.norm_optimal import _tip_errors
+        from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+
+        task = np.empty((1, EPISODE_STEPS + 1, 3))
+        sample_references(TRAPEZOID, np.array([self.options["move"]]), CONTROL_PERIOD, task)
+        costs = np.empty(states.shape[1])
+        for i in range(len(costs)):
+            errors, _ = _tip_errors(
+                np.ascontiguousarray(states[:, i, :4]), np.ascontiguousarray(task[0, 1:, :2]), self.row
+            )
+            position, velocity = np.hypot(*errors.T[:2]) / POSITION_SCALE, np.hypot(*errors.T[2:]) / VELOCITY_SCALE
+            change = TORQUE_RATE_WEIGHT * np.abs(np.diff(torques[:, i], prepend=0.0)) / self.limit
+            costs[i] = (position + velocity + change).sum()
+        return costs
 
 
 # What a student is told
 
 
-def test_practice_pays(lesson: Lesson):
-    taught = trial(IterativeController(lesson)).cost
-    assert np.mean(taught) < 0.97 * np.mean(trial(CONTROLLERS["adaptive"]()).cost)
+def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Recording, monkeypatch: pytest.MonkeyPatch):
+    """One torque is changed, everything after it reacts by feedback alone, and the simulated cost changes by -2 h c."""
+    monkeypatch.setattr(teaching, "_SOFT", (1e-9, 1e-9))
+    changes, curvatures = best_changes(recording)
+    for arm in range(3):
+        law = Law(recording, arm)
+        samples = np.arange(20, 1000, 70)
+        small = np.zeros((2 * len(samples), EPISODE_STEPS))
+        small[np.arange(len(samples)), samples] = step = 2e-6
+        small[len(samples) + np.arange(len(samples)), samples] = -step
+        up, down = law.cost(small).reshape(2, -1)
+        told = -2 * (curvatures * changes)[samples, arm] / law.limit
+        found = (up - down) / (2 * step)
+        moving = np.abs(recording.state[samples - 1, arm, 1]) > 3.0
+        assert moving.sum() >= 4
+        scale = np.abs(found[moving]).max()
+        np.testing.assert_allclose(told[moving], found[moving], atol=0.03 * scale)
 
 
-@pytest.mark.parametrize("hold", [1, 7])
-def test_labels_are_what_the_teacher_would_add(hold: int, lesson: Lesson):
-    """Recomputed from what the base saw and did, under a student that adds nothing."""
-    pairs, own = ask(trial, student(0.0, limit=0.2, hold=hold), lesson)
-    base = Notes(CONTROLLERS["adaptive"]())
-    np.testing.assert_array_equal(trial(base).state, own.state)
-    teacher, memory, advice = IterativeController(lesson), None, []
-    assert lesson.law is not None
-    for k, (seen, done) in enumerate(zip(base._observations, base._actions, strict=True)):
-        wanted, memory = teacher.predict(seen, memory)
-        advice.append(np.where(lesson.law.holds[:, k], (wanted - done)[:, 0], 0.0) / 0.2)
-    held = [np.mean(advice[k : k + hold], axis=0).clip(-1, 1) for k in range(0, EPISODE_STEPS, hold)]
-    np.testing.assert_allclose(pairs.labels.numpy()[:, 0], np.concatenate(held), atol=2e-5)
-    assert pairs.inputs.shape == (len(held) * ARMS, 41)
-    assert 0.05 < np.mean(pairs.labels.numpy() == 0) < 0.9, "where the motor sticks, and only there"
+def test_who_follows_the_advice_pays_less(recording: Recording):
+    changes, _ = best_changes(recording)
+    for arm in range(3):
+        law = Law(recording, arm)
+        shares = np.array([0.0, 0.3, 1.0])
+        costs = law.cost(shares[:, None] * changes[:, arm] * law.limit)
+        assert costs[0] == pytest.approx(recording.cost[arm], rel=1e-6)
+        assert costs[1] < 0.95 * costs[0] and costs[2] < 0.85 * costs[0]
 
 
-def test_a_student_that_does_as_it_is_told_does_as_well_as_its_teacher(lesson: Lesson):
-    """Told at every sample, and with room for all that the teacher adds."""
-
-    class Obedient(Advised):
-        def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True):
-            action, memory = super().predict(observation, state, episode_start, deterministic)
-            return (action + self._advice[-1]).clip(-1, 1), memory
-
-    taught, base = (np.mean(trial(c).cost) for c in (IterativeController(lesson), CONTROLLERS["adaptive"]()))
-    own = np.mean(trial(Obedient(student(0.0, limit=2.0, hold=1), lesson)).cost)
-    assert own - taught < 0.5 * (base - taught)
+def test_the_advice_is_to_stay_where_the_motor_sticks(recording: Recording):
+    changes, _ = best_changes(recording)
+    rests = (recording.state[:-1, :, 1] == 0) & (recording.state[1:, :, 1] == 0)
+    assert rests.mean() > 0.1
+    assert np.median(np.abs(changes[1:][rests])) < 0.1 * np.median(np.abs(changes[1:][~rests]))
 
 
-def test_arms_that_have_left_are_not_asked_about(lesson: Lesson):
-    pairs, own = ask(trial, student(1.0, limit=2.0, hold=10), lesson)
+@pytest.mark.parametrize(("residual", "hold"), [(0.0, 1), (0.2, 7)])
+def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float, hold: int):
+    advice, own = ask(trial, student(residual, limit=0.2, hold=hold))
+    changes, curvatures = best_changes(own)
+    assert advice.inputs.shape == (-(-EPISODE_STEPS // hold), ARMS, StudentConfig().spec().shape().inputs)
+    for k, start in enumerate(range(0, EPISODE_STEPS, hold)):
+        c, h = (part[start : start + hold] for part in (changes, curvatures))
+        best = residual + (h * c).sum(axis=0) / h.sum(axis=0) / 0.2
+        np.testing.assert_allclose(advice.labels[k], best.clip(-1, 1), atol=2e-5)
+    assert float(advice.weights.mean()) == pytest.approx(1.0, rel=1e-5)
+
+
+def test_a_student_is_simulated_as_it_was(recording: Recording):
+    np.testing.assert_array_equal(teaching._motion(recording)[1:, :, :4], recording.state[:-1])
+
+
+def test_arms_that_have_left_are_not_asked_about():
+    advice, own = ask(trial, student(1.0, limit=2.0, hold=10))
     assert not own.finished.any()
-    assert 0 < len(pairs.labels) < ARMS * EPISODE_STEPS / 10 / 2
-    assert len(pairs.inputs) == len(pairs.labels)
+    assert advice.inputs.shape[1] == advice.labels.shape[1] == advice.weights.shape[1] == 0
+
+
+class TestFit:
+    """What a student learns is the weighted mean of the advice about what it cannot tell apart."""
+
+    @staticmethod
+    def fitted(advice: Advice, **options: Any) -> Student:
+        config = tiny(Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
+        learner = Student(config)
+        learner._standardise(advice.inputs)
+        learner.advice = [advice]
+        learner._fit(lambda _: None)
+        return learner
+
+    def test_equal_inputs_get_the_weighted_mean(self):
+        inputs = torch.zeros(30, 2, 26).half()
+        labels, weights = torch.zeros(30, 2), torch.ones(30, 2)
+        labels[:, 0], weights[:, 0] = 0.3, 3.0
+        actor = self.fitted(Advice(inputs, labels, weights), huber=10.0)._actor
+        assert float(actor(inputs.float()).detach().mean()) == pytest.approx(0.225, abs=0.01)
+
+    @pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
+    def test_a_memory_tells_apart_what_looks_the_same(self, width: int, remembers: bool):
+        """Two episodes that differ in their first hold alone."""
+        inputs = torch.zeros(10, 2, 26)
+        inputs[0, 0, 3] = 1.0
+        labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
+        actor = self.fitted(Advice(inputs.half(), labels, torch.ones(10, 2)), gru_width=width)._actor
+        late = actor(inputs)[-1, :, 0].detach().numpy()
+        assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 
 # Runs
@@ -167,10 +263,10 @@ class StopAfter(StopRequest):
 
 
 def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):
-    """Bit for bit: in practice, while the teacher is asked and in a fit, whatever happened to the generators since."""
+    """Bit for bit: in acting, while the teacher is asked and in a fit, whatever happened to the generators since."""
     config = tiny(tmp_path)
-    first_round = 2 * EPISODE_STEPS + config.epochs
-    for number, looks in enumerate((1900, first_round - 1, first_round + 400)):
+    first_round = EPISODE_STEPS + config.arms + config.epochs * config.arms // config.batch_size
+    for number, looks in enumerate((700, EPISODE_STEPS + 2, first_round - 1, first_round + 400)):
         with pytest.raises(Interrupted, match=r"interrupted at \d+ steps, saved in"):
             run(replace(config, resume=number > 0), StopAfter(looks))
         torch.manual_seed(9)
@@ -182,15 +278,16 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):
 
 
 def test_more_rounds_go_on_from_the_last(whole: Path, tmp_path: Path):
-    """And progress is told."""
+    """With a learning rate that falls to another end; and progress is told."""
     told: list[News] = []
     config = tiny(tmp_path, rounds=1)
     train(config, Student, Channel(told.append))
     steps = [news.steps for news in told]
     assert steps == sorted(steps) and steps[0] == 0 and steps[-1] == config.length
     assert len([news for news in told if news.cost is not None]) == 2
-    run(replace(config, rounds=2, resume=True))
-    assert weights(tmp_path / "last") == weights(whole / "last")
+    monitor = run(replace(config, rounds=2, resume=True))
+    assert [point[0] for point in monitor.curve] == [0, config.length, 2 * config.length]
+    assert weights(tmp_path / "last") != weights(whole / "last")
 
 
 def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
@@ -209,10 +306,10 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
 
 
 def test_the_untrained_student_is_its_base(tmp_path: Path):
-    base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="ideal")
+    base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
     config = StudentConfig(out=tmp_path)
     untrained = ResidualController(CONTROLLERS["adaptive"](), Student(config).actor(), config.residual)
-    np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="ideal").state, base.state)
+    np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 
 def test_what_is_left_is_a_policy(whole: Path):
@@ -222,16 +319,16 @@ def test_what_is_left_is_a_policy(whole: Path):
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
 
 
-def test_the_curve_counts_what_the_teacher_practises(whole: Path):
+def test_the_curve_counts_samples(whole: Path):
     (curve,) = find_curves([whole])
-    samples_per_round = 4 * (1 + 1) * EPISODE_STEPS
+    samples_per_round = 4 * EPISODE_STEPS
     assert curve.method == "student on paper"
     assert curve.steps.tolist() == [0, samples_per_round, 2 * samples_per_round]
 
 
 def test_every_round_has_arms_of_its_own(whole: Path):
     assert whole.exists()
-    assert SEEDS == [0, 0, 4, 4], "one repetition and one trial of the student, of four arms"
+    assert SEEDS == [0, 4], "trials of four arms"
 
 
 @given(st.integers(0, MAX_TRAINING_SEED), st.integers(1, 50), st.integers(1, SEED_SPACING))
@@ -249,7 +346,8 @@ def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no rounds": ({"rounds": 0}, "--rounds must be at least 1, got 0"),
-    "no practice": ({"repetitions": 0}, "--repetitions must be at least 1, got 0"),
+    "no memory of advice": ({"remembered": 0}, "--remembered must be at least 1, got 0"),
+    "GRU of negative width": ({"gru_width": -1}, "--gru-width must be at least 0, got -1"),
     "no passes": ({"epochs": 0}, "--epochs must be at least 1, got 0"),
     "Huber": ({"huber": 0.0}, "--huber must be finite and above 0, got 0.0"),
     "diverging": ({"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps: begin anew with a smaller --learning"),
@@ -264,5 +362,5 @@ def test_bad_options(case: str, tmp_path: Path):
 
 
 def test_a_run_is_not_mixed_with_another(whole: Path):
-    with pytest.raises(ValueError, match="has --repetitions 1, not 2"):
-        run(tiny(whole, resume=True, repetitions=2))
+    with pytest.raises(ValueError, match="has --remembered 2, not 3"):
+        run(tiny(whole, resume=True, remembered=3))

@@ -207,6 +207,7 @@ def test_what_the_agent_observes():
     batch = many(3)
     observations, base, memory, belief = observed(batch), CONTROLLERS["paper"](), None, None
     identifier, plain = tuned_identifier(), BeltArmVectorEnv(3, **ARMS)
+    surprises, commands = list[Any](), list[Any]()
     seen, _ = plain.reset(seed=30)
     names = [entry.name for entry in ENTRIES["belief"]]
     scales = np.array([entry.scale for entry in ENTRIES["belief"]])
@@ -220,6 +221,18 @@ def test_what_the_agent_observes():
                 assert np.array_equal(told["base_torque"], action[:, 0])
                 assert np.allclose(told["believed_torsion"], belief.state[:, 2], rtol=1e-6)
                 assert np.allclose(told["believed_belt_stiffness"], belief.logs[:, 1], rtol=1e-6, atol=1e-9)
+                assert np.allclose(told["believed_delay"], belief.delay, rtol=1e-6)
+                doubt = np.sqrt(belief.variance[:, 5])
+                assert np.allclose(told["doubt_of_belt_stiffness"], doubt, rtol=1e-6)
+                assert np.allclose(told["surprise"], belief.tracks.surprise, rtol=1e-6)
+                surprises.append(belief.angle - belief.state[:, 0])
+                assert np.allclose(told["unexplained_angle_0"], surprises[-1], atol=1e-9)
+                if hold > 0:
+                    assert np.allclose(told["unexplained_angle_3"], surprises[-4], atol=1e-9)
+                    assert np.allclose(told["command_2_before_last"], commands[-3], atol=1e-7)
+            else:
+                surprises.append(belief.angle - belief.state[:, 0])
+            commands.append(action[:, 0])
             seen, *_ = plain.step(action)
         observations, *_ = stepped(batch, np.zeros((3, 1), np.float32))
 
@@ -466,9 +479,12 @@ def test_ppo_learns_on_it():
 
 SPECS = [
     BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
-    BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", 0, {"seed": 3, "note": "ζ"}),
-    BundleSpec("sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", 0, {"nested": {"list": [1, 2.5, None]}}),
+    BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", provenance={"seed": 3, "note": "ζ"}),
+    BundleSpec(
+        "sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", provenance={"nested": {"list": [1, 2.5, None]}}
+    ),
     BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
+    BundleSpec("student", "adaptive", SETTINGS, (8,), "relu", gru=10, standardised=True),
 ]
 
 

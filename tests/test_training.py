@@ -525,7 +525,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no GPU": ({"device": "cuda"}, "--device cuda: PyTorch finds no CUDA GPU.*--device cpu"),
     "no device": ({"device": "gpu"}, "--device must be cpu, cuda or cuda:NUMBER, got 'gpu'"),
     "another device": ({"device": "meta"}, "--device must be cpu, cuda or cuda:NUMBER, got 'meta'"),
-    "too many arms": ({"arms": 5000}, "--arms must be at most 4096, got 5000"),
+    "too many arms": ({"arms": 50_000}, "--arms must be at most 40000, got 50000"),
     "seed too large": ({"seed": MAX_TRAINING_SEED + 1}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
     "seeds too large": ({"seed": MAX_TRAINING_SEED, "seeds": 2}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
     "learning rate": ({"learning_rate": float("nan")}, "--learning-rate must be finite and above 0, got nan"),

@@ -1,8 +1,9 @@
-"""Train a residual policy by imitation: `python train/student.py`.
+"""Train a residual policy by a teacher's advice: `python train/student.py`.
 
-A teacher practises every move on every arm; a student, who meets the arms for the first time, learns what the teacher
-would do in its place. How, and why it works, is said in `agents/learners/student.py`. What a run writes is as in
-`train/ppo.py`; it validates, and saves a checkpoint, after every round.
+A student with a memory makes moves on arms that it meets for the first time; a teacher who knows them says after each
+episode how every torque should have been. How, and why it works, is said in `agents/learners/student.py` and
+`agents/learners/teaching.py`. What a run writes is as in `train/ppo.py`; it validates, and saves a checkpoint, after
+every round.
 
 S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
 Learning, 2011.

@@ -1,41 +1,30 @@
-"""Imitation learning by DAgger: a student learns a practised teacher's torques in the states that it visits itself.
+"""A student of trajectory optimisation: it is told after each episode how its torques should have been, and why not.
 
-The teacher is `baselines.iterative.controller`: norm-optimal iterative learning [2] on the very move and arm, again and
-again. What practice leaves behind is a law about the practised path, not a list of torques, so the teacher can be asked
-anywhere near it:
+The teacher knows arm and drive, and optimises torques in the student's own states (`agents.learners.teaching`). The
+student, a residual on a base, meets every arm for the first time, sees the encoder and what an extended Kalman filter
+believes (`agents.residual.knowledge`), and has a memory of its own, a GRU through the episode. In every round
 
-    tau_T[k] = tau[k] - K[k] (z[k] - path[k])        where the practised motor yields to torque        (m[k] = 1)
-    tau_T[k] = that of the base                      where it sticks                                   (m[k] = 0)
+    1. arms that no round has seen, and a move for each, are drawn, and the student makes the moves as it is by now;
+    2. the teacher gives the best residual y and its weight w for every hold of every arm;
+    3. the student u is fitted to the last rounds' advice, through whole episodes: min sum w H(u - y), Huber's H.
 
-No controller can practise an arm that it meets for the first time. The student, a residual on a base, is to do as well
-as can be without. In every round of DAgger [1]
+This is DAgger [1] with a teacher who is asked about the student's states alone. It is also a policy gradient, as
+`agents.learners.teaching` shows: it ends where no small change of the student's torques lowers its expected cost. Why
+it works where reinforcement learning does not:
 
-    1. arms that no round has seen, and a move for each, are drawn, and the teacher practises them;
-    2. the student, as it is by now, makes those moves. Whenever its residual is due it observes o, and of the samples
-       that the residual is held for, the teacher's torque a_T and the base's a_B, both over the torque limit, give
+- Nothing is explored. Residuals that are worth anything on a good base are small, and the noise with which PPO looks
+  for them costs more than they gain. Here the simulation itself says what each torque did.
+- What the teacher knows of an arm, the student cannot know. On average over the arms that fit what it has seen, advice
+  that rests on it cancels, and what is left is what one should do not knowing: also to hold back.
+- The memory finds what the filter's model leaves out: that of an arm with a kinematic error, a belt whose damping
+  nobody knows, friction at a Stribeck speed that is not identified.
 
-           y = mean of m (a_T - a_B) / limit, cut to -1 ... 1
-
-    3. the student u(o) is fitted to all rounds' pairs: min sum H(u(o) - y), with Huber's H.
-
-Why it works:
-
-- Nothing is explored. The residuals that are worth anything on a good base are small, and the noise with which
-  reinforcement learning looks for them costs more than they gain.
-- The states are the student's own. A student that is shown the teacher's motions alone never learns to come back from
-  its own mistakes, and what they cost grows with the square of an episode's length; with its own states, linearly [1].
-- What the teacher knows of an arm before the move begins, the student cannot know. Fitted to many arms, it learns what
-  is best on average over those that fit what it is told, and so the part of the practice that is the same on all
-  arms: exact kinematics, the motor's stops and the norms of the cost, which the plans of the base leave out. The more
-  arms, the less of any single one is learnt by heart: so every round has new ones.
-- While a motor sticks, torque changes nothing, and the teacher's choice among all that change nothing is arbitrary.
-  With labels for it a network learns that noise instead; m leaves it out, and the base stands by.
-
-The untrained student is its base, bit for bit. Every fit begins from the weights of the last, with a new optimiser
-whose learning rate falls to zero: each round ends with a student that is done.
+The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
+[2]; the learning rate falls to zero over the run.
 
 [1] S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret
-Online Learning, AISTATS 2011. [2] See `baselines.planning.norm_optimal`.
+Online Learning, AISTATS 2011. [2] B. T. Polyak, A. B. Juditsky: Acceleration of Stochastic Approximation by Averaging,
+SIAM J. Control Optim. 30, 1992.
 """
 
 from __future__ import annotations
@@ -49,8 +38,10 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from torch.nn.functional import huber_loss
+from torch.nn.utils import clip_grad_norm_
+from torch.optim.swa_utils import AveragedModel
 
-from agents.learners.teaching import Pairs, ask, practise
+from agents.learners.teaching import Advice, ask
 from agents.policy.actor import Actor
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
@@ -60,6 +51,11 @@ from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
+
+_WARM_UP = 50  # gradient steps over which the learning rate rises, and the average's memory grows
+_KEPT = 0.998  # share of the average that a gradient step leaves
+_MAX_GRADIENT = 0.2
+_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
 
 
 @dataclass(frozen=True)
@@ -72,36 +68,51 @@ class StudentConfig(RunConfig):
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
     base: str = "adaptive"
     """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
-    learning_rate: float = 1e-3
-    """Learning rate of the optimiser, from which it falls to zero in each fit."""
-    residual_limit: float = 0.3
+    learning_rate: float = 3e-3
+    """Learning rate of the optimiser at first; it falls to zero over the rounds."""
+    hidden: tuple[int, ...] = (96,)
+    """Hidden layers after the GRU."""
+    gru_width: int = 96
+    """Width of the GRU; 0 for a student without a memory."""
+    residual_limit: float = 0.5
     """Largest residual, as a share of the torque limit."""
     hold: int = 4
     """Samples for which a residual is held: 6 ms."""
-    rounds: int = 6
-    """Rounds of practice, of asking the teacher, and of fitting; a run that is resumed may have more."""
-    repetitions: int = 3
-    """Repetitions of each move that the teacher practises."""
-    epochs: int = 12
-    """Passes over the pairs of all rounds in each fit."""
-    batch_size: int = 2048
-    """Pairs per gradient step."""
-    huber: float = 0.02
-    """Threshold of the Huber loss, as a share of the residual's limit."""
+    rounds: int = 32
+    """Rounds of acting, asking and fitting; a run that is resumed may have more."""
+    remembered: int = 6
+    """Rounds whose advice is fitted: the last ones."""
+    epochs: int = 1
+    """Passes over that advice in each round."""
+    batch_size: int = 32
+    """Episodes per gradient step."""
+    huber: float = 0.2
+    """Threshold of the Huber loss, as a share of the torque limit."""
 
     @property
     def samples(self) -> int:
-        """Simulated samples per round: the repetitions, and the student's own trial."""
-        return self.arms * (self.repetitions + 1) * EPISODE_STEPS
+        """Simulated samples per round. The teacher's derivatives simulate each of them twenty times more."""
+        return self.arms * EPISODE_STEPS
 
     @property
     def length(self) -> int:
-        """Agent steps of the whole run, the teacher's practice included."""
+        """Agent steps of the whole run."""
         return self.rounds * self.samples // self.hold
+
+    @property
+    def gru(self) -> int:
+        """Width of the actor's GRU."""
+        return self.gru_width
+
+    @property
+    def standardised(self) -> bool:
+        """The actor standardises its inputs, by those of the first round."""
+        return True
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
-        self.at_least(1, "rounds", "repetitions", "epochs", "batch_size")
+        self.at_least(1, "rounds", "remembered", "epochs", "batch_size")
+        self.at_least(0, "gru_width")
         self.positive("huber")
         if self.rounds * self.arms > SEED_SPACING:
             found = f"got {self.rounds} times {self.arms}"
@@ -110,26 +121,30 @@ class StudentConfig(RunConfig):
 
 
 class Student:
-    """Residual policy that learns by imitation, as `agents.runs.monitor.Learner`."""
+    """Residual policy that learns from a teacher's advice, as `agents.runs.monitor.Learner`."""
 
     def __init__(self, config: StudentConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
         self.rounds = 0
-        self.pairs: list[Pairs] = []
+        self.advice: list[Advice] = []
         self._actor = Actor(config.spec().shape())
         with torch.no_grad():
             for parameter in self._actor.layers[-1].parameters():
                 parameter.zero_()
+        self._average = AveragedModel(self._actor, avg_fn=_running_average)
+        self._optimiser = torch.optim.Adam(self._actor.parameters(), config.learning_rate)
+        self._gradient_steps = 0
 
     @property
     def steps(self) -> int:
-        """Agent steps so far, practice included."""
+        """Agent steps so far."""
         return self.rounds * self.config.samples // self.config.hold
 
     def actor(self) -> Actor:
         """Copy of the current policy."""
-        return copy.deepcopy(self._actor).requires_grad_(False)
+        averaged: Any = self._average.module
+        return copy.deepcopy(averaged).requires_grad_(False)
 
     def learn(self, monitor: TrainingMonitor) -> None:
         """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`.
@@ -145,12 +160,14 @@ class Student:
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
-        return {"rounds": self.rounds, "actor": self._actor.state_dict(), "pairs": self.pairs}
+        parts = {name: getattr(self, name).state_dict() for name in _PARTS}
+        return {"rounds": self.rounds, "gradient_steps": self._gradient_steps, "advice": self.advice, **parts}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a snapshot into a new student of the same options."""
-        self.rounds, self.pairs = state["rounds"], state["pairs"]
-        self._actor.load_state_dict(state["actor"])
+        self.rounds, self._gradient_steps, self.advice = state["rounds"], state["gradient_steps"], state["advice"]
+        for name in _PARTS:
+            getattr(self, name).load_state_dict(state[name])
 
     def close(self) -> None:
         """Do nothing: no arms are held."""
@@ -163,40 +180,68 @@ class Student:
             paused = _Paused(controller, pause)
             return rollout(paused, config.arms, seed=seed, randomization="train", sensors=config.sensors)
 
-        lesson, practised = practise(trial, config.repetitions)
         student = ResidualController(make_base(config.base), self.actor(), config.residual)
-        pairs, own = ask(trial, student, lesson)
-        self.pairs.append(pairs)
+        advice, own = ask(trial, student, lambda: pause(0))
+        if self.rounds == 0:
+            self._standardise(advice.inputs)
+        self.advice = [*self.advice, advice][-config.remembered :]
         difference = self._fit(pause)
         self.rounds += 1
-        monitor.logger.record("imitation/teacher_cost", float(practised.cost.mean()))
-        monitor.logger.record("imitation/student_cost", float(own.cost.mean()))
-        monitor.logger.record("imitation/label", float(pairs.labels.abs().mean()))
-        monitor.logger.record("imitation/difference", difference)
+        monitor.logger.record("student/cost", float(own.cost.mean()))
+        monitor.logger.record("student/left", 1 - float(own.finished.mean()))
+        monitor.logger.record("student/difference", difference)
+
+    def _standardise(self, inputs: torch.Tensor) -> None:
+        flat = inputs.float().flatten(0, 1)
+        averaged: Any = self._average.module
+        for actor in (self._actor, averaged):
+            actor.mean.copy_(flat.mean(dim=0))
+            actor.deviation.copy_(flat.std(dim=0).clamp_min(_LEAST_DEVIATION))
 
     def _fit(self, pause: Callable[[int], None]) -> float:
-        """Fit the student to all pairs, and return the mean absolute error of the last pass."""
-        config, network = self.config, self._actor.layers.to(self.config.device)
-        inputs, labels = (torch.cat(parts).to(config.device) for parts in zip(*self.pairs, strict=True))
-        optimiser = torch.optim.Adam(network.parameters(), config.learning_rate)
-        batches = -(-len(inputs) // config.batch_size)
-        schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.0, config.epochs * batches)
-        difference = 0.0
-        for _ in range(config.epochs):
-            pause(0)
+        """Fit the student to the remembered advice, and return the weighted squared error of the last pass."""
+        config, limit = self.config, self.config.residual_limit
+        network = self._actor.to(config.device)
+        inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
+        episodes, difference = labels.shape[1], 0.0
+        batches = -(-episodes // config.batch_size)
+        for epoch in range(config.epochs):
             difference = 0.0
-            for chosen in torch.randperm(len(inputs)).to(config.device).split(config.batch_size):
-                error = network(inputs[chosen]) - labels[chosen]
-                loss = huber_loss(error, torch.zeros_like(error), delta=config.huber) / config.huber
-                optimiser.zero_grad()
-                loss.backward()
-                optimiser.step()
-                schedule.step()
-                difference += float(error.detach().abs().sum()) / len(inputs)
+            for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
+                pause(0)
+                done = (self.rounds + (epoch + batch / batches) / config.epochs) / config.rounds
+                self._set_learning_rate(done)
+                answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
+                error = (answers - labels[:, chosen].to(config.device)) * limit
+                weight = weights[:, chosen].to(config.device)
+                losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
+                self._optimiser.zero_grad()
+                (weight * losses).mean().mul(_SCALE).backward()
+                clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
+                self._optimiser.step()
+                self._average.update_parameters(network)
+                self._gradient_steps += 1
+                difference += float((weight * error.detach().square()).mean()) / batches
         self._actor.to("cpu")
         if not np.isfinite(difference):
             raise ValueError(f"diverged at {self.steps} steps: begin anew with a smaller --learning-rate")
         return difference
+
+    def _set_learning_rate(self, done: float) -> None:
+        """Set the learning rate after a share of the run: it falls to zero, after a short rise from there."""
+        rate = self.config.learning_rate * max(1 - done, 0.0) * min((self._gradient_steps + 1) / _WARM_UP, 1.0)
+        for group in self._optimiser.param_groups:
+            group["lr"] = rate
+
+
+_PARTS = ("_actor", "_average", "_optimiser")
+_SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
+
+
+def _running_average(average: torch.Tensor, now: torch.Tensor, updates: torch.Tensor | int) -> torch.Tensor:
+    """Weights after one more gradient step, of which the first count as much as the rest of them."""
+    kept = min(_KEPT, float(updates) / (float(updates) + _WARM_UP))
+    return average.lerp(now, 1 - kept)
 
 
 def make_learner(config: StudentConfig) -> Student:

@@ -1,4 +1,30 @@
-"""Labels for imitation: the torques of a practised teacher beside its student."""
+"""Advice to a student: how the torques of an episode should have been, by one who knows arm and drive.
+
+After the episode the teacher simulates it once more, by the environment's own equations with the true constants, and
+linearises it about the motion that the student made (`baselines.planning.norm_optimal`). From the end backwards, the
+linear-quadratic problem tells of every sample which change c[k] of the torque would have been best *there*, in the
+student's own state:
+
+    Q_k(v) - Q_k(c[k]) = h[k] (v - c[k])^2,    c[k] = -q[k] / h[k]
+
+with q the slope and h the curvature of the cost to go, both halved. Every later torque is thought to react to what the
+change does to the arm, by the problem's own feedback, and to be as good as can be beside that. Over the samples k for
+which a residual u is held, the best one is
+
+    y = u + sum h[k] c[k] / sum h[k],    with weight w = sum h[k]
+
+Why the mean of this advice is what a student needs, who does not know the arm: the slope q is that of the student's own
+cost. For what a change of its torque does, a student that simulates its arm foresees, and its base reacts to it as the
+problem's feedback does; what the best later torques are does not enter q at all (the envelope theorem, which
+`tests/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of the student's
+torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is a
+Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
+
+Where the motor sticks, torque changes nothing, and the advice is to stay.
+
+D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
+W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
+"""
 
 from __future__ import annotations
 
@@ -9,89 +35,119 @@ import numpy as np
 import torch
 
 from agents.residual.controller import ResidualController, ResidualMemory
-from baselines.iterative.controller import IterativeController
-from baselines.iterative.lesson import Lesson, Notes
-from beltarm_env.arrays import Flags, Singles
+from baselines.planning.norm_optimal import Linearisation, curved_change, norm_weights
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, design_model
+from beltarm_env.arm import COLUMN
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, Recording
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.reference import TRAPEZOID, sample_references
 
 Trial = Callable[[Controller], Recording]
-"""Runs a controller for an episode: every time on the same arms, with the same moves."""
+"""Runs a controller for an episode on arms of its own."""
+
+_EFFORT = 10.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
+_SOFT = (0.05, 0.02)  # shares of their scales below which errors, and changes of the torque, weigh no more
 
 
-class Pairs(NamedTuple):
-    """Observations of a student, and the residuals that its teacher would choose."""
+class Advice(NamedTuple):
+    """Inputs of a student through its episodes, what it should have answered, and how much it matters."""
 
-    inputs: torch.Tensor  # shape (pairs, inputs)
-    labels: torch.Tensor  # shape (pairs, 1)
-
-
-def practise(trial: Trial, repetitions: int) -> tuple[Lesson, Recording]:
-    """Let a teacher practise, at least once; returns what it has learnt and the last trial."""
-    lesson, recording = None, None
-    for _ in range(repetitions):
-        teacher = IterativeController(lesson)
-        notes = Notes(teacher)
-        recording = trial(notes)
-        lesson = teacher.learned(notes)
-    assert lesson is not None and recording is not None, "a lesson takes a repetition"
-    return lesson, recording
+    inputs: torch.Tensor  # shape (holds, arms, inputs), half precision
+    labels: torch.Tensor  # best residuals, shape (holds, arms)
+    weights: torch.Tensor  # of mean 1, shape (holds, arms)
 
 
-def ask(trial: Trial, student: ResidualController, lesson: Lesson) -> tuple[Pairs, Recording]:
-    """Run a student on the moves of a lesson, and label every state with the teacher's torque.
+class Noted:
+    """Student whose inputs and residuals are noted for one trial; as a `Controller`, the student."""
 
-    Returns:
-        The pairs, of arms that have not left their workspace, and the student's trial.
-    """
-    advised = Advised(student, lesson)
-    recording = trial(advised)
-    return advised.pairs(), recording
-
-
-class Advised:
-    """Student with its teacher beside it for one trial; as a `Controller`, the student.
-
-    Args:
-        student: Whose torques are applied.
-        lesson: Of the teacher, about the student's arms and moves.
-    """
-
-    def __init__(self, student: ResidualController, lesson: Lesson) -> None:
+    def __init__(self, student: ResidualController) -> None:
         self.student = student
-        assert lesson.law is not None, "a teacher that learns the torque"
-        self._teacher = IterativeController(lesson)
-        self._holds = lesson.law.holds
-        self._left = np.zeros(len(lesson.moves), np.bool_)
-        self._inputs: list[Singles] = []
-        self._running: list[Flags] = []
-        self._advice: list[Singles] = []
+        self.inputs: list[Singles] = []
+        self.residuals: list[Singles] = []
+        self._step = 0
 
     def predict(
         self,
         observation: Singles,
-        state: tuple[ResidualMemory, Any] | None = None,
+        state: ResidualMemory | None = None,
         episode_start: Flags | None = None,
         deterministic: bool = True,
-    ) -> tuple[Singles, tuple[ResidualMemory, Any]]:
-        """Call the student's `predict`, and note the teacher's torque."""
-        before, taught = state or (None, None)
-        action, own = self.student.predict(observation, before, episode_start, deterministic)
-        advice, taught = self._teacher.predict(observation, taught, episode_start)
-        assert own.informed is not None
-        step = len(self._advice)
-        if step > 0 and episode_start is not None:
-            self._left |= episode_start
-        if step % self.student.settings.hold == 0:
-            self._inputs.append(self.student.informed.seen(observation, own.informed))
-        self._running.append(~self._left)
-        self._advice.append((advice - own.informed.action) * self._holds[:, step, None])
-        return action, (own, taught)
+    ) -> tuple[Singles, ResidualMemory]:
+        """Call the student's `predict`, and note what it saw and chose where its residual was due."""
+        action, memory = self.student.predict(observation, state, episode_start, deterministic)
+        if self._step % self.student.settings.hold == 0:
+            assert memory.informed is not None
+            self.inputs.append(self.student.informed.seen(observation, memory.informed))
+            self.residuals.append(memory.residual)
+        self._step += 1
+        return action, memory
 
-    def pairs(self) -> Pairs:
-        """Inputs and labels of the trial, in order of time."""
-        hold, limit = self.student.settings.hold, self.student.settings.limit
-        spans = [slice(k, k + hold) for k in range(0, len(self._advice), hold)]
-        running = np.concatenate([np.all(self._running[span], axis=0) for span in spans])
-        advice = np.concatenate([np.mean(self._advice[span], axis=0) for span in spans])
-        labels = (advice / limit).clip(-1, 1).astype(np.float32)
-        return Pairs(torch.from_numpy(np.concatenate(self._inputs)[running]), torch.from_numpy(labels[running]))
+
+def ask(trial: Trial, student: ResidualController, pause: Callable[[], Any] = lambda: None) -> tuple[Advice, Recording]:
+    """Run a student, and ask for every hold of every arm what it should have done.
+
+    Args:
+        trial: What the student is run on.
+        student: Begins anew.
+        pause: Called before each arm.
+
+    Returns:
+        The advice, of arms that have not left their workspace, and the student's trial.
+    """
+    noted = Noted(student)
+    recording = trial(noted)
+    hold, limit = student.settings.hold, student.settings.limit
+    changes, curvatures = best_changes(recording, pause)
+    kept = np.flatnonzero(recording.finished)
+    pulled, weights = _held(changes * curvatures, hold)[:, kept], _held(curvatures, hold)[:, kept]
+    residuals = np.stack(noted.residuals)[:, kept, 0]
+    labels = np.clip(residuals + pulled / weights / limit, -1.0, 1.0)
+    inputs = torch.from_numpy(np.stack(noted.inputs)[:, kept]).half()
+    ours = torch.from_numpy(labels.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
+    return Advice(inputs, ours[0], ours[1] / ours[1].mean()), recording
+
+
+def _held(samples: Floats, hold: int) -> Floats:
+    """Sums over the samples of each hold, the last of which may be shorter."""
+    return np.add.reduceat(samples, np.arange(0, len(samples), hold), axis=0)
+
+
+def best_changes(recording: Recording, pause: Callable[[], Any] = lambda: None) -> tuple[Floats, Floats]:
+    """Best changes c of every commanded torque, and half the curvatures h of the cost to go.
+
+    Args:
+        recording: Episodes of n arms, on the trapezoid reference.
+        pause: Called before each arm.
+
+    Returns:
+        c over the torque limit and h times its square, of shape (1200, n); 1 and 0 of arms that have left.
+    """
+    states, count = _motion(recording), len(recording.cost)
+    tasks = np.empty((count, EPISODE_STEPS + 1, 3))
+    sample_references(TRAPEZOID, np.ascontiguousarray(recording.moves), CONTROL_PERIOD, tasks)
+    linearisation = Linearisation(design_model(), EPISODE_STEPS)
+    changes, curvatures = np.zeros((EPISODE_STEPS, count)), np.ones((EPISODE_STEPS, count))
+    for i in np.flatnonzero(recording.finished):
+        pause()
+        row, torque = recording.params[i], np.ascontiguousarray(recording.torque[:, i])
+        limit, task = float(row[COLUMN.torque_limit]), np.ascontiguousarray(tasks[i, 1:, :2])
+        about = linearisation.about(np.ascontiguousarray(states[:, i]), torque, task, row)
+        weights = norm_weights(about.errors, np.diff(torque, prepend=0.0), limit, _EFFORT, _SOFT)
+        change, _, curvature = curved_change(about, weights, torque)
+        changes[:, i], curvatures[:, i] = change / limit, curvature * limit**2
+    return changes, curvatures
+
+
+def _motion(recording: Recording) -> Floats:
+    """States of arms and drives before each sample, as `ArmSimulation` has them, shape (1200, n, size)."""
+    count = len(recording.cost)
+    arms = ArmSimulation(design_model(), count)
+    arms.set_table(recording.params, np.zeros(count))
+    now = arms.at_rest(recording.params[:, COLUMN.gear_ratio] * recording.moves[:, 0])
+    states = np.empty((EPISODE_STEPS, *now.shape))
+    for k in range(EPISODE_STEPS):
+        states[k] = now
+        arms.set_table(recording.params, np.full(count, float(k)))
+        now = arms.advance(now, recording.torque[k])
+    return states

@@ -1,6 +1,8 @@
 """The acting part of a policy: what a trained agent needs to act, and nothing of what it was trained with.
 
-    z = LSTM(o) or o    u = W_n act(... act(W_1 z + b_1) ...) + b_n    residual = tanh(u) or clip(u, -1, 1)
+    o <- clip((o - mean) / deviation, -5, 5)  if it is standardised
+    z = o, LSTM(o) or [o, GRU(o)]
+    u = W_n act(... act(W_1 z + b_1) ...) + b_n    residual = tanh(u) or clip(u, -1, 1)
 
 A plain PyTorch network, independent of the libraries that train it, so that a shipped policy holds no critics and no
 classes of theirs. The residual is the deterministic one: the mean of the distribution that training explores with.
@@ -21,6 +23,7 @@ from beltarm_env.arrays import Flags, Singles
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 MAX_WIDTH = 1024
 MAX_LAYERS = 8
+_FARTHEST = 5.0  # of a standardised input
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +39,20 @@ class ActorShape:
     activation: str = "tanh"
     squashed: bool = False  # tanh at the end instead of a cut
     lstm: int = 0  # width of an LSTM before the first layer, 0 for none
+    gru: int = 0  # width of a GRU beside the inputs of the first layer, 0 for none
+    standardised: bool = False  # whether inputs are, by the mean and deviation that they had in training
 
     def __post_init__(self) -> None:
         """Check the sizes before memory is allocated."""
         if len(self.hidden) > MAX_LAYERS:
             raise ValueError(f"an actor has at most {MAX_LAYERS} hidden layers, got {len(self.hidden)}")
-        for name, least, widths in (("hidden layers", 1, self.hidden), ("the LSTM", 0, (self.lstm,))):
+        memories = (("the LSTM", 0, (self.lstm,)), ("the GRU", 0, (self.gru,)))
+        for name, least, widths in (("hidden layers", 1, self.hidden), *memories):
             for width in widths:
                 if isinstance(width, bool) or not isinstance(width, int) or not least <= width <= MAX_WIDTH:
                     raise ValueError(f"{name} must have a whole width from {least} to {MAX_WIDTH}, got {width!r}")
+        if self.lstm and self.gru:
+            raise ValueError(f"an actor has an LSTM or a GRU, got both, of {self.lstm} and {self.gru}")
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation must be one of {', '.join(ACTIVATIONS)}, got {self.activation!r}")
 
@@ -55,12 +63,34 @@ class Actor(nn.Module):
     def __init__(self, shape: ActorShape) -> None:
         super().__init__()
         self.shape = shape
+        if shape.standardised:
+            self.mean: torch.Tensor
+            self.deviation: torch.Tensor
+            self.register_buffer("mean", torch.zeros(shape.inputs))
+            self.register_buffer("deviation", torch.ones(shape.inputs))
         self.lstm = nn.LSTM(shape.inputs, shape.lstm) if shape.lstm else None
-        widths = (shape.lstm or shape.inputs, *shape.hidden)
+        self.gru = nn.GRU(shape.inputs, shape.gru) if shape.gru else None
+        widths = (shape.lstm or shape.inputs + shape.gru, *shape.hidden)
         layers: list[nn.Module] = []
         for before, after in pairwise(widths):
             layers += [nn.Linear(before, after), ACTIVATIONS[shape.activation]()]
         self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], 1))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Outputs u before they are bounded, shape (T, n, 1), for n whole episodes of shape (T, n, inputs).
+
+        Not for an actor with an LSTM, which is trained elsewhere.
+        """
+        assert self.lstm is None, "trained by its own library"
+        observations = self._standardised(observations)
+        if self.gru is None:
+            return self.layers(observations)
+        return self.layers(torch.cat([observations, self.gru(observations)[0]], dim=-1))
+
+    def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
+        if not self.shape.standardised:
+            return observations
+        return ((observations - self.mean) / self.deviation).clamp(-_FARTHEST, _FARTHEST)
 
     def predict(
         self,
@@ -69,7 +99,9 @@ class Actor(nn.Module):
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, Singles | None]:
-        """Return residuals, shape (n, 1), and the LSTM's hidden and cell state, shape (n, 2, width), None without one.
+        """Return residuals, shape (n, 1), and the memory: of an LSTM hidden and cell state, shape (n, 2, width).
+
+        That of a GRU has shape (n, width), and an actor without either has None.
 
         Raises:
             ValueError: If the observations are not of shape (n, inputs).
@@ -80,7 +112,7 @@ class Actor(nn.Module):
                 "--sensors that it was trained with"
             )
         with torch.no_grad():
-            features, following = torch.as_tensor(observation), None
+            features, following = self._standardised(torch.as_tensor(observation)), None
             if self.lstm is not None:
                 if state is None:
                     state = np.zeros((len(observation), 2, self.shape.lstm), np.float32)
@@ -89,6 +121,13 @@ class Actor(nn.Module):
                 hidden, cell = torch.as_tensor(state).permute(1, 0, 2).contiguous()
                 sequence, (hidden, cell) = self.lstm(features[None], (hidden[None], cell[None]))
                 features, following = sequence[0], torch.stack([hidden[0], cell[0]], dim=1).numpy()
+            elif self.gru is not None:
+                if state is None:
+                    state = np.zeros((len(observation), self.shape.gru), np.float32)
+                elif episode_start is not None:
+                    state = np.where(episode_start[:, None], np.float32(0), state)
+                sequence, hidden = self.gru(features[None], torch.as_tensor(state)[None])
+                features, following = torch.cat([features, sequence[0]], dim=1), hidden[0].numpy()
             output = self.layers(features)
             residual = torch.tanh(output) if self.shape.squashed else output.clamp(-1.0, 1.0)
         return residual.numpy(), following

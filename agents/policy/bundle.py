@@ -38,7 +38,7 @@ from baselines.tools.files import write_atomically, write_text
 from beltarm_env.observation import ENTRIES, LAYOUT, Entry
 
 FORMAT = "beltarm-policy"
-VERSION = 2
+VERSION = 3
 MANIFEST = "policy.json"
 CARD = "README.md"
 MAX_BYTES = 1_000_000
@@ -62,6 +62,8 @@ class BundleSpec:
     activation: str = "tanh"
     sensors: str = "encoder"
     lstm: int = 0  # width of the LSTM, 0 for none
+    gru: int = 0  # width of the GRU, 0 for none
+    standardised: bool = False  # whether the network standardises its inputs
     provenance: dict[str, Any] = field(default_factory=dict)  # how it was trained
     inputs: tuple[str, ...] | None = None  # names of the entries that the policy is given, in order; None for all
 
@@ -81,7 +83,8 @@ class BundleSpec:
             ValueError: If they are not of a size that is allowed.
         """
         squashed = ALGORITHMS[self.algorithm]
-        return ActorShape(len(self.entries()), tuple(self.hidden), self.activation, squashed, self.lstm)
+        hidden, inputs = tuple(self.hidden), len(self.entries())
+        return ActorShape(inputs, hidden, self.activation, squashed, self.lstm, self.gru, self.standardised)
 
 
 def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:

@@ -12,7 +12,8 @@ def card(content: dict[str, Any]) -> str:
     provenance = content["provenance"]
     residual = content["residual"]
     network = " × ".join(str(width) for width in content["hidden"]) or "linear"
-    memory = f"LSTM of {content['lstm']}, then " if content["lstm"] else ""
+    memories = [f"{kind.upper()} of {content[kind]}, then " for kind in ("lstm", "gru") if content[kind]]
+    memory = "".join(memories)
     facts = {
         "algorithm": content["algorithm"],
         "base controller": f"`{content['base']}`, settings {content['base_hash'][:12]}",

@@ -32,7 +32,7 @@ class RunConfig:
     out: Path
     """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
     seed: int = 0
-    """Seed of everything: arms, moves, weights, exploration. At most 975."""
+    """Seed of everything: arms, moves, weights, exploration. At most 99."""
     seeds: int = 1
     """Number of runs, with this and the following seeds, each in a process of its own."""
     jobs: int = 2
@@ -81,6 +81,16 @@ class RunConfig:
         """Width of the actor's LSTM, 0 for none."""
         return 0
 
+    @property
+    def standardised(self) -> bool:
+        """Whether the actor standardises its inputs."""
+        return False
+
+    @property
+    def gru(self) -> int:
+        """Width of the actor's GRU, 0 for none."""
+        return 0
+
     def check(self) -> None:
         """Check the options.
 
@@ -117,7 +127,16 @@ class RunConfig:
     def spec(self, **provenance: Any) -> BundleSpec:
         """Specification of the trained policy."""
         return BundleSpec(
-            self.algorithm, self.base, self.residual, self.hidden, self.activation, self.sensors, self.lstm, provenance
+            self.algorithm,
+            self.base,
+            self.residual,
+            self.hidden,
+            self.activation,
+            self.sensors,
+            self.lstm,
+            self.gru,
+            self.standardised,
+            provenance,
         )
 
     def identity(self) -> dict[str, Any]:

@@ -82,13 +82,25 @@ def optimal_change(
     Returns:
         c [N m] of shape (T,) and K of shape (T, n + 1).
     """
-    steps, states = trial.by_torque.shape
-    change, gain = np.empty(steps), np.empty((steps, states + 1))
-    if states == 4:
-        _solve(5, trial, weights, torque, limit, before, change, gain)  # with a literal, loops are unrolled
-    else:
-        _solve(states + 1, trial, weights, torque, limit, before, change, gain)
+    change, gain, _ = curved_change(trial, weights, torque, limit, before)
     return change, gain
+
+
+@compiled
+def curved_change(
+    trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
+) -> tuple[Floats, Floats, Floats]:
+    """As `optimal_change`, and with half the curvature of the cost to go in each torque [1/(N m)^2], shape (T,).
+
+    By so much, times the square of the difference, any other torque in place of c costs more, on the trial's own path.
+    """
+    steps, states = trial.by_torque.shape
+    change, gain, curvature = np.empty(steps), np.empty((steps, states + 1)), np.empty(steps)
+    if states == 4:
+        _solve(5, trial, weights, torque, limit, before, change, gain, curvature)  # a literal: loops are unrolled
+    else:
+        _solve(states + 1, trial, weights, torque, limit, before, change, gain, curvature)
+    return change, gain, curvature
 
 
 @inlined
@@ -101,8 +113,9 @@ def _solve(
     before: float,
     change: Floats,
     gain: Floats,
+    curvature: Floats,
 ) -> None:
-    """Write the law of `optimal_change`, backwards over `size` states: those of the trial, and the last change."""
+    """Write the law of `curved_change`, backwards over `size` states: those of the trial, and the last change."""
     states = size - 1
     to_go, slope, nothing = no_cost(size), np.empty(size + 2), np.zeros(size)
     f, g = np.zeros((size, size)), np.ones(size)
@@ -116,6 +129,7 @@ def _solve(
                 f[i, j] = trial.transition[k, i, j]
         smoothness, jump = weights.smoothness[k], torque[k] - (torque[k - 1] if k > 0 else before)
         slope_in_input(size, to_go, f, g, nothing, (smoothness, smoothness * jump), slope)
+        curvature[k] = slope[size + 1]
         change[k] = free_input(size, slope, gain[k])
         left = min(max(change[k], -limit - torque[k]), limit - torque[k])
         if left != change[k]:

@@ -16,7 +16,7 @@ class SeedRange(NamedTuple):
     size: int
 
 
-SEED_SPACING = 4096
+SEED_SPACING = 40_000
 """Seeds between the first arms of two training seeds, and so the most arms that a training run can have."""
 MAX_TRAINING_SEED = 4_000_000 // SEED_SPACING - 1
 
