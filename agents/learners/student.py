@@ -78,12 +78,16 @@ class StudentConfig(RunConfig):
     """Largest residual, as a share of the torque limit."""
     hold: int = 4
     """Samples for which a residual is held: 6 ms."""
-    rounds: int = 32
+    arms: int = 1024
+    """Arms of a round, and so episodes."""
+    rounds: int = 24
     """Rounds of acting, asking and fitting; a run that is resumed may have more."""
     remembered: int = 6
     """Rounds whose advice is fitted: the last ones."""
     epochs: int = 1
     """Passes over that advice in each round."""
+    torque_price: float = 5.0
+    """Price of the torque's changes in the teacher's objective, over that in the task's cost."""
     batch_size: int = 32
     """Episodes per gradient step."""
     huber: float = 0.2
@@ -113,7 +117,7 @@ class StudentConfig(RunConfig):
         """Check the options, see `RunConfig.check`."""
         self.at_least(1, "rounds", "remembered", "epochs", "batch_size")
         self.at_least(0, "gru_width")
-        self.positive("huber")
+        self.positive("huber", "torque_price")
         if self.rounds * self.arms > SEED_SPACING:
             found = f"got {self.rounds} times {self.arms}"
             raise ValueError(f"--rounds times --arms must be at most {SEED_SPACING}, {found}: every round has new arms")
@@ -181,7 +185,7 @@ class Student:
             return rollout(paused, config.arms, seed=seed, randomization="train", sensors=config.sensors)
 
         student = ResidualController(make_base(config.base), self.actor(), config.residual)
-        advice, own = ask(trial, student, lambda: pause(0))
+        advice, own = ask(trial, student, config.torque_price, lambda: pause(0))
         if self.rounds == 0:
             self._standardise(advice.inputs)
         self.advice = [*self.advice, advice][-config.remembered :]

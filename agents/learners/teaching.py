@@ -20,7 +20,8 @@ problem's feedback does; what the best later torques are does not enter q at all
 torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is a
 Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
 
-Where the motor sticks, torque changes nothing, and the advice is to stay.
+Where the motor sticks, torque changes nothing, and the slope is zero. So that a student does not push a motor at rest
+to and fro for nothing, residuals have a small price of their own, p u^2 per sample, which is added to the cost to go.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -46,8 +47,9 @@ from beltarm_env.task.reference import TRAPEZOID, sample_references
 Trial = Callable[[Controller], Recording]
 """Runs a controller for an episode on arms of its own."""
 
-_EFFORT = 10.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
-_SOFT = (0.05, 0.02)  # shares of their scales below which errors, and changes of the torque, weigh no more
+_PRICE = 1.0  # p, over the torque limit squared; h is about 5
+_EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
+_SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
 
 
 class Advice(NamedTuple):
@@ -84,12 +86,15 @@ class Noted:
         return action, memory
 
 
-def ask(trial: Trial, student: ResidualController, pause: Callable[[], Any] = lambda: None) -> tuple[Advice, Recording]:
+def ask(
+    trial: Trial, student: ResidualController, price: float = 1.0, pause: Callable[[], Any] = lambda: None
+) -> tuple[Advice, Recording]:
     """Run a student, and ask for every hold of every arm what it should have done.
 
     Args:
         trial: What the student is run on.
         student: Begins anew.
+        price: See `best_changes`.
         pause: Called before each arm.
 
     Returns:
@@ -98,10 +103,11 @@ def ask(trial: Trial, student: ResidualController, pause: Callable[[], Any] = la
     noted = Noted(student)
     recording = trial(noted)
     hold, limit = student.settings.hold, student.settings.limit
-    changes, curvatures = best_changes(recording, pause)
+    changes, curvatures = best_changes(recording, price, pause)
     kept = np.flatnonzero(recording.finished)
-    pulled, weights = _held(changes * curvatures, hold)[:, kept], _held(curvatures, hold)[:, kept]
     residuals = np.stack(noted.residuals)[:, kept, 0]
+    pulled, weights = _held(changes * curvatures, hold)[:, kept], _held(curvatures + _PRICE, hold)[:, kept]
+    pulled -= residuals * limit * _held(np.full((EPISODE_STEPS, 1), _PRICE), hold)
     labels = np.clip(residuals + pulled / weights / limit, -1.0, 1.0)
     inputs = torch.from_numpy(np.stack(noted.inputs)[:, kept]).half()
     ours = torch.from_numpy(labels.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
@@ -113,11 +119,14 @@ def _held(samples: Floats, hold: int) -> Floats:
     return np.add.reduceat(samples, np.arange(0, len(samples), hold), axis=0)
 
 
-def best_changes(recording: Recording, pause: Callable[[], Any] = lambda: None) -> tuple[Floats, Floats]:
+def best_changes(
+    recording: Recording, price: float = 1.0, pause: Callable[[], Any] = lambda: None
+) -> tuple[Floats, Floats]:
     """Best changes c of every commanded torque, and half the curvatures h of the cost to go.
 
     Args:
         recording: Episodes of n arms, on the trapezoid reference.
+        price: What a change of the torque from sample to sample costs the teacher, over what the task charges.
         pause: Called before each arm.
 
     Returns:
@@ -134,6 +143,7 @@ def best_changes(recording: Recording, pause: Callable[[], Any] = lambda: None) 
         limit, task = float(row[COLUMN.torque_limit]), np.ascontiguousarray(tasks[i, 1:, :2])
         about = linearisation.about(np.ascontiguousarray(states[:, i]), torque, task, row)
         weights = norm_weights(about.errors, np.diff(torque, prepend=0.0), limit, _EFFORT, _SOFT)
+        weights = weights._replace(smoothness=price * weights.smoothness)
         change, _, curvature = curved_change(about, weights, torque)
         changes[:, i], curvatures[:, i] = change / limit, curvature * limit**2
     return changes, curvatures
