@@ -23,6 +23,7 @@ from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import make_env
 from baselines import PaperController
 from baselines.tools.parallel import StopRequest
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.task.seeds import training_arms
 from eval.ablations import main
 from eval.learning import ablation_runs
@@ -59,21 +60,24 @@ def test_names_factors_and_folders_are_unique_and_known():
     assert VARIANTS[0] is DEFAULT and not DEFAULT.options
 
 
-@pytest.mark.parametrize("variant", [v for v in VARIANTS if v.common_budget], ids=lambda variant: variant.name)
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
 def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
     """Its options are the script's own, allowed, and none of them is what the default has anyway."""
-    config, default = tyro.cli(ALGORITHMS[variant.script].config, args=list(variant.options)), ppo.PpoConfig()
+    kind = ALGORITHMS[variant.script].config
+    config, default = tyro.cli(kind, args=list(variant.options)), tyro.cli(kind, args=[])
     config.check()
-    if variant.script == "ppo":
-        changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
-        assert len(changed) == len([word for word in variant.options if word.startswith("--")])
-        assert len(changed) <= (2 if variant.factor in ("hold", "told", "base") else 1)
+    changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
+    assert len(changed) == len([word for word in variant.options if word.startswith("--")])
+    assert len(changed) <= (2 if variant.factor == "base" else 1)
+    assert variant.script == "student" or variant.factor == "learner"
 
 
-@pytest.mark.parametrize("variant", [v for v in VARIANTS if v.factor == "hold"], ids=lambda variant: variant.name)
-def test_variants_of_the_hold_look_as_far_ahead(variant: Variant):
-    config, default = tyro.cli(ppo.PpoConfig, args=list(variant.options)), ppo.PpoConfig()
-    assert np.isclose(config.hold / np.log(config.gamma), default.hold / np.log(default.gamma), rtol=0.05)
+@pytest.mark.parametrize("name", ["default", "ppo", "recurrent", "sac", "hold-8"])
+def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
+    run = AblationRun(next(v for v in VARIANTS if v.name == name), 0, 2_000_000, tmp_path)
+    script, *options = run.words
+    config = tyro.cli(ALGORITHMS[Path(script).stem].config, args=options)
+    assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01)
 
 
 def test_scores_are_the_same_again():
@@ -83,9 +87,9 @@ def test_scores_are_the_same_again():
 
 
 def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
-    variant = next(v for v in VARIANTS if v.name == "gamma-0.95")
-    command = AblationRun(variant, 1, 1000, tmp_path).command
-    assert command == "python train/ppo.py --total-steps 1000 --validation-every 100 --gamma 0.95 --seed 1"
+    variant = next(v for v in VARIANTS if v.name == "hold-2")
+    command = AblationRun(variant, 1, 96_000, tmp_path).command
+    assert command == "python train/student.py --arms 10 --rounds 8 --hold 2 --seed 1"
 
 
 # Running
@@ -95,11 +99,11 @@ def test_what_a_study_leaves(done: Path):
     content = json.loads((done / "out/ablations.json").read_text())
     assert [variant["name"] for variant in content["variants"]] == ["default"]
     (run,) = content["variants"][0]["runs"]
-    assert run["command"].startswith("python train/ppo.py --total-steps 128 ") and run["base"] == "paper"
-    assert run["curve"][0][0] == 0 and run["curve"][-1][0] == 128
+    assert run["command"].startswith("python train/student.py --arms 2 --rounds 2 ") and run["base"] == "adaptive"
+    assert run["curve"][0][0] == 0 and run["curve"][-1][0] == 2 * 2 * EPISODE_STEPS
     assert (done / "out/curves.png").read_bytes().startswith(b"\x89PNG")
     assert content["provenance"]["scored_on"] == {"arms": 4, "first_seed": 4_300_000, "randomization": "train"}
-    assert set(content["references"]) == {"paper", "adaptive"}
+    assert set(content["references"]) == {"adaptive"}
     assert not list((done / "out").glob(".*"))
 
 
@@ -117,7 +121,7 @@ def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
     """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
     runs = tmp_path / "runs"
     shutil.copytree(done / "runs/ablations", runs)
-    run = AblationRun(DEFAULT, 0, 128, runs, quick=True)
+    run = AblationRun(DEFAULT, 0, 5_000, runs, quick=True)
     before = run.finished(4)
     assert before is not None
     (run.folder / "ablation.json").unlink()
@@ -134,17 +138,17 @@ def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
 
 
 def test_a_folder_with_another_run_is_refused(done: Path):
-    run = AblationRun(DEFAULT, 0, 256, done / "runs/ablations", quick=True)
-    with pytest.raises(ValueError, match=r"holds `python train/ppo.py --total-steps 128 .*choose another --runs"):
+    run = AblationRun(DEFAULT, 0, 10_000, done / "runs/ablations", quick=True)
+    with pytest.raises(ValueError, match=r"holds `python train/student.py --arms 2 .*choose another --runs"):
         run.finished(4)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--steps", "0"), "--steps must lie within 1 and 1000000000, got 0"),
+        (("--samples", "0"), "--samples must lie within 1 and 1000000000, got 0"),
         (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
-        (("--only", "gama-0.95"), "nothing to vary is called 'gama-0.95'; did you mean 'gamma-0.95'?"),
+        (("--only", "holt-2"), "nothing to vary is called 'holt-2'; did you mean 'hold-2'?"),
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
     ],
 )
@@ -156,7 +160,7 @@ def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
 def test_a_training_that_fails_is_named(tmp_path: Path):
     variant = Variant("bad", "limit", "bad", ("--residual-limit", "3"))
     with pytest.raises(ValueError, match=r"bad, seed 0: .*got 3.0"):
-        AblationRun(variant, 0, 128, tmp_path, quick=True).finish(4)
+        AblationRun(variant, 0, 5_000, tmp_path, quick=True).finish(4)
 
 
 # What is reported
@@ -166,7 +170,7 @@ def made_up(seeds: int = 2) -> AblationStudy:
     def run(cost: float, seed: int) -> dict[str, Any]:
         curve = [[0, 0.0, 2000.0], [500, 0.5, 2 * cost], [1000, 1.0, cost]]
         scores = {name: cost + 10 * seed for name in COLUMNS}
-        own = {"seed": seed, "command": f"python train/ppo.py --total-steps 1000 --seed {seed}", "minutes": 1.0}
+        own = {"seed": seed, "command": f"python train/student.py --rounds 8 --seed {seed}", "minutes": 1.0}
         return {**own, "base": "paper", "scores": scores, "curve": curve, "validation_of_base": 2000.0}
 
     costs = dict(zip(VARIANTS, np.linspace(300, 900, len(VARIANTS)), strict=True))
@@ -180,11 +184,12 @@ def test_the_page():
     for question, _ in FACTORS.values():
         assert f"## {question}" in page
     assert page.count("(default) | – | 305 [300, 310] |") == len(FACTORS)
-    cost = study.results[1].score("cost_mean")
+    place = next(k for k, variant in enumerate(VARIANTS) if variant.name == "nothing")
+    cost = study.results[place].score("cost_mean")
     ratio = cost.mean() / 305
     assert f"| nothing | `--knowledge none` | {cost.mean():.0f} [{cost[0]:.0f}, {cost[1]:.0f}] |" in page
     assert f"| {ratio:.2f} | 1.0 |" in page
-    assert "`train/recurrent_ppo.py`" in page and "`python train/ppo.py --total-steps 1000`" in page
+    assert "`train/recurrent_ppo.py`" in page and "`python train/student.py --rounds 8`" in page
     assert json.loads(as_json(study))["variants"][1]["runs"][1]["seed"] == 1
 
 

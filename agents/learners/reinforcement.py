@@ -57,7 +57,9 @@ class ReinforcementConfig(RunConfig):
 
 def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
     """Make the environment of training arms."""
-    arms = BeltArmVectorEnv(config.arms, sensors=config.sensors, randomization="train", autoreset_mode="SameStep")
+    arms = BeltArmVectorEnv(
+        config.arms, sensors=config.sensors, randomization=config.randomization, autoreset_mode="SameStep"
+    )
     return ResidualVecEnv(
         arms,
         make_base(config.base),

@@ -182,7 +182,7 @@ class Student:
 
         def trial(controller: Controller) -> Recording:
             paused = _Paused(controller, pause)
-            return rollout(paused, config.arms, seed=seed, randomization="train", sensors=config.sensors)
+            return rollout(paused, config.arms, seed=seed, randomization=config.randomization, sensors=config.sensors)
 
         student = ResidualController(make_base(config.base), self.actor(), config.residual)
         advice, own = ask(trial, student, config.torque_price, lambda: pause(0))

@@ -43,6 +43,8 @@ class RunConfig:
     """Inputs of the agent besides the observation: the belief of the identification, or none."""
     sensors: Sensors = "encoder"
     """Sensors of the arm; "full" measures the true torsion: an upper bound, not comparable with the others."""
+    randomization: Literal["train", "ideal"] = "train"
+    """Arms that are trained on: of the training ranges, or with an ideal drive. Validation has the training ranges."""
     arms: int = 512
     """Arms simulated side by side."""
     learning_rate: float = 5e-4

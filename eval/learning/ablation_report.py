@@ -31,6 +31,7 @@ COLUMNS = {
     "cost_median": ("cost, median", 0),
     "tip_rms_mm_mean": ("tip RMS (mm)", 2),
     "residual_pp_mm_mean": ("residual p-p (mm)", 2),
+    "torque_reversals_hz_mean": ("reversals (1/s)", 1),
     "left_percent": ("left (%)", 1),
 }
 """Title and decimals of the scores that are shown."""
@@ -67,7 +68,7 @@ class AblationStudy:
 
     results: list[VariantResult]
     references: dict[str, dict[str, float]]  # scores of bases and of the best classical controller
-    steps: int
+    samples: int
     arms: int
     classical_validated: float  # cost of the best classical controller on the validation arms
 
@@ -89,7 +90,7 @@ def as_json(study: AblationStudy) -> str:
             "command": command_line(),
             "commit": commit(),
             "version": __version__,
-            "steps": study.steps,
+            "samples": study.samples,
             "scored_on": {"arms": study.arms, "first_seed": ABLATIONS.first, "randomization": "train"},
         },
         "references": study.references,
@@ -100,24 +101,25 @@ def as_json(study: AblationStudy) -> str:
 
 def markdown(study: AblationStudy, seconds: float) -> str:
     """Content of `ablations.md`."""
-    seeds = len(study.results[0].runs)
+    seeds, default = len(study.results[0].runs), study.results[0].base
+    best = "" if default == BEST_CLASSICAL else f"; dotted: `{BEST_CLASSICAL}`, the best controller that does not learn"
     common = study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
     parts = [
         "# What makes learning work: ablations",
-        f"Each row is the default run of `train/ppo.py` with one thing changed, at a shortened budget: {study.steps:,} "
-        f"agent steps, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning rate falling to zero "
-        "over them. (With the hold the discount changes, so that it reaches as far ahead in seconds; small residuals "
-        f"are tried on another base.) Scores are those of the *last* policy on {study.arms} arms of the training "
-        f"ranges with seeds from {ABLATIONS.first}, which nothing else uses. Of several seeds the mean, with the "
-        "lowest and the highest; differences within that range show nothing. *left* is the share of arms that left the "
-        "workspace, which costs as much as a hundred good episodes: where it is not 0, look at the median. *vs "
-        "default* is the ratio of mean costs. *Minutes* are the wall-clock of one run.",
+        f"Each row is the default run of `train/student.py` with one thing changed, at a shortened budget: "
+        f"{study.samples:,} simulated samples, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning "
+        "rate falling to zero over them. (A base that leaves more to correct gets the whole torque limit for it.) "
+        f"Scores are those of the *last* policy on {study.arms} arms of the training ranges with seeds from "
+        f"{ABLATIONS.first}, which nothing else uses. Of several seeds the mean, with the lowest and the highest; "
+        "differences within that range show nothing. *left* is the share of arms that left the workspace, which costs "
+        "as much as a hundred good episodes: where it is not 0, look at the median. *vs default* is the ratio of mean "
+        "costs. *Minutes* are the wall-clock of one run. What a student's teacher simulates to see what torques do, 20 "
+        "steps for each sample, and what base and filter simulate while they act, is not counted.",
         "What it means is in [../learning.md](../learning.md). The common part of the commands is "
         f"`{common}`; every command in full, scores and curves are in [ablations.json](ablations.json).",
         "![curves](curves.png)",
         f"Cost on validation arms while learning: every run a thin line, a variant's geometric mean a thick one. "
-        f"Dashed: the default's base, `{study.results[0].base}`; dotted: `{BEST_CLASSICAL}`, the best controller "
-        "that does not learn.",
+        f"Dashed: the default's base, `{study.results[0].base}`{best}.",
     ]
     for factor, results in study.factors().items():
         parts += [f"## {FACTORS[factor].question}", _table(study, factor, results)]
@@ -169,7 +171,7 @@ def draw(study: AblationStudy, path: Path) -> None:
     for axis in panels[len(factors) :]:
         axis.set_visible(False)
     _scale(panels, study)
-    figure.supxlabel("agent steps (millions)", fontsize=10)
+    figure.supxlabel("simulated samples (millions)", fontsize=10)
     figure.supylabel("mean episode cost, validation arms", fontsize=10)
     save_figure(figure, path)
 
@@ -177,7 +179,7 @@ def draw(study: AblationStudy, path: Path) -> None:
 def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantResult]) -> None:
     default = study.results[0]
     levels = {default.base: default.runs[0]["validation_of_base"], BEST_CLASSICAL: study.classical_validated}
-    for (name, level), dashes, place in zip(levels.items(), _DASHES, ("bottom", "top"), strict=True):
+    for (name, level), dashes, place in zip(levels.items(), _DASHES, ("bottom", "top"), strict=False):
         axis.axhline(level, color="0.45", lw=1, ls=dashes, zorder=1)
         end = axis.get_yaxis_transform()
         backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}

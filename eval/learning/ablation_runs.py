@@ -19,16 +19,18 @@ from agents.learners.registry import ALGORITHMS
 from agents.policy.bundle import BundleError, load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import SCORES
+from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.tools.files import write_text
 from baselines.tools.parallel import Channel
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import ABLATIONS
 from eval.learning.curves import find_curves
 from eval.learning.variants import Variant
 
-_VALIDATIONS = 10  # per run
-_QUICK = ("--arms", "16", "--rollout-steps", "8", "--batch-size", "128", "--validation-arms", "4")
+_VALIDATIONS = 8  # per run, and rounds of a student
+_QUICK = ("--validation-arms", "4")
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class AblationRun:
 
     variant: Variant
     seed: int
-    steps: int
+    samples: int  # simulated in training
     runs: Path
     quick: bool = False
 
@@ -49,10 +51,17 @@ class AblationRun:
     @property
     def words(self) -> list[str]:
         """Script and options, as on a command line."""
-        budget = ["--total-steps", self.steps, "--validation-every", max(self.steps // _VALIDATIONS, 1)]
-        common = [*budget, *(_QUICK if self.quick else ())] if self.variant.common_budget else []
-        script = f"train/{self.variant.script}.py"
-        return [str(word) for word in (script, *common, *self.variant.options, "--seed", self.seed)]
+        budget = self._budget(tyro.cli(ALGORITHMS[self.variant.script].config, args=list(self.variant.options)))
+        script, quick = f"train/{self.variant.script}.py", _QUICK if self.quick else ()
+        return [str(word) for word in (script, *budget, *quick, *self.variant.options, "--seed", self.seed)]
+
+    def _budget(self, config: RunConfig) -> list[object]:
+        """Options by which a script simulates as many samples."""
+        if self.variant.script == "student":
+            rounds = 2 if self.quick else _VALIDATIONS
+            return ["--arms", max(self.samples // (rounds * EPISODE_STEPS), 1), "--rounds", rounds]
+        steps = max(self.samples // config.hold, 1)
+        return ["--total-steps", steps, "--validation-every", max(steps // _VALIDATIONS, 1)]
 
     @property
     def command(self) -> str:
@@ -95,7 +104,7 @@ class AblationRun:
         self._train(channel)
         controller, spec = load_controller(self.folder / "last")
         (curve,) = find_curves([self.folder / "last"])
-        points = np.stack([curve.steps / spec.residual.hold, curve.minutes, curve.cost], axis=1)
+        points = np.stack([curve.steps, curve.minutes, curve.cost], axis=1)
         found = {
             "seed": self.seed,
             "command": self.command,
@@ -127,8 +136,9 @@ def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[s
     """Score a controller: means and medians over the arms of `ABLATIONS`, and the share that left the workspace (%)."""
     run = rollout(controller, arms, seed=ABLATIONS.first, randomization="train", sensors=sensors)
     metrics = run.metrics()
-    found = {f"{name}_mean": float(np.mean(metrics[name])) for name in SCORES}
-    found |= {f"{name}_median": float(np.median(metrics[name])) for name in SCORES}
+    shown = (*SCORES, "torque_reversals_hz")
+    found = {f"{name}_mean": float(np.mean(metrics[name])) for name in shown}
+    found |= {f"{name}_median": float(np.median(metrics[name])) for name in shown}
     found["left_percent"] = 100.0 * float(np.mean(~run.finished))
     return {name: round(value, 4) for name, value in found.items()}
 

@@ -1,4 +1,4 @@
-"""Ablations of the training: variants of PPO's default run, trained side by side and scored."""
+"""Ablations of the training: variants of the student's default run, trained side by side and scored."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from eval.learning.ablation_runs import AblationRun, score
 from eval.learning.curves import BEST_CLASSICAL, classical_cost
 from eval.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
 
-_QUICK_STEPS = 128
+_QUICK_SAMPLES = 5_000
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class AblationConfig:
     runs: Path = Path("runs/ablations")
     """Folder of the runs; finished ones are kept and not repeated."""
     only: tuple[str, ...] = ()
-    """Factors or variants, such as told or gamma-0.95; all by default. The default run is always among them."""
-    steps: int = 1_000_000
-    """Agent steps of every run; a student has a budget of its own."""
-    seeds: int = 2
+    """Factors or variants, such as told or hold-2; all by default. The default run is always among them."""
+    samples: int = 5_000_000
+    """Samples that every run simulates."""
+    seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ..."""
     jobs: int = 2
     """Runs side by side, each on one core."""
     arms: int = 256
     """Arms on which the last policy is scored."""
     quick: bool = False
-    """Trial of the command: a few arms, and the steps of one update."""
+    """Trial of the command: a few episodes."""
 
     def check(self) -> None:
         """Check the options.
@@ -47,7 +47,7 @@ class AblationConfig:
         Raises:
             ValueError: Naming the option, its value and the bound.
         """
-        require_bounds(self, steps=(1, 10**9), seeds=(1, 100), jobs=(1, 256), arms=(1, 10_000))
+        require_bounds(self, samples=(1, 10**9), seeds=(1, 100), jobs=(1, 256), arms=(1, 10_000))
         self.chosen()
 
     def chosen(self) -> list[Variant]:
@@ -68,8 +68,8 @@ class AblationConfig:
 
     @property
     def budget(self) -> int:
-        """Agent steps of every run."""
-        return _QUICK_STEPS if self.quick else self.steps
+        """Samples that every run simulates."""
+        return _QUICK_SAMPLES if self.quick else self.samples
 
 
 def run_all(
