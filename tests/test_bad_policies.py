@@ -217,6 +217,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "a list": (lambda b: (b / MANIFEST).write_text("[1, 2]"), (MANIFEST, FORMAT)),
     "another program's file": (lambda b: (b / MANIFEST).write_text('{"format": "onnx"}'), (MANIFEST, FORMAT)),
     "newer version": (lambda b: edit(b, rehash=True, version=99), ("99", str(VERSION), "version")),
+    "trained on another drive": (lambda b: edit(b, rehash=True, edition=1), (MANIFEST, "edition 1", "train it again")),
     "no version": (lambda b: drop(b, "version"), ("None", str(VERSION), "version")),
     "edited by hand": (lambda b: edit(b, rehash=False, base="rigid"), (MANIFEST, "changed", "hash")),
     "provenance edited": (lambda b: edit(b, rehash=False, provenance={}), (MANIFEST, "changed", "hash")),

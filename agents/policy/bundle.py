@@ -11,7 +11,8 @@ written first, under a name of their own; replacing `policy.json` is the instant
 agent is told, which may be more than when the policy was trained. What they mean goes with `observation.LAYOUT`.
 
 A residual is worth something only on the base, and with the knowledge, that it was trained with: gains of the base and
-doubts of the identification are part of a bundle, and where the checkout has others, it is refused.
+doubts of the identification are part of a bundle, and where the checkout has others, it is refused. So it is where arm
+and drive are of another `edition`.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
 from baselines.tools.files import write_atomically, write_text
 from beltarm_env.observation import ENTRIES, LAYOUT, Entry
+from beltarm_env.task.ranges import EDITION
 
 FORMAT = "beltarm-policy"
 VERSION = 3
@@ -110,6 +112,7 @@ def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
         "format": FORMAT,
         "version": VERSION,
         "layout": LAYOUT,
+        "edition": EDITION,
         **{name: value for name, value in asdict(spec).items() if name != "inputs"},  # which `entries` says
         "hidden": list(spec.hidden),
         "base_settings": settings,
@@ -181,6 +184,11 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
     if content.get("version") != VERSION:
         version = content.get("version")
         raise BundleError(f"{manifest} has version {version!r}, this release reads {VERSION}: train it again")
+    if content.get("edition") != EDITION:
+        edition = content.get("edition")
+        raise BundleError(
+            f"{manifest} was trained on arms of edition {edition!r}, these are of {EDITION}: train it again"
+        )
     if content.get("content_hash") != _content_hash(content):
         raise BundleError(f"{manifest} was changed after it was saved: its content hash does not match")
     return content

@@ -16,6 +16,10 @@ Ranges = Mapping[str, tuple[float, float]]
 Randomization = Literal["off", "ideal", "train"] | Ranges
 
 
+EDITION = 2
+"""Of arm and drive: raise it where their equations or ranges change. 1 was an ideal drive."""
+
+
 def _around(name: str, share: float) -> tuple[float, float]:
     nominal = getattr(NOMINAL, name)
     return (1 - share) * nominal, (1 + share) * nominal
