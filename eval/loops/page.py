@@ -36,8 +36,8 @@ _BUDGETS = (
     "are training seeds. *Model steps* are those of 1.5 ms that the controller's own model makes for each action: "
     "simulated with friction, drive and stiction, one after the other or for derivatives, + those of a linear plan, "
     "backward in time. A plan for the whole move has 1200, spread over the actions between two plans; one pass of an "
-    "active set counts. Agents have the steps of their base and of the filter that tells them about the arm; in training, "
-    "a student's teacher simulates 20 steps more for each sample."
+    "active set counts. Agents have the steps of their base and of the filter that tells them about the arm; in "
+    "training, a student's teacher simulates 20 steps more for each sample."
 )
 
 
