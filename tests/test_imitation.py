@@ -167,8 +167,10 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
     assert advice.inputs.shape == (-(-EPISODE_STEPS // hold), ARMS, StudentConfig().spec().shape().inputs)
     for k, start in enumerate(range(0, EPISODE_STEPS, hold)):
         c, h = (part[start : start + hold] for part in (changes, curvatures))
-        price, torque = len(h) * teaching._PRICE, 0.2 * residual
-        best = residual + ((h * c).sum(axis=0) - price * torque) / (h.sum(axis=0) + price) / 0.2
+        speeds = np.concatenate([np.zeros((1, ARMS)), own.state[:, :, 1]])[start : start + len(h) + 1]
+        rests, torque = (speeds[:-1] == 0) & (speeds[1:] == 0), own.torque[start : start + len(h)] / 0.3
+        charged = np.where(rests, torque, 0.2 * residual).sum(axis=0)
+        best = residual + ((h * c).sum(axis=0) - charged) / (h.sum(axis=0) + len(h)) / 0.2
         np.testing.assert_allclose(advice.labels[k], best.clip(-1, 1), atol=2e-5)
     assert float(advice.weights.mean()) == pytest.approx(1.0, rel=1e-5)
 

@@ -565,10 +565,10 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
         loaded.policy.predict(np.ones((2, 3), np.float32))
 
 
-def test_shipped_policies_go_on_with_the_entries_that_they_were_trained_on():
-    later = {"motor_angle", "sin_2_motor_angle", "cos_2_motor_angle"}
+def test_shipped_policies_are_told_all_that_there_is_and_see_the_encoder_alone():
     folders = shipped_policies()
-    assert len(folders) == 10
+    assert {folder.parent.name for folder in folders} == {"ppo", "student"}
     for folder in folders:
-        spec, _ = read_spec(folder)
-        assert spec.inputs == tuple(entry.name for entry in spec.offered() if entry.name not in later)
+        spec, content = read_spec(folder)
+        assert (spec.inputs, spec.sensors, content["edition"]) == (None, "encoder", 2)
+        assert spec.provenance["config"].get("randomization", "train") == "train"

@@ -20,8 +20,9 @@ problem's feedback does; what the best later torques are does not enter q at all
 torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is a
 Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
 
-Where the motor sticks, torque changes nothing, and the slope is zero. So that a student does not push a motor at rest
-to and fro for nothing, residuals have a small price of their own, p u^2 per sample, which is added to the cost to go.
+Where the motor sticks, torque changes nothing, and the slope is zero. So that a motor at rest is not pushed to and fro
+for nothing, by the base least of all, a price is added to the cost to go: p tau^2 per sample of the whole torque over
+its limit while the motor rests, and p u^2 of the residual alone while it moves.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
 W. Sun et al.: Deeply AggreVaTeD: Differentiable Imitation Learning for Sequential Prediction, ICML 2017.
@@ -107,11 +108,18 @@ def ask(
     kept = np.flatnonzero(recording.finished)
     residuals = np.stack(noted.residuals)[:, kept, 0]
     pulled, weights = _held(changes * curvatures, hold)[:, kept], _held(curvatures + _PRICE, hold)[:, kept]
-    pulled -= residuals * limit * _held(np.full((EPISODE_STEPS, 1), _PRICE), hold)
+    pulled -= _PRICE * _held(_charged(recording, np.stack(noted.residuals)[:, :, 0] * limit, hold), hold)[:, kept]
     labels = np.clip(residuals + pulled / weights / limit, -1.0, 1.0)
     inputs = torch.from_numpy(np.stack(noted.inputs)[:, kept]).half()
     ours = torch.from_numpy(labels.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
     return Advice(inputs, ours[0], ours[1] / ours[1].mean()), recording
+
+
+def _charged(recording: Recording, residuals: Floats, hold: int) -> Floats:
+    """What has a price: the torque of motors that rest from a sample's beginning to its end, the residual of others."""
+    still = np.concatenate([np.ones((1, len(recording.cost)), np.bool_), recording.state[:, :, 1] == 0])
+    own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
+    return np.where(still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit], own)
 
 
 def _held(samples: Floats, hold: int) -> Floats:
