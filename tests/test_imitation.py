@@ -169,8 +169,9 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
         c, h = (part[start : start + hold] for part in (changes, curvatures))
         speeds = np.concatenate([np.zeros((1, ARMS)), own.state[:, :, 1]])[start : start + len(h) + 1]
         rests, torque = (speeds[:-1] == 0) & (speeds[1:] == 0), own.torque[start : start + len(h)] / 0.3
-        charged = np.where(rests, torque, 0.2 * residual).sum(axis=0)
-        best = residual + ((h * c).sum(axis=0) - charged) / (h.sum(axis=0) + len(h)) / 0.2
+        prices = np.where(rests, teaching._PRICE_AT_REST, teaching._PRICE)
+        pulled = h * c - prices * np.where(rests, torque, 0.2 * residual)
+        best = residual + pulled.sum(axis=0) / (h + prices).sum(axis=0) / 0.2
         np.testing.assert_allclose(advice.labels[k], best.clip(-1, 1), atol=2e-5)
     assert float(advice.weights.mean()) == pytest.approx(1.0, rel=1e-5)
 

@@ -21,7 +21,7 @@ torques lowers its expected cost, caution for what it does not know included. Fi
 Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
 
 Where the motor sticks, torque changes nothing, and the slope is zero. So that a motor at rest is not pushed to and fro
-for nothing, by the base least of all, a price is added to the cost to go: p tau^2 per sample of the whole torque over
+for nothing, by the base least of all, a price is added to the cost to go: p_0 tau^2 per sample of the whole torque over
 its limit while the motor rests, and p u^2 of the residual alone while it moves.
 
 D. Jacobson, D. Mayne: Differential Dynamic Programming, 1970; S. Levine, V. Koltun: Guided Policy Search, ICML 2013;
@@ -48,7 +48,7 @@ from beltarm_env.task.reference import TRAPEZOID, sample_references
 Trial = Callable[[Controller], Recording]
 """Runs a controller for an episode on arms of its own."""
 
-_PRICE = 1.0  # p, over the torque limit squared; h is about 5
+_PRICE, _PRICE_AT_REST = 1.0, 3.0  # p and p_0, over the torque limit squared; h is about 5
 _EFFORT = 5.0  # R of a change [1/(N m)^2]: what keeps the advice finite where the motor sticks
 _SOFT = (0.05, 0.1)  # shares of their scales below which errors, and changes of the torque, weigh no more
 
@@ -107,19 +107,21 @@ def ask(
     changes, curvatures = best_changes(recording, price, pause)
     kept = np.flatnonzero(recording.finished)
     residuals = np.stack(noted.residuals)[:, kept, 0]
-    pulled, weights = _held(changes * curvatures, hold)[:, kept], _held(curvatures + _PRICE, hold)[:, kept]
-    pulled -= _PRICE * _held(_charged(recording, np.stack(noted.residuals)[:, :, 0] * limit, hold), hold)[:, kept]
+    charged, prices = _charged(recording, np.stack(noted.residuals)[:, :, 0] * limit, hold)
+    pulled = _held(changes * curvatures - prices * charged, hold)[:, kept]
+    weights = _held(curvatures + prices, hold)[:, kept]
     labels = np.clip(residuals + pulled / weights / limit, -1.0, 1.0)
     inputs = torch.from_numpy(np.stack(noted.inputs)[:, kept]).half()
     ours = torch.from_numpy(labels.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
     return Advice(inputs, ours[0], ours[1] / ours[1].mean()), recording
 
 
-def _charged(recording: Recording, residuals: Floats, hold: int) -> Floats:
-    """What has a price: the torque of motors that rest from a sample's beginning to its end, the residual of others."""
+def _charged(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
+    """What has a price, and the price, both of shape (1200, n): the torque of motors at rest, the residual of others."""
     still = np.concatenate([np.ones((1, len(recording.cost)), np.bool_), recording.state[:, :, 1] == 0])
+    rests, torque = still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit]
     own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
-    return np.where(still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit], own)
+    return np.where(rests, torque, own), np.where(rests, _PRICE_AT_REST, _PRICE)
 
 
 def _held(samples: Floats, hold: int) -> Floats:
