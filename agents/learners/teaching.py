@@ -117,7 +117,7 @@ def ask(
 
 
 def _charged(recording: Recording, residuals: Floats, hold: int) -> tuple[Floats, Floats]:
-    """What has a price, and the price, both of shape (1200, n): the torque of motors at rest, the residual of others."""
+    """What is charged for, and its price, shape (1200, n): the torque of motors at rest, the residual of others."""
     still = np.concatenate([np.ones((1, len(recording.cost)), np.bool_), recording.state[:, :, 1] == 0])
     rests, torque = still[:-1] & still[1:], recording.torque / recording.params[:, COLUMN.torque_limit]
     own = np.repeat(residuals, hold, axis=0)[:EPISODE_STEPS]
