@@ -91,7 +91,8 @@ def method_table(found: pd.DataFrame, across: Literal["split", "metric"], with_s
     """
     rows = []
     for line in lines(found, across, _cell, "failed"):
-        seeds = f" ({line.seeds} seeds)" if with_seeds and line.kind == "learned" else ""
+        plural = "s" if line.seeds > 1 else ""
+        seeds = f" ({line.seeds} seed{plural})" if with_seeds and line.kind == "learned" else ""
         rows.append([_italic(line.method + seeds, line.ranked), *line.cells])
     columns = found[across].unique()
     return markdown_table(["method", *(columns if across == "split" else map(heading, columns))], rows)
