@@ -106,11 +106,11 @@ def ask(
     hold, limit = student.settings.hold, student.settings.limit
     changes, curvatures = best_changes(recording, price, pause)
     kept = np.flatnonzero(recording.finished)
-    residuals = np.stack(noted.residuals)[:, kept, 0]
-    charged, prices = _charged(recording, np.stack(noted.residuals)[:, :, 0] * limit, hold)
+    chosen = np.stack(noted.residuals)[:, :, 0].astype(np.float64)
+    charged, prices = _charged(recording, chosen * limit, hold)
     pulled = _held(changes * curvatures - prices * charged, hold)[:, kept]
     weights = _held(curvatures + prices, hold)[:, kept]
-    labels = np.clip(residuals + pulled / weights / limit, -1.0, 1.0)
+    labels = np.clip(chosen[:, kept] + pulled / weights / limit, -1.0, 1.0)
     inputs = torch.from_numpy(np.stack(noted.inputs)[:, kept]).half()
     ours = torch.from_numpy(labels.astype(np.float32)), torch.from_numpy(weights.astype(np.float32))
     return Advice(inputs, ours[0], ours[1] / ours[1].mean()), recording
