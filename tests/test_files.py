@@ -91,3 +91,14 @@ def test_folder_that_is_a_file(tmp_path: Path):
 def test_writable_folder_is_left_empty(tmp_path: Path):
     require_writable(tmp_path / "results")
     assert os.listdir(tmp_path / "results") == []
+
+
+def test_what_a_killed_process_left_is_taken_away_later(tmp_path: Path):
+    """Not what another process may still be writing."""
+    names = [".results-old.json", ".results-fresh.json", ".other-old.json"]
+    for name in names:
+        (tmp_path / name).touch()
+        if "old" in name:
+            os.utime(tmp_path / name, (0, 0))
+    write_text(tmp_path / "results.json", "new")
+    assert set(os.listdir(tmp_path)) == {"results.json", *names[1:]}

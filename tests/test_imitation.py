@@ -27,12 +27,15 @@ from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.training import train
 from baselines import CONTROLLERS
-from baselines.planning.norm_optimal import Linearisation, curved_change, norm_weights
+from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from baselines.tools.parallel import Channel, Interrupted, StopRequest
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, design_model
-from beltarm_env.arm import COLUMN
+from beltarm_env import EPISODE_STEPS, design_model
+from beltarm_env.arm import COLUMN, plant_of
+from beltarm_env.physics.drive import built_drive
+from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Controller, Recording, rollout
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
 from eval.learning.curves import find_curves
 
@@ -78,15 +81,14 @@ class Law:
 
     def __init__(self, recording: Recording, arm: int) -> None:
         self.row, self.torque = recording.params[arm], np.ascontiguousarray(recording.torque[:, arm])
-        self.limit, self.options = float(self.row[COLUMN.torque_limit]), {"move": recording.moves[arm]}
+        self.limit = float(self.row[COLUMN.torque_limit])
         self.states = np.ascontiguousarray(teaching._motion(recording)[:, arm])
-        task = np.empty((1, EPISODE_STEPS + 1, 3))
-        sample_references(TRAPEZOID, np.ascontiguousarray(recording.moves[[arm]]), CONTROL_PERIOD, task)
+        self.task = np.ascontiguousarray(sampled_moves(recording.moves[[arm]])[0, 1:, :2])
         linearisation = Linearisation(design_model(), EPISODE_STEPS)
-        about = linearisation.about(self.states, self.torque, np.ascontiguousarray(task[0, 1:, :2]), self.row)
+        about = linearisation.about(self.states, self.torque, self.task, self.row)
         step = np.diff(self.torque, prepend=0.0)
         weights = norm_weights(about.errors, step, self.limit, teaching._EFFORT, teaching._SOFT)
-        _, self.gain, self.curvature = curved_change(about, weights, self.torque)
+        _, self.gain = optimal_change(about, weights, self.torque)
 
     def cost(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Cost of the task under changes of the torque [N m], shape (candidates, 1200), simulated."""
@@ -105,16 +107,10 @@ class Law:
         return self._charged(states, torques)
 
     def _charged(self, states: NDArray[np.float64], torques: NDArray[np.float64]) -> NDArray[np.float64]:
-        from baselines.planning.norm_optimal import _tip_errors
-        from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-
-        task = np.empty((1, EPISODE_STEPS + 1, 3))
-        sample_references(TRAPEZOID, np.array([self.options["move"]]), CONTROL_PERIOD, task)
+        plant, drive = plant_of(self.row), built_drive(self.row)
         costs = np.empty(states.shape[1])
         for i in range(len(costs)):
-            errors, _ = _tip_errors(
-                np.ascontiguousarray(states[:, i, :4]), np.ascontiguousarray(task[0, 1:, :2]), self.row
-            )
+            errors = tip_errors(np.ascontiguousarray(states[:, i, :4]), self.task, plant, drive)
             position, velocity = np.hypot(*errors.T[:2]) / POSITION_SCALE, np.hypot(*errors.T[2:]) / VELOCITY_SCALE
             change = TORQUE_RATE_WEIGHT * np.abs(np.diff(torques[:, i], prepend=0.0)) / self.limit
             costs[i] = (position + velocity + change).sum()

@@ -5,12 +5,12 @@ import numpy as np
 from baselines.planning.plan import Weights, planned_torque, replanned
 from baselines.planning.replanning import STEPS, PlanCache, Situation
 from baselines.planning.task_plan import anchored, improved
-from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env import ArmParams
 from beltarm_env.arm import params_table, plant_of
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.reference import sampled_moves
 
 MOVES = np.array([[0.2, 1.0, 0.7, 0.2], [1.3, 0.3, 0.8, 0.25], [0.05, 0.7, 0.6, 0.16]])
 ARM = ArmParams(coulomb_friction=0.0)
@@ -33,8 +33,7 @@ def simulated_costs(plans) -> np.ndarray:
     """Costs, as the task has them, of the plans' laws on the nonlinear arm, by the environment's integrator."""
     simulation, states = ArmSimulation([ARM] * len(MOVES)), np.zeros((len(MOVES), 4))
     states[:, 0] = ARM.gear_ratio * MOVES[:, 0]
-    tasks = np.empty((len(MOVES), EPISODE_STEPS + 1, 3))
-    sample_references(TRAPEZOID, MOVES, 0.0015, tasks)
+    tasks = sampled_moves(MOVES)
     costs, last = np.zeros(len(MOVES)), np.zeros(len(MOVES))
     for k in range(1000):
         torque = planned_torque(plans, np.full(len(MOVES), float(k)), states, last)

@@ -37,10 +37,6 @@ class OnPolicyConfig(ReinforcementConfig):
         if self.arms * self.rollout_steps < 2:
             raise ValueError("--arms times --rollout-steps must be at least 2")
 
-    def learning_rate_left(self, remaining: float) -> float:
-        """Linearly decaying learning rate, at a share `remaining` of the run, which the last rollout takes below 0."""
-        return self.learning_rate * max(remaining, 0.0)
-
     def arguments(self, **policy: Any) -> dict[str, Any]:
         """Arguments of the Stable-Baselines3 model; the learning rate falls linearly to zero.
 

@@ -1,4 +1,4 @@
-"""A student of trajectory optimisation: it is told after each episode how its torques should have been, and why not.
+"""A student of trajectory optimisation: it is told after each episode how its torques should have been.
 
 The teacher knows arm and drive, and optimises torques in the student's own states (`agents.learners.teaching`). The
 student, a residual on a base, meets every arm for the first time, sees the encoder and what an extended Kalman filter
@@ -16,8 +16,7 @@ it works where reinforcement learning does not:
   for them costs more than they gain. Here the simulation itself says what each torque did.
 - What the teacher knows of an arm, the student cannot know. On average over the arms that fit what it has seen, advice
   that rests on it cancels, and what is left is what one should do not knowing: also to hold back.
-- The memory finds what the filter's model leaves out: that of an arm with a kinematic error, a belt whose damping
-  nobody knows, friction at a Stribeck speed that is not identified.
+- A memory can find what the filter's model leaves out: how the belt is damped, at which speed friction falls.
 
 The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
 [2]; the learning rate falls to zero over the run.
@@ -55,6 +54,8 @@ from beltarm_env.task.seeds import SEED_SPACING, training_arms
 _WARM_UP = 50  # gradient steps over which the learning rate rises, and the average's memory grows
 _KEPT = 0.998  # share of the average that a gradient step leaves
 _MAX_GRADIENT = 0.2
+_SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
+_PARTS = ("_actor", "_average", "_optimiser")  # of a snapshot
 _LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
 
 
@@ -138,7 +139,6 @@ class Student:
                 parameter.zero_()
         self._average = AveragedModel(self._actor, avg_fn=_running_average)
         self._optimiser = torch.optim.Adam(self._actor.parameters(), config.learning_rate)
-        self._gradient_steps = 0
 
     @property
     def steps(self) -> int:
@@ -165,11 +165,11 @@ class Student:
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
         parts = {name: getattr(self, name).state_dict() for name in _PARTS}
-        return {"rounds": self.rounds, "gradient_steps": self._gradient_steps, "advice": self.advice, **parts}
+        return {"rounds": self.rounds, "advice": self.advice, **parts}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a snapshot into a new student of the same options."""
-        self.rounds, self._gradient_steps, self.advice = state["rounds"], state["gradient_steps"], state["advice"]
+        self.rounds, self.advice = state["rounds"], state["advice"]
         for name in _PARTS:
             getattr(self, name).load_state_dict(state[name])
 
@@ -196,11 +196,10 @@ class Student:
         monitor.logger.record("student/difference", difference)
 
     def _standardise(self, inputs: torch.Tensor) -> None:
+        """Standardise by these inputs; the average takes over what is no weight with its next step."""
         flat = inputs.float().flatten(0, 1)
-        averaged: Any = self._average.module
-        for actor in (self._actor, averaged):
-            actor.mean.copy_(flat.mean(dim=0))
-            actor.deviation.copy_(flat.std(dim=0).clamp_min(_LEAST_DEVIATION))
+        self._actor.mean.copy_(flat.mean(dim=0))
+        self._actor.deviation.copy_(flat.std(dim=0).clamp_min(_LEAST_DEVIATION))
 
     def _fit(self, pause: Callable[[int], None]) -> float:
         """Fit the student to the remembered advice, and return the weighted squared error of the last pass."""
@@ -224,7 +223,6 @@ class Student:
                 clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
                 self._optimiser.step()
                 self._average.update_parameters(network)
-                self._gradient_steps += 1
                 difference += float((weight * error.detach().square()).mean()) / batches
         self._actor.to("cpu")
         if not np.isfinite(difference):
@@ -233,13 +231,9 @@ class Student:
 
     def _set_learning_rate(self, done: float) -> None:
         """Set the learning rate after a share of the run: it falls to zero, after a short rise from there."""
-        rate = self.config.learning_rate * max(1 - done, 0.0) * min((self._gradient_steps + 1) / _WARM_UP, 1.0)
+        rate = self.config.learning_rate_left(1 - done) * min((int(self._average.n_averaged) + 1) / _WARM_UP, 1.0)
         for group in self._optimiser.param_groups:
             group["lr"] = rate
-
-
-_PARTS = ("_actor", "_average", "_optimiser")
-_SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
 
 
 def _running_average(average: torch.Tensor, now: torch.Tensor, updates: torch.Tensor | int) -> torch.Tensor:

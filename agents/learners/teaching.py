@@ -38,12 +38,12 @@ import torch
 
 from agents.residual.controller import ResidualController, ResidualMemory
 from baselines.planning.norm_optimal import Linearisation, curved_change, norm_weights
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, design_model
+from beltarm_env import EPISODE_STEPS, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, Recording
 from beltarm_env.simulation import ArmSimulation
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.reference import sampled_moves
 
 Trial = Callable[[Controller], Recording]
 """Runs a controller for an episode on arms of its own."""
@@ -140,11 +140,9 @@ def best_changes(
         pause: Called before each arm.
 
     Returns:
-        c over the torque limit and h times its square, of shape (1200, n); 1 and 0 of arms that have left.
+        c over the torque limit and h times its square, of shape (1200, n); 0 and 1 of arms that have left.
     """
-    states, count = _motion(recording), len(recording.cost)
-    tasks = np.empty((count, EPISODE_STEPS + 1, 3))
-    sample_references(TRAPEZOID, np.ascontiguousarray(recording.moves), CONTROL_PERIOD, tasks)
+    states, tasks, count = _motion(recording), sampled_moves(recording.moves), len(recording.cost)
     linearisation = Linearisation(design_model(), EPISODE_STEPS)
     changes, curvatures = np.zeros((EPISODE_STEPS, count)), np.ones((EPISODE_STEPS, count))
     for i in np.flatnonzero(recording.finished):

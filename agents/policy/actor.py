@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
@@ -82,10 +83,10 @@ class Actor(nn.Module):
         Not for an actor with an LSTM, which is trained elsewhere.
         """
         assert self.lstm is None, "trained by its own library"
-        observations = self._standardised(observations)
-        if self.gru is None:
-            return self.layers(observations)
-        return self.layers(torch.cat([observations, self.gru(observations)[0]], dim=-1))
+        features = self._standardised(observations)
+        if self.gru is not None:
+            features = torch.cat([features, self.gru(features)[0]], dim=-1)
+        return self.layers(features)
 
     def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
         if not self.shape.standardised:
@@ -114,23 +115,25 @@ class Actor(nn.Module):
         with torch.no_grad():
             features, following = self._standardised(torch.as_tensor(observation)), None
             if self.lstm is not None:
-                if state is None:
-                    state = np.zeros((len(observation), 2, self.shape.lstm), np.float32)
-                elif episode_start is not None:
-                    state = np.where(episode_start[:, None, None], np.float32(0), state)
-                hidden, cell = torch.as_tensor(state).permute(1, 0, 2).contiguous()
+                memory = _begun(state, episode_start, (len(observation), 2, self.shape.lstm))
+                hidden, cell = memory.permute(1, 0, 2).contiguous()
                 sequence, (hidden, cell) = self.lstm(features[None], (hidden[None], cell[None]))
                 features, following = sequence[0], torch.stack([hidden[0], cell[0]], dim=1).numpy()
             elif self.gru is not None:
-                if state is None:
-                    state = np.zeros((len(observation), self.shape.gru), np.float32)
-                elif episode_start is not None:
-                    state = np.where(episode_start[:, None], np.float32(0), state)
-                sequence, hidden = self.gru(features[None], torch.as_tensor(state)[None])
+                memory = _begun(state, episode_start, (len(observation), self.shape.gru))
+                sequence, hidden = self.gru(features[None], memory[None])
                 features, following = torch.cat([features, sequence[0]], dim=1), hidden[0].numpy()
             output = self.layers(features)
             residual = torch.tanh(output) if self.shape.squashed else output.clamp(-1.0, 1.0)
         return residual.numpy(), following
+
+
+def _begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> torch.Tensor:
+    """Memory of a shape, rows first, which is zero where an episode begins: everywhere if there is none yet."""
+    memory = np.zeros(shape, np.float32)
+    if state is not None:
+        memory = state if start is None else chosen(start, memory, state)
+    return torch.as_tensor(memory)
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:

@@ -93,6 +93,10 @@ class RunConfig:
         """Width of the actor's GRU, 0 for none."""
         return 0
 
+    def learning_rate_left(self, remaining: float) -> float:
+        """Linearly decaying learning rate, at a share `remaining` of the run, which a last rollout takes below 0."""
+        return self.learning_rate * max(remaining, 0.0)
+
     def check(self) -> None:
         """Check the options.
 

@@ -32,10 +32,10 @@ from baselines.iterative.lesson import Law, Lesson, Notes
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from baselines.reading import Reading
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.physics.drive import DRIVE_COLUMNS
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.reference import sampled_moves
 
 _YIELDS = 1e-6  # speed that a torque gives the motor within a sample, below which it counts as stuck [rad/s / (N m)]
 
@@ -145,8 +145,7 @@ class IterativeController(AdaptiveController):
         before = np.column_stack([np.zeros(len(torques)), torques[:, :-1]])
         path = np.concatenate([states, before[:, :, None]], axis=2)
         law = Law(torques.copy(), np.empty(path.shape), path, np.empty(torques.shape, np.bool_))
-        tasks = np.empty((len(torques), EPISODE_STEPS + 1, 3))
-        sample_references(TRAPEZOID, moves, CONTROL_PERIOD, tasks)
+        tasks = sampled_moves(moves)
         linearisation = Linearisation(self.params, EPISODE_STEPS)
         ideal = table.copy()  # the filter's model, whose torques act at once
         ideal[:, DRIVE_COLUMNS] = 0.0

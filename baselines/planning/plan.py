@@ -26,11 +26,11 @@ import numpy as np
 from baselines.models.linear import LinearArms, between, linear_arms, place, turning_load
 from baselines.planning.riccati import free_input, no_cost, slope_in_input, step_back
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.reference import sampled_moves
 
 Quadruple = tuple[float, float, float, float]
 
@@ -108,10 +108,8 @@ def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
     plan = Plan(
         np.empty((count, EPISODE_STEPS, 4)), np.empty((count, EPISODE_STEPS, 5)), np.empty((count, EPISODE_STEPS))
     )
-    tasks = np.empty((count, EPISODE_STEPS + 1, 3))
-    sample_references(TRAPEZOID, np.ascontiguousarray(moves), CONTROL_PERIOD, tasks)
     of_cost = (*error_weights(weights.velocity), weights.torque, weights.change)
-    _plan_moves(tasks, table, linear_arms(table), of_cost, plan)
+    _plan_moves(sampled_moves(moves), table, linear_arms(table), of_cost, plan)
     return plan
 
 

@@ -24,13 +24,13 @@ from baselines.models.linear import LinearArms, linear_arms
 from baselines.planning.norm_optimal import Trial, followed, norm_weights, optimal_change
 from baselines.planning.plan import Plans, set_step
 from baselines.planning.tip_error import bounded_sine, tip_error_rows
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.reference import sampled_moves
 
 _SOFT = 0.01, 0.05  # shares of the errors' scales, and of the torque limit, below which norms count as squares
 _EFFORT = 1.0  # [1/(N m)^2] on a step's change of the torque: which keeps the step's problem well posed
@@ -138,11 +138,10 @@ def _improve(rows: Floats, problem: _Problem) -> bool:
 
 def _problem(move: Floats, row: Floats, first: int) -> _Problem:
     """Problem of one arm, with a row of constants, from a sample on."""
-    tasks, models, plant = np.empty((1, EPISODE_STEPS + 1, 3)), linear_arms(row[None]), plant_of(row)
-    sample_references(TRAPEZOID, move[None], CONTROL_PERIOD, tasks)
+    task, models, plant = sampled_moves(move[None])[0], linear_arms(row[None]), plant_of(row)
     friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
     room = max(plant.torque_limit - friction, 0.1 * plant.torque_limit)
-    return _Problem(tasks[0, first:], plant, LinearArms(*(part[0] for part in models)), room)
+    return _Problem(task[first:], plant, LinearArms(*(part[0] for part in models)), room)
 
 
 def anchored(plans: Plans, which: Flags, time: Floats, states: Floats, moves: Floats, table: Floats) -> Plans:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from collections.abc import Callable
+from contextlib import suppress
+from glob import escape
 from pathlib import Path
+
+_ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any more [s]
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a temporary file beside `path`, then rename it to `path`.
+
+    Temporary files of processes that were killed meanwhile are removed by a later call for the same path.
 
     Args:
         path: The file to create or replace; its folder is created.
@@ -19,7 +26,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         OSError: If the folder cannot be written to or is full; `path` is then as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    prefix = f".{path.stem}-"
+    for left in path.parent.glob(f"{escape(prefix)}*{path.suffix}"):
+        with suppress(FileNotFoundError):
+            if time.time() - left.stat().st_mtime > _ABANDONED:
+                left.unlink()
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=path.suffix)
     os.close(handle)
     temporary = Path(name)
     try:

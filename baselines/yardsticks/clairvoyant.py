@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
-from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.jit import compiled
@@ -40,7 +40,7 @@ from beltarm_env.physics.kinematics import tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import step_cost
-from beltarm_env.task.reference import TRAPEZOID, MoveShape, sample_references
+from beltarm_env.task.reference import MoveShape, sampled_moves
 
 _SOFTNESS = (1e-2, 1e-3, 1e-4)  # share of their scale below which errors and torque changes weigh no more, in turn
 _PRICES = np.logspace(-3, 6, 16)  # R of the change [1/(N m)^2]
@@ -77,9 +77,7 @@ class _Arm:
     def __init__(self, params: ArmParams, move: MoveShape, steps: int, count: int) -> None:
         self._row, self.limit = params.row(), params.torque_limit
         self._plant, self._drive = params.plant(), built_drive(self._row)
-        task = np.empty((1, steps + 1, 3))
-        sample_references(TRAPEZOID, np.array([move]), CONTROL_PERIOD, task)
-        self._task = np.ascontiguousarray(task[0, 1:, :2])
+        self._task = np.ascontiguousarray(sampled_moves(np.array([move]), steps)[0, 1:, :2])
         self._simulation = ArmSimulation(params, count)
         self._table = np.repeat(self._row[None], count, axis=0)
         self._start = self._simulation.at_rest(np.full(count, params.gear_ratio * move.start))

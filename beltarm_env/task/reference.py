@@ -13,8 +13,11 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple, get_args
 
+import numpy as np
+
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 Profile = Literal["trapezoid", "scurve", "quintic"]
 PROFILES: tuple[Profile, ...] = get_args(Profile)
@@ -103,18 +106,24 @@ def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
     return _between_ramps(move, ramp_rate, _linear_ramp(rising), _linear_ramp(falling))
 
 
-@compiled
-def sample_references(profile: int, moves: Floats, period: float, samples: Floats) -> None:
-    """Sample the references of n moves, for controllers that know the whole move beforehand.
+def sampled_moves(moves: Floats, steps: int = EPISODE_STEPS) -> Floats:
+    """Sample the trapezoid references of n moves, for controllers that know the whole move beforehand.
 
     Args:
-        profile: Index into `PROFILES`.
         moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        period: Time between samples [s].
-        samples: Written in place: angle [rad], speed [rad/s] and acceleration [rad/s^2] from the start on,
-            shape (n, samples, 3).
+        steps: Control periods.
+
+    Returns:
+        Angle [rad], speed [rad/s] and acceleration [rad/s^2] from the start on, shape (n, steps + 1, 3).
     """
+    samples = np.empty((len(moves), steps + 1, 3))
+    _sample(np.ascontiguousarray(moves), samples)
+    return samples
+
+
+@compiled
+def _sample(moves: Floats, samples: Floats) -> None:
     for i in range(len(moves)):
         move = MoveShape(moves[i, 0], moves[i, 1], moves[i, 2], moves[i, 3])
         for k in range(samples.shape[1]):
-            samples[i, k, 0], samples[i, k, 1], samples[i, k, 2] = reference_at(profile, move, k * period)
+            samples[i, k, 0], samples[i, k, 1], samples[i, k, 2] = reference_at(TRAPEZOID, move, k * CONTROL_PERIOD)

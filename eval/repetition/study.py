@@ -15,10 +15,10 @@ from baselines.iterative.controller import IterativeController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.motor_learning import MotorLearningController
 from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv
+from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, rollout
-from beltarm_env.task.reference import TRAPEZOID, sample_references
+from beltarm_env.task.reference import sampled_moves
 from eval.comparison.estimates import Estimate, estimate
 
 Floats = NDArray[np.float64]
@@ -62,9 +62,7 @@ class RepetitionResult:
 
 def metrics(run: Recording) -> dict[str, Floats]:
     """Reported metrics of a trial, each of shape (n,)."""
-    count, steps = run.moves.shape[0], len(run.state)
-    tasks = np.empty((count, steps + 1, 3))
-    sample_references(TRAPEZOID, run.moves, CONTROL_PERIOD, tasks)
+    tasks = sampled_moves(run.moves, len(run.state))
     joint = run.state[:, :, 0] / run.params[:, COLUMN.gear_ratio]
     of_tip = run.metrics()
     wanted = {name: of_tip[name] for name in ("cost", "tip_rms_mm", "residual_pp_mm")}
