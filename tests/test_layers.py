@@ -16,10 +16,10 @@ FLOORS = {
         *("tools", "gains reading", "controller models", "estimation planning", "servo optimal"),
         *("iterative yardsticks loops", "registry", "tuning"),
     ),
-    "agents": ("residual", "policy", "runs", "learners"),
+    "agents": ("residual", "policy", "runs", "learners observer"),
     "eval": (
         *("style", "comparison", "views"),
-        *("verification drives advances sensing", "loops", "reproduction", "learning repetition speed"),
+        *("verification drives advances sensing observing", "loops", "reproduction", "learning repetition speed"),
     ),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.

@@ -42,6 +42,7 @@ from torch.optim.swa_utils import AveragedModel
 
 from agents.learners.teaching import Advice, ask
 from agents.policy.actor import Actor
+from agents.policy.averaging import running_average
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.monitor import TrainingMonitor
@@ -51,8 +52,7 @@ from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
-_WARM_UP = 50  # gradient steps over which the learning rate rises, and the average's memory grows
-_KEPT = 0.998  # share of the average that a gradient step leaves
+_WARM_UP = 50  # gradient steps over which the learning rate rises
 _MAX_GRADIENT = 0.2
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
 _PARTS = ("_actor", "_average", "_optimiser")  # of a snapshot
@@ -137,7 +137,7 @@ class Student:
         with torch.no_grad():
             for parameter in self._actor.layers[-1].parameters():
                 parameter.zero_()
-        self._average = AveragedModel(self._actor, avg_fn=_running_average)
+        self._average = AveragedModel(self._actor, avg_fn=running_average)
         self._optimiser = torch.optim.Adam(self._actor.parameters(), config.learning_rate)
 
     @property
@@ -234,12 +234,6 @@ class Student:
         rate = self.config.learning_rate_left(1 - done) * min((int(self._average.n_averaged) + 1) / _WARM_UP, 1.0)
         for group in self._optimiser.param_groups:
             group["lr"] = rate
-
-
-def _running_average(average: torch.Tensor, now: torch.Tensor, updates: torch.Tensor | int) -> torch.Tensor:
-    """Weights after one more gradient step, of which the first count as much as the rest of them."""
-    kept = min(_KEPT, float(updates) / (float(updates) + _WARM_UP))
-    return average.lerp(now, 1 - kept)
 
 
 def make_learner(config: StudentConfig) -> Student:

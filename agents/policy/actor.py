@@ -89,9 +89,7 @@ class Actor(nn.Module):
         return self.layers(features)
 
     def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
-        if not self.shape.standardised:
-            return observations
-        return ((observations - self.mean) / self.deviation).clamp(-_FARTHEST, _FARTHEST)
+        return standardised(observations, self.mean, self.deviation) if self.shape.standardised else observations
 
     def predict(
         self,
@@ -115,12 +113,12 @@ class Actor(nn.Module):
         with torch.no_grad():
             features, following = self._standardised(torch.as_tensor(observation)), None
             if self.lstm is not None:
-                memory = _begun(state, episode_start, (len(observation), 2, self.shape.lstm))
+                memory = begun(state, episode_start, (len(observation), 2, self.shape.lstm))
                 hidden, cell = memory.permute(1, 0, 2).contiguous()
                 sequence, (hidden, cell) = self.lstm(features[None], (hidden[None], cell[None]))
                 features, following = sequence[0], torch.stack([hidden[0], cell[0]], dim=1).numpy()
             elif self.gru is not None:
-                memory = _begun(state, episode_start, (len(observation), self.shape.gru))
+                memory = begun(state, episode_start, (len(observation), self.shape.gru))
                 sequence, hidden = self.gru(features[None], memory[None])
                 features, following = torch.cat([features, sequence[0]], dim=1), hidden[0].numpy()
             output = self.layers(features)
@@ -128,7 +126,12 @@ class Actor(nn.Module):
         return residual.numpy(), following
 
 
-def _begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> torch.Tensor:
+def standardised(inputs: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
+    """Inputs by the mean and deviation that they had in training, cut at `_FARTHEST`."""
+    return ((inputs - mean) / deviation).clamp(-_FARTHEST, _FARTHEST)
+
+
+def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> torch.Tensor:
     """Memory of a shape, rows first, which is zero where an episode begins: everywhere if there is none yet."""
     memory = np.zeros(shape, np.float32)
     if state is not None:

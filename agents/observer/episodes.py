@@ -1,0 +1,119 @@
+"""Episodes that a learned observer is fitted to: arms of the training ranges under the torques of many controllers.
+
+An observer that has seen one controller's torques alone would take that controller's habits for the arm's. Some of
+the torques are disturbed besides, by noise of first order of a size that differs from arm to arm.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agents.observer.network import Observer
+from agents.observer.quantities import truth
+from agents.policy.bundle import load_controller
+from agents.residual.bases import make_base
+from agents.residual.knowledge import InformedBase
+from beltarm_env.arrays import Flags, Singles
+from beltarm_env.rollout import Controller, rollout
+from beltarm_env.task.seeds import OBSERVER
+
+_STUDENT = Path(__file__).resolve().parents[1] / "policies" / "student" / "seed0"
+_MEMORY = 0.97  # of the noise from sample to sample: 50 ms
+
+
+class Source(NamedTuple):
+    """Controller whose torques an observer is fitted to."""
+
+    name: str  # of a classical controller, or "student"
+    noise: float = 0.0  # largest standard deviation of what is added to its torque, over the torque limit
+
+    def controller(self) -> Controller:
+        """Make the controller."""
+        return load_controller(_STUDENT)[0] if self.name == "student" else make_base(self.name)
+
+
+SOURCES = (
+    *(Source("adaptive"), Source("adaptive", 0.05)),
+    *(Source("student"), Source("student", 0.05)),
+    *(Source("preview", 0.05), Source("paper")),
+)
+
+
+class Episodes(NamedTuple):
+    """What an observer sees in n episodes, and what there was to be seen."""
+
+    inputs: torch.Tensor  # (T, n, inputs), half precision
+    truth: torch.Tensor  # (T, n, quantities)
+
+    @staticmethod
+    def joined(parts: list[Episodes]) -> Episodes:
+        """All episodes of some."""
+        return Episodes(*(torch.cat(tensors, dim=1) for tensors in zip(*parts, strict=True)))
+
+
+class Disturbed:
+    """Controller whose torque is disturbed, and what an observer sees of it noted; as a `Controller`."""
+
+    def __init__(self, controller: Controller, observer: Observer, noise: float, seed: int) -> None:
+        self.informed = InformedBase(controller, observer.knowledge)
+        self.params = self.informed.params
+        self.inputs: list[NDArray[np.float16]] = []
+        self._observer = observer
+        self._noise = noise
+        self._random = np.random.default_rng(seed)
+        self._step = 0
+        self._size = self._disturbance = np.zeros((0, 1))
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Call the controller's `predict`, and disturb what it returns."""
+        count = len(observation)
+        if state is None:
+            self._size = self._noise * self._random.random((count, 1))
+            self._disturbance = np.zeros((count, 1))
+        informed = self.informed.advance(observation, state, episode_start)
+        if self._step % self._observer.hold == 0:
+            seen = self.informed.seen(observation, informed)
+            self.inputs.append(seen[:, self._observer.columns].astype(np.float16))
+        self._step += 1
+        fresh = self._random.standard_normal((count, 1))
+        self._disturbance = _MEMORY * self._disturbance + np.sqrt(1 - _MEMORY**2) * self._size * fresh
+        action = informed.action if self._noise == 0 else informed.action + self._disturbance.astype(np.float32)
+        return action.clip(-1, 1), informed
+
+
+def simulate(source: Source, observer: Observer, first: int, count: int, **settings: Any) -> Episodes:
+    """Run a source on arms of the training ranges, but for those that leave their workspace.
+
+    Args:
+        source: What acts.
+        observer: For its inputs.
+        first: Seed of the first arm.
+        count: Number of arms.
+        **settings: Of `rollout`, instead of the training ranges.
+    """
+    noted = Disturbed(source.controller(), observer, source.noise, first)
+    recording = rollout(noted, count, seed=first, **(settings or {"randomization": "train"}))
+    kept = np.flatnonzero(recording.finished)
+    inputs, true = np.stack(noted.inputs)[:, kept], truth(recording, observer.hold)[:, kept]
+    return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
+
+
+def simulate_block(observer: Observer, block: int, count: int) -> Episodes:
+    """Run all sources in turn, `count` arms in all, of a block of arms that no other one has.
+
+    Raises:
+        ValueError: If there are no arms left for it.
+    """
+    if (block + 1) * count > OBSERVER.size:
+        raise ValueError(f"an observer has at most {OBSERVER.size} arms, got block {block} of {count}")
+    ends = np.linspace(0, count, len(SOURCES) + 1).round().astype(int)
+    first = OBSERVER.first + block * count
+    spans = zip(SOURCES, ends[:-1], ends[1:], strict=True)
+    return Episodes.joined([simulate(source, observer, first + low, high - low) for source, low, high in spans])

@@ -1,0 +1,77 @@
+"""Fitting of a learned observer: least negative log-likelihood of the truth, by Adam, acting by its running average."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from torch.nn.utils import clip_grad_norm_
+from torch.optim.swa_utils import AveragedModel
+
+from agents.observer.episodes import Episodes
+from agents.observer.network import Observer
+from agents.policy.averaging import running_average
+
+_MAX_GRADIENT = 1.0
+_WARM_UP = 50  # gradient steps over which the learning rate rises
+_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
+_FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
+
+
+def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Tensor:
+    """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e."""
+    inputs = episodes.inputs.float()
+    g, s = observer(inputs)
+    d = ((episodes.truth - observer.believed(inputs)) / observer.error).clamp(-_FARTHEST, _FARTHEST)
+    return (0.5 * ((d - g) / s.exp()).square() + s).mean()
+
+
+def standardise(observer: Observer, episodes: Episodes) -> None:
+    """Set the scales of an observer's inputs and corrections by what there is in some episodes."""
+    inputs = episodes.inputs.float()
+    flat = inputs.flatten(0, 1)
+    observer.mean.copy_(flat.mean(dim=0))
+    observer.deviation.copy_(flat.std(dim=0).clamp_min(_LEAST_DEVIATION))
+    observer.error.copy_((episodes.truth - observer.believed(inputs)).flatten(0, 1).square().mean(dim=0).sqrt())
+
+
+def fit(
+    observer: Observer, episodes: Episodes, epochs: int, learning_rate: float, batch_size: int
+) -> Iterator[tuple[float, float]]:
+    """Fit an observer in place, by the running average of the weights.
+
+    Args:
+        observer: Untrained, with its scales set.
+        episodes: What to fit it to.
+        epochs: Passes over them.
+        learning_rate: At first; it falls to zero.
+        batch_size: Episodes per gradient step.
+
+    Yields:
+        Share that is done, and the loss, after every gradient step.
+
+    Raises:
+        ValueError: If the loss is not finite.
+    """
+    network = copy.deepcopy(observer)
+    average = AveragedModel(network, avg_fn=running_average)
+    optimiser = torch.optim.Adam(network.parameters(), learning_rate)
+    count = episodes.truth.shape[1]
+    batches = [chosen for _ in range(epochs) for chosen in torch.randperm(count).split(batch_size)]
+    for k, chosen in enumerate(batches):
+        for group in optimiser.param_groups:
+            group["lr"] = learning_rate * (1 - k / len(batches)) * min((k + 1) / _WARM_UP, 1.0)
+        loss = negative_log_likelihood(network, Episodes(*(part[:, chosen] for part in episodes)))
+        if not np.isfinite(loss.item()):
+            raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
+        optimiser.zero_grad()
+        loss.backward()
+        clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
+        optimiser.step()
+        average.update_parameters(network)
+        yield (k + 1) / len(batches), loss.item()
+    averaged: Any = average.module
+    observer.load_state_dict(averaged.state_dict())

@@ -1,0 +1,118 @@
+"""Network of a learned observer: a GRU that corrects what a filter believes, and says how far it may be off.
+
+    o      = clip((inputs - mean) / deviation, -5, 5)
+    (g, s) = W [o, GRU(o)] + c
+    q      = b + e g,    sigma = e exp(s)
+
+with the estimates q of `agents.observer.quantities`, their standard deviations sigma, the filter's belief b and e, the
+root mean square of what b is wrong by in training. Without a filter b is 0, and the network has the measurements alone.
+It is fitted by the likelihood of the truth under a normal distribution with these two, so that sigma is as large as the
+errors are: an observer that does not know says so.
+
+D. Nix, A. Weigend: Estimating the Mean and Variance of the Target Probability Distribution, ICNN 1994.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+
+from agents.observer.quantities import BELIEVED, NAMES, SCALES
+from agents.policy.actor import begun, standardised
+from agents.residual.knowledge import ENTRIES, Knowledge
+from beltarm_env import observation
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.observation import Entry
+
+MAX_WIDTH = 256
+_SMALLEST, _LARGEST = -4.0, 2.0  # s
+
+
+class Estimate(NamedTuple):
+    """What an observer estimates, columns as `agents.observer.quantities.QUANTITIES`, in their units."""
+
+    mean: Floats  # (n, quantities)
+    deviation: Floats  # (n, quantities)
+
+
+def offered(knowledge: Knowledge) -> tuple[Entry, ...]:
+    """All entries that an agent with an encoder observes."""
+    return (*observation.ENTRIES["encoder"], *ENTRIES[knowledge])
+
+
+def inputs_of(knowledge: Knowledge) -> tuple[str, ...]:
+    """Names of an observer's inputs: all that an agent observes but the torque that its base is about to give."""
+    return tuple(entry.name for entry in offered(knowledge) if entry.name != "base_torque")
+
+
+class Observer(nn.Module):
+    """Learned observer.
+
+    Args:
+        knowledge: "belief" to correct that of the filter, "none" to see the measurements alone.
+        width: Of the GRU.
+        hold: Samples from one of its estimates to the next.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+    error: torch.Tensor
+    _units: torch.Tensor
+
+    def __init__(self, knowledge: Knowledge = "belief", width: int = 32, hold: int = 4) -> None:
+        super().__init__()
+        for name, value, most in (("width", width, MAX_WIDTH), ("hold", hold, 100)):
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+                raise ValueError(f"an observer's {name} must be a whole number from 1 to {most}, got {value!r}")
+        self.knowledge: Knowledge = knowledge
+        self.width, self.hold = width, hold
+        names, entries = inputs_of(knowledge), offered(knowledge)
+        at = {entry.name: k for k, entry in enumerate(entries)}
+        self.columns = np.array([at[name] for name in names])
+        self._believed = [names.index(name) for name in BELIEVED] if knowledge == "belief" else None
+        units = [entries[at[name]].scale for name in BELIEVED] if self._believed else SCALES
+        self.register_buffer("_units", torch.as_tensor(np.array(units), dtype=torch.float32), persistent=False)
+        self.register_buffer("mean", torch.zeros(len(names)))
+        self.register_buffer("deviation", torch.ones(len(names)))
+        self.register_buffer("error", torch.ones(len(NAMES)))
+        self.gru = nn.GRU(len(names), width)
+        self.heads = nn.Linear(len(names) + width, 2 * len(NAMES))
+
+    def believed(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Belief b in the quantities' units, shape (..., quantities), of inputs of shape (..., inputs)."""
+        if self._believed is None:
+            return torch.zeros(*inputs.shape[:-1], len(NAMES))
+        return inputs[..., self._believed] * self._units
+
+    def forward(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Corrections g and logarithms s, shape (T, n, quantities), for n whole episodes of shape (T, n, inputs)."""
+        features = standardised(inputs, self.mean, self.deviation)
+        return self._answer(features, self.gru(features)[0])
+
+    def observe(
+        self, seen: Singles, memory: Singles | None = None, episode_start: Flags | None = None
+    ) -> tuple[Estimate, Singles]:
+        """Estimate from what an agent observes, shape (n, offered); the memory has shape (n, width).
+
+        Args:
+            seen: As `agents.residual.knowledge.InformedBase.seen` returns it.
+            memory: What the last call returned; None at the beginning.
+            episode_start: Which rows begin a new episode, shape (n,).
+        """
+        with torch.no_grad():
+            inputs = torch.as_tensor(np.ascontiguousarray(seen[:, self.columns]))
+            features = standardised(inputs, self.mean, self.deviation)
+            sequence, following = self.gru(features[None], begun(memory, episode_start, (len(seen), self.width))[None])
+            g, s = self._answer(features, sequence[0])
+            mean, deviation = self.believed(inputs) + self.error * g, self.error * s.exp()
+        return Estimate(mean.numpy().astype(np.float64), deviation.numpy().astype(np.float64)), following[0].numpy()
+
+    def _answer(self, features: torch.Tensor, remembered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        g, s = self.heads(torch.cat([features, remembered], dim=-1)).chunk(2, dim=-1)
+        return g, s.clamp(_SMALLEST, _LARGEST)

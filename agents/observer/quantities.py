@@ -1,0 +1,53 @@
+"""What a learned observer estimates: as a filter believes it, and as it is.
+
+Torsion and its rate, the tip's errors, and logarithms of six constants over their nominal values, see
+`baselines.estimation.believed_arm`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agents.residual.knowledge import ENTRIES
+from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
+from beltarm_env import design_model
+from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.arrays import Floats
+from beltarm_env.observation import Entry
+from beltarm_env.rollout import Recording
+
+STATES = (
+    *("torsion", "torsion_speed"),
+    *("tip_error_x", "tip_error_y", "tip_speed_error_x", "tip_speed_error_y"),
+)
+"""Quantities that change from sample to sample."""
+_TOLD = {entry.name: entry for entry in ENTRIES["belief"]}
+QUANTITIES: tuple[Entry, ...] = tuple(_TOLD[f"believed_{name}"]._replace(name=name) for name in (*STATES, *IDENTIFIED))
+"""All that is estimated, with units; of constants the logarithms."""
+NAMES = tuple(quantity.name for quantity in QUANTITIES)
+SCALES = np.array([quantity.scale for quantity in QUANTITIES])
+BELIEVED = tuple(f"believed_{name}" for name in NAMES)
+"""Entries of an agent's observation that hold a filter's estimates of them."""
+DOUBTS = {name: f"doubt_of_{name}" for name in NAMES if f"doubt_of_{name}" in _TOLD}
+"""Entries that hold the filter's standard deviations, where it states one."""
+
+
+def truth(recording: Recording, hold: int) -> Floats:
+    """True quantities at samples 0, hold, 2 hold, ..., shape (samples, n, len(QUANTITIES)).
+
+    Those of sample 0, at which nothing is recorded yet, are the next sample's: the arm is at rest.
+    """
+    rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
+    moving = (recording.state[rows, :, 2:4], recording.tip_error[rows], recording.tip_velocity_error[rows])
+    constants = np.broadcast_to(_logs(recording.params), (len(rows), len(recording.params), len(IDENTIFIED)))
+    return np.concatenate([*moving, constants], axis=2)
+
+
+def _logs(table: Floats) -> Floats:
+    """Logarithms of the identified constants of arms over those of the model that controllers are made for."""
+    nominal = nominal_row(design_model())
+    columns = [FIELDS.index(name) for name in IDENTIFIED]
+    constants = table[:, columns].copy()
+    swing = IDENTIFIED.index("arm_inertia_swing")
+    constants[:, swing] = [plant_of(row).inertia_swing for row in table]  # with the payload
+    return np.log(constants / nominal[columns])

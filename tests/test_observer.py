@@ -1,0 +1,235 @@
+"""The learned observer: what it estimates, that it knows how far it is off, and its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from agents.observer import run as running
+from agents.observer.episodes import Episodes, Source, simulate
+from agents.observer.files import ObserverError, load_observer, save_observer
+from agents.observer.fitting import fit, standardise
+from agents.observer.network import Observer, offered
+from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
+from agents.observer.run import ObserverConfig
+from agents.observer.watching import WatchedController, WatchedMemory
+from baselines import CONTROLLERS
+from baselines.optimal.adaptive import AdaptiveController
+from beltarm_env import BeltArmVectorEnv, design_model
+from beltarm_env.arm import params_columns, params_table
+from beltarm_env.rollout import rollout
+from beltarm_env.task.seeds import VALIDATION
+
+
+def untrained(**settings: Any) -> Observer:
+    """Observer that corrects nothing."""
+    observer = Observer(**settings)
+    with torch.no_grad():
+        for parameter in observer.heads.parameters():
+            parameter.zero_()
+    return observer.requires_grad_(False)
+
+
+class TestTruth:
+    def test_is_the_state_at_the_sample_that_is_seen(self):
+        run = rollout(CONTROLLERS["paper"](), 2, seed=VALIDATION.first, randomization="train")
+        true = truth(run, 4)
+        assert true.shape == (300, 2, len(NAMES))
+        assert np.array_equal(true[1:, :, :2], run.state[3:1199:4, :, 2:4])
+        assert np.array_equal(true[1:, :, 2:4], run.tip_error[3:1199:4])
+        assert np.array_equal(true[1:, :, 4:6], run.tip_velocity_error[3:1199:4])
+
+    def test_constants_are_relative_to_the_model_of_controllers(self):
+        table = params_table([design_model()])
+        run = rollout(CONTROLLERS["paper"](), 1, seed=VALIDATION.first, options={"params": params_columns(table)})
+        assert np.allclose(truth(run, 4)[:, :, 6:], 0.0, atol=1e-12)
+
+    def test_a_payload_is_swing(self):
+        arms = params_columns(params_table([design_model()]))
+        heavier = {**arms, "payload_mass": arms["payload_mass"] + 0.1}
+        run = rollout(CONTROLLERS["paper"](), 1, seed=VALIDATION.first, options={"params": heavier})
+        logs = dict(zip(NAMES, truth(run, 4)[0, 0], strict=True))
+        assert logs["arm_inertia_swing"] > 0.1
+        assert logs["belt_stiffness"] == pytest.approx(0.0, abs=1e-12)
+
+
+class TestWatching:
+    def test_torques_are_those_of_the_controller_alone(self):
+        alone = rollout(AdaptiveController(), 3, seed=VALIDATION.first, randomization="train")
+        watched = rollout(
+            WatchedController(AdaptiveController(), Observer()), 3, seed=VALIDATION.first, randomization="train"
+        )
+        assert np.array_equal(alone.torque, watched.torque)
+
+    def test_an_untrained_observer_is_the_filter(self):
+        memory = self.after(WatchedController(AdaptiveController(), untrained()), 41)
+        belief = AdaptiveController().belief(memory.informed.base)
+        assert np.allclose(memory.estimate.mean[:, :2], belief.state[:, 2:], rtol=1e-4, atol=1e-6)
+        assert np.allclose(memory.estimate.mean[:, 6:], belief.logs, rtol=1e-4, atol=1e-6)
+        assert np.array_equal(memory.estimate.deviation, np.ones((2, len(NAMES))))
+
+    def test_estimates_are_held(self):
+        observer = Observer(hold=4)
+        at = [
+            self.after(WatchedController(AdaptiveController(), observer), steps).estimate.mean for steps in (37, 38, 41)
+        ]
+        assert np.array_equal(at[0], at[1]) and not np.array_equal(at[0], at[2])
+
+    @pytest.mark.parametrize("knowledge", ["belief", "none"])
+    def test_an_arm_that_begins_anew_is_forgotten_and_others_are_not(self, knowledge: Any):
+        watched = WatchedController(AdaptiveController(), Observer(knowledge))
+        env = BeltArmVectorEnv(2, randomization="train")
+        observation, _ = env.reset(seed=VALIDATION.first)
+        start, memory = np.array([False, True]), None
+        for _ in range(6):
+            _, memory = watched.predict(observation, memory)
+        assert memory is not None
+        _, through = watched.predict(observation, memory, start)
+        _, fresh = watched.predict(observation)
+        for ours, theirs in ((through.observer, fresh.observer), (through.estimate.mean, fresh.estimate.mean)):
+            assert np.allclose(ours[1], theirs[1], rtol=1e-5, atol=1e-7)
+        assert np.array_equal(through.observer[0], memory.observer[0])  # of which none was due
+        assert through.age.tolist() == [7, 1]
+
+    @staticmethod
+    def after(watched: WatchedController, steps: int) -> WatchedMemory:
+        env = BeltArmVectorEnv(2, randomization="train")
+        observation, _ = env.reset(seed=VALIDATION.first)
+        memory = None
+        for _ in range(steps):
+            action, memory = watched.predict(observation, memory)
+            observation, *_ = env.step(action)
+        assert memory is not None
+        return memory
+
+
+class TestFit:
+    def made_up(self, count: int) -> Episodes:
+        """Episodes in which the truth is the belief, half an input, and noise that another input tells the size of."""
+        random = np.random.default_rng(0)
+        inputs = random.standard_normal((20, count, len(Observer().columns))).astype(np.float16)
+        names = [entry.name for entry in offered("belief") if entry.name != "base_torque"]
+        belief = inputs[:, :, [names.index(name) for name in BELIEVED]] * SCALES
+        size = 0.3 * np.exp(inputs[:, :, [0]].clip(-1.5, 1.5))
+        off = 0.5 * inputs[:, :, [1]] + size * random.standard_normal((20, count, len(NAMES)))
+        return Episodes(torch.from_numpy(inputs), torch.from_numpy((belief + off * SCALES).astype(np.float32)))
+
+    def test_finds_what_can_be_known_and_says_how_well(self):
+        torch.manual_seed(0)
+        observer, episodes = Observer(width=8), self.made_up(256)
+        standardise(observer, episodes)
+        losses = [loss for _, loss in fit(observer, episodes, epochs=20, learning_rate=1e-2, batch_size=32)]
+        assert losses[-1] < losses[0] - 0.5
+        fresh = self.made_up(300)
+        inputs = fresh.inputs[:, 256:].float()
+        with torch.no_grad():
+            g, s = observer(inputs)
+            mean, deviation = observer.believed(inputs) + observer.error * g, observer.error * s.exp()
+        z = ((fresh.truth[:, 256:] - mean) / deviation).numpy()
+        assert 0.64 < (np.abs(z) <= 1).mean() < 0.72
+        certain = (inputs[:, :, 0] < -1).numpy()
+        stated = (deviation / torch.from_numpy(SCALES)).numpy()
+        assert np.median(stated[certain]) < 0.15 < 0.25 < np.median(stated[~certain]) < 0.4
+
+    def test_same_seed_same_weights(self):
+        def fitted() -> Observer:
+            torch.manual_seed(1)
+            observer, episodes = Observer(width=4), self.made_up(8)
+            standardise(observer, episodes)
+            assert len(list(fit(observer, episodes, 1, 1e-2, 4))) == 2
+            return observer
+
+        first, second = (fitted().state_dict() for _ in range(2))
+        assert all(torch.equal(first[name], second[name]) for name in first)
+
+    def test_divergence_is_said(self):
+        observer, episodes = Observer(width=4), self.made_up(4)
+        with torch.no_grad():
+            observer.heads.bias[0] = float("nan")
+        with pytest.raises(ValueError, match="smaller --learning-rate"):
+            list(fit(observer, episodes, 1, 1e-2, 4))
+
+    def test_disturbed_arms_move_otherwise_and_repeat(self):
+        observer = Observer()
+        still, noisy, again = (
+            simulate(Source("paper", noise), observer, VALIDATION.first, 2) for noise in (0.0, 0.1, 0.1)
+        )
+        assert torch.equal(noisy.truth, again.truth) and not torch.equal(noisy.truth[..., 0], still.truth[..., 0])
+        assert torch.equal(noisy.truth[..., 6:], still.truth[..., 6:])
+
+
+class TestFiles:
+    def test_what_is_read_is_what_was_written(self, tmp_path: Path):
+        observer = Observer("none", 8, 1)
+        save_observer(tmp_path / "a.safetensors", observer, {"command": "mine"})
+        found, content = load_observer(tmp_path / "a.safetensors")
+        assert (found.knowledge, found.width, found.hold) == ("none", 8, 1)
+        assert content["provenance"] == {"command": "mine"}
+        seen = np.random.default_rng(0).standard_normal((3, len(offered("none")))).astype(np.float32)
+        assert np.array_equal(found.observe(seen)[0].mean, observer.observe(seen)[0].mean)
+
+    def test_missing_and_foreign_files_are_refused_in_one_line(self, tmp_path: Path):
+        path = tmp_path / "a.safetensors"
+        with pytest.raises(ObserverError, match=r"no observer at .* `python train/observer\.py` fits one"):
+            load_observer(path)
+        path.write_bytes(b"something else")
+        with pytest.raises(ObserverError, match="is no observer of this release"):
+            load_observer(path)
+
+    def test_damage_is_refused(self, tmp_path: Path):
+        path = tmp_path / "a.safetensors"
+        save_observer(path, Observer(width=4), {})
+        data = bytearray(path.read_bytes())
+        data[-3] ^= 1
+        path.write_bytes(data)
+        with pytest.raises(ObserverError, match="damaged"):
+            load_observer(path)
+
+    @pytest.mark.parametrize("name", ["edition", "entries", "filter"])
+    def test_an_observer_of_another_arm_observation_or_filter_is_refused(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    ):
+        from agents.observer import files
+
+        now = files._belongs_to
+        monkeypatch.setattr(files, "_belongs_to", lambda observer: {**now(observer), name: 0})
+        save_observer(tmp_path / "a.safetensors", Observer(width=4), {})
+        monkeypatch.setattr(files, "_belongs_to", now)
+        with pytest.raises(ObserverError, match=f"made for another {name}.*fit it again"):
+            load_observer(tmp_path / "a.safetensors")
+
+    @pytest.mark.parametrize("settings", [{"width": 0}, {"width": 257}, {"hold": 0}, {"hold": 1.5}, {"width": True}])
+    def test_settings_out_of_range_are_refused(self, settings: dict[str, Any]):
+        with pytest.raises(ValueError, match="whole number from 1 to"):
+            Observer(**settings)
+
+
+class TestRun:
+    def config(self, tmp_path: Path, **options: Any) -> ObserverConfig:
+        return ObserverConfig(tmp_path / "o.safetensors", episodes=6, epochs=1, width=4, jobs=1, **options)
+
+    def test_goes_on_with_the_episodes_that_it_has(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        def stop(*_: Any) -> None:
+            raise KeyboardInterrupt
+
+        config = self.config(tmp_path)
+        with monkeypatch.context() as patch:
+            patch.setattr(running, "fit", stop)
+            with pytest.raises(KeyboardInterrupt):
+                running.run(config)
+        assert len(list(tmp_path.glob(".o-episodes/*.npz"))) == 1 and not config.out.exists()
+        monkeypatch.setattr(running, "simulate_block", None)
+        running.run(config)
+        assert [path.name for path in tmp_path.iterdir()] == ["o.safetensors"]
+        _, content = load_observer(config.out)
+        assert content["provenance"]["run"]["episodes"] == 6
+
+    @pytest.mark.parametrize("options", [{"learning_rate": 0.0}, {"epochs": 0}, {"batch_size": 0}])
+    def test_bad_options_are_named(self, tmp_path: Path, options: dict[str, Any]):
+        config = ObserverConfig(tmp_path / "o.safetensors", **options)
+        with pytest.raises(ValueError, match="--" + next(iter(options)).split("_")[0]):
+            running.run(config)

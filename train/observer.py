@@ -1,0 +1,26 @@
+"""Fit a learned observer: `python train/observer.py`.
+
+A virtual sensor: from what an agent sees it estimates torsion, the tip's errors and the constants of the arm, and how
+far each estimate may be off (`agents/observer/network.py` has the equations). It is fitted to episodes of arms of the
+training ranges under several controllers (`agents/observer/episodes.py`), which are simulated first. An interrupted
+run goes on with the episodes that it has.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from agents.observer.run import ObserverConfig, run
+from baselines.tools.command import run_command
+
+
+def main() -> None:
+    """Command line."""
+    run_command(__file__, ObserverConfig, run, __doc__)
+
+
+if __name__ == "__main__":
+    main()
