@@ -72,7 +72,7 @@ def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
     assert variant.script == "student" or variant.factor == "learner"
 
 
-@pytest.mark.parametrize("name", ["default", "ppo", "recurrent", "sac", "hold-8"])
+@pytest.mark.parametrize("name", ["default", "ppo", "ppo-nothing", "sac", "gru-0"])
 def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
     run = AblationRun(next(v for v in VARIANTS if v.name == name), 0, 2_000_000, tmp_path)
     script, *options = run.words
@@ -87,9 +87,9 @@ def test_scores_are_the_same_again():
 
 
 def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
-    variant = next(v for v in VARIANTS if v.name == "hold-2")
+    variant = next(v for v in VARIANTS if v.name == "gru-0")
     command = AblationRun(variant, 1, 96_000, tmp_path).command
-    assert command == "python train/student.py --arms 10 --rounds 8 --hold 2 --seed 1"
+    assert command == "python train/student.py --arms 10 --rounds 8 --gru-width 0 --seed 1"
 
 
 # Running
@@ -148,7 +148,7 @@ def test_a_folder_with_another_run_is_refused(done: Path):
     [
         (("--samples", "0"), "--samples must lie within 1 and 1000000000, got 0"),
         (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
-        (("--only", "holt-2"), "nothing to vary is called 'holt-2'; did you mean 'hold-2'?"),
+        (("--only", "gru-O"), "nothing to vary is called 'gru-O'; did you mean 'gru-0'?"),
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
     ],
 )
@@ -189,7 +189,7 @@ def test_the_page():
     ratio = cost.mean() / 305
     assert f"| nothing | `--knowledge none` | {cost.mean():.0f} [{cost[0]:.0f}, {cost[1]:.0f}] |" in page
     assert f"| {ratio:.2f} | 1.0 |" in page
-    assert "`train/recurrent_ppo.py`" in page and "`python train/student.py --rounds 8`" in page
+    assert "`train/sac.py`" in page and "`python train/student.py --rounds 8`" in page
     assert json.loads(as_json(study))["variants"][1]["runs"][1]["seed"] == 1
 
 

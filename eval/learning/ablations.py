@@ -29,7 +29,7 @@ class AblationConfig:
     runs: Path = Path("runs/ablations")
     """Folder of the runs; finished ones are kept and not repeated."""
     only: tuple[str, ...] = ()
-    """Factors or variants, such as told or hold-2; all by default. The default run is always among them."""
+    """Factors or variants, such as told or gru-0; all by default. The default run is always among them."""
     samples: int = 5_000_000
     """Samples that every run simulates."""
     seeds: int = 3

@@ -31,8 +31,6 @@ FACTORS = {
     "base": Factor("Which controller should it correct?", "adaptive"),
     "drive": Factor("Which arms should it be trained on?", "with drives as built"),
     "price": Factor("What should changes of the torque cost?", "5 times the task's price"),
-    "hold": Factor("How long should a residual be held?", "6 ms"),
-    "limit": Factor("How much torque may it add?", "half of the limit"),
 }
 """Everything that is varied, by name."""
 DEFAULT = Variant("default", "default", "default")
@@ -40,20 +38,16 @@ _ALL = ("--residual-limit", "1.0")
 VARIANTS = (
     DEFAULT,
     Variant("ppo", "learner", "PPO, on paper", script="ppo"),
+    Variant("ppo-nothing", "learner", "PPO, on paper, told nothing", ("--knowledge", "none"), "ppo"),
+    Variant("ppo-torsion", "learner", "PPO, on paper, told true torsion, and belief", ("--sensors", "full"), "ppo"),
     Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo"),
-    Variant("recurrent", "learner", "PPO with an LSTM, on paper", script="recurrent_ppo"),
     Variant("sac", "learner", "SAC, on paper", script="sac"),
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full")),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
-    Variant("gru-32", "memory", "GRU of 32", ("--gru-width", "32")),
-    Variant("gru-192", "memory", "GRU of 192", ("--gru-width", "192")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL)),
     Variant("base-preview", "base", "preview", ("--base", "preview", *_ALL)),
     Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal")),
     Variant("price-1", "price", "the task's price", ("--torque-price", "1")),
     Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25")),
-    Variant("hold-2", "hold", "3 ms", ("--hold", "2")),
-    Variant("hold-8", "hold", "12 ms", ("--hold", "8")),
-    Variant("limit-0.2", "limit", "a fifth of the limit", ("--residual-limit", "0.2")),
 )
