@@ -33,6 +33,8 @@ from baselines.tools.provenance import command_line
 from beltarm_env.jit import sources_digest
 from beltarm_env.task.seeds import OBSERVER
 
+_BLOCK = 512  # episodes that are simulated side by side, and kept in one file
+
 
 @dataclass(frozen=True)
 class ObserverConfig:
@@ -70,9 +72,6 @@ class ObserverConfig:
             raise ValueError(f"--learning-rate must be above 0 and at most 1, got {self.learning_rate}")
         torch.manual_seed(self.seed)
         return Observer(self.knowledge, self.width, self.hold)
-
-
-_BLOCK = 512  # episodes that are simulated side by side, and kept in one file
 
 
 def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
@@ -116,9 +115,19 @@ def run(config: ObserverConfig) -> None:
     Raises:
         ValueError: If an option is not allowed, or the fit diverges.
         OSError: If files cannot be written.
+        KeyboardInterrupt: If interrupted; simulated episodes are kept.
     """
-    began, observer = time.perf_counter(), config.check()
+    observer = config.check()
     require_writable(config.out.parent)
+    try:
+        _fit_and_save(config, observer)
+    except KeyboardInterrupt:
+        kept = "interrupted; simulated episodes are kept, the same command goes on with them"
+        raise KeyboardInterrupt(kept) from None
+
+
+def _fit_and_save(config: ObserverConfig, observer: Observer) -> None:
+    began = time.perf_counter()
     provenance = {"command": command_line(), **written_by(), "config": asdict(config) | {"out": str(config.out)}}
     episodes = _simulated(config, observer)
     torch.set_num_threads(1)

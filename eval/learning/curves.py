@@ -138,7 +138,7 @@ def _draw_method(axis: Axes, curves: list[Curve], of: Callable[[Curve], Floats],
 def _name_methods(axis: Axes, curves: list[Curve], colours: dict[str, str], of: Callable[[Curve], Floats]) -> None:
     """Write names beside the ends of the curves, moved apart where they would overlap."""
     furthest = max(of(curve)[-1] for curve in curves)
-    axis.set_xlim(0, 1.6 * furthest)
+    axis.set_xlim(0, 1.75 * furthest)
     runs = {name: [curve for curve in curves if curve.method == name] for name in colours}
     ends = {name: float(np.median([curve.cost[-1] for curve in own])) for name, own in runs.items()}
     height = 0.0
