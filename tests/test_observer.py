@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 
+from agents.observer import files
 from agents.observer import run as running
 from agents.observer.episodes import Episodes, Source, simulate
 from agents.observer.files import ObserverError, load_observer, save_observer
 from agents.observer.fitting import fit, standardise
-from agents.observer.network import Observer, offered
+from agents.observer.network import MAX_WIDTH, Observer, offered
 from agents.observer.quantities import BELIEVED, NAMES, SCALES, truth
 from agents.observer.run import ObserverConfig
 from agents.observer.watching import WatchedController, WatchedMemory
@@ -21,6 +24,7 @@ from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import BeltArmVectorEnv, design_model
 from beltarm_env.arm import params_columns, params_table
+from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import VALIDATION
 
@@ -34,19 +38,42 @@ def untrained(**settings: Any) -> Observer:
     return observer.requires_grad_(False)
 
 
+class Noted:
+    """Controller that keeps what it sees."""
+
+    def __init__(self, controller: AdaptiveController) -> None:
+        self.controller = controller
+        self.seen: list[Any] = []
+
+    def predict(self, observation: Any, *rest: Any, **named: Any) -> Any:
+        self.seen.append(observation)
+        return self.controller.predict(observation, *rest, **named)
+
+
 class TestTruth:
-    def test_is_the_state_at_the_sample_that_is_seen(self):
-        run = rollout(CONTROLLERS["paper"](), 2, seed=VALIDATION.first, randomization="train")
-        true = truth(run, 4)
-        assert true.shape == (300, 2, len(NAMES))
-        assert np.array_equal(true[1:, :, :2], run.state[3:1199:4, :, 2:4])
-        assert np.array_equal(true[1:, :, 2:4], run.tip_error[3:1199:4])
-        assert np.array_equal(true[1:, :, 4:6], run.tip_velocity_error[3:1199:4])
+    def test_is_what_is_true_at_the_sample_that_is_seen(self):
+        noted = Noted(AdaptiveController())
+        run = rollout(noted, 2, seed=VALIDATION.first, randomization="train", sensors="full")
+        true = dict(zip(NAMES, np.moveaxis(truth(run, 1), 2, 0), strict=True))
+        for name in ("torsion", "torsion_speed"):
+            measured = np.stack([decode(seen, "full")[name] for seen in noted.seen])
+            assert np.allclose(true[name][1:], measured[1:], rtol=1e-5, atol=1e-6)
+        assert truth(run, 4).shape == (300, 2, len(NAMES))
+        assert np.array_equal(truth(run, 4)[1:], truth(run, 1)[4::4])
+        assert np.array_equal(truth(run, 1)[1:, :, 2:4], run.tip_error[:-1])
+        assert np.array_equal(truth(run, 1)[1:, :, 4:6], run.tip_velocity_error[:-1])
 
     def test_constants_are_relative_to_the_model_of_controllers(self):
         table = params_table([design_model()])
         run = rollout(CONTROLLERS["paper"](), 1, seed=VALIDATION.first, options={"params": params_columns(table)})
         assert np.allclose(truth(run, 4)[:, :, 6:], 0.0, atol=1e-12)
+
+    def test_a_torque_constant_is_an_arm_of_other_constants(self):
+        """As it is to a filter, which sees no torque but the commanded one."""
+        table = params_columns(params_table([design_model()]))
+        stronger = {**table, "torque_constant_error": np.array([0.1])}
+        run = rollout(CONTROLLERS["paper"](), 1, seed=VALIDATION.first, options={"params": stronger})
+        assert np.allclose(truth(run, 4)[:, :, 6:], -np.log(1.1))
 
     def test_a_payload_is_swing(self):
         arms = params_columns(params_table([design_model()]))
@@ -71,6 +98,30 @@ class TestWatching:
         assert np.allclose(memory.estimate.mean[:, :2], belief.state[:, 2:], rtol=1e-4, atol=1e-6)
         assert np.allclose(memory.estimate.mean[:, 6:], belief.logs, rtol=1e-4, atol=1e-6)
         assert np.array_equal(memory.estimate.deviation, np.ones((2, len(NAMES))))
+
+    @pytest.mark.parametrize("sensors", ["full", "accelerometer"])
+    def test_more_sensors_change_nothing(self, sensors: Any):
+        watched, estimates = WatchedController(AdaptiveController(), Observer()), []
+        for tier in ("encoder", sensors):
+            env = BeltArmVectorEnv(2, randomization="train", sensors=tier)
+            estimates.append(watched.predict(env.reset(seed=VALIDATION.first)[0])[1].estimate)
+        assert np.array_equal(estimates[0].mean, estimates[1].mean)
+
+    def test_an_observation_of_another_shape_is_refused(self):
+        with pytest.raises(ValueError, match=r"chooses from \d+ entries, got shape \(2, 5\)"):
+            Observer().observe(np.zeros((2, 5), np.float32))
+
+    def test_sample_by_sample_is_what_was_fitted(self):
+        observer = Observer(width=8)
+        seen = np.random.default_rng(0).standard_normal((6, 3, len(offered("belief")))).astype(np.float32)
+        inputs = torch.from_numpy(seen[:, :, observer.columns])
+        with torch.no_grad():
+            mean, deviation = observer.estimated(inputs, *observer(inputs))
+        memory = None
+        for k in range(6):
+            estimate, memory = observer.observe(seen[k], memory)
+            assert np.allclose(estimate.mean, mean[k], rtol=1e-5, atol=1e-6)
+            assert np.allclose(estimate.deviation, deviation[k], rtol=1e-5, atol=1e-6)
 
     def test_estimates_are_held(self):
         observer = Observer(hold=4)
@@ -108,9 +159,9 @@ class TestWatching:
 
 
 class TestFit:
-    def made_up(self, count: int) -> Episodes:
+    def made_up(self, count: int, seed: int = 0) -> Episodes:
         """Episodes in which the truth is the belief, half an input, and noise that another input tells the size of."""
-        random = np.random.default_rng(0)
+        random = np.random.default_rng(seed)
         inputs = random.standard_normal((20, count, len(Observer().columns))).astype(np.float16)
         names = [entry.name for entry in offered("belief") if entry.name != "base_torque"]
         belief = inputs[:, :, [names.index(name) for name in BELIEVED]] * SCALES
@@ -124,12 +175,11 @@ class TestFit:
         standardise(observer, episodes)
         losses = [loss for _, loss in fit(observer, episodes, epochs=20, learning_rate=1e-2, batch_size=32)]
         assert losses[-1] < losses[0] - 0.5
-        fresh = self.made_up(300)
-        inputs = fresh.inputs[:, 256:].float()
+        fresh = self.made_up(64, seed=1)
+        inputs = fresh.inputs.float()
         with torch.no_grad():
-            g, s = observer(inputs)
-            mean, deviation = observer.believed(inputs) + observer.error * g, observer.error * s.exp()
-        z = ((fresh.truth[:, 256:] - mean) / deviation).numpy()
+            mean, deviation = observer.estimated(inputs, *observer(inputs))
+        z = ((fresh.truth - mean) / deviation).numpy()
         assert 0.64 < (np.abs(z) <= 1).mean() < 0.72
         certain = (inputs[:, :, 0] < -1).numpy()
         stated = (deviation / torch.from_numpy(SCALES)).numpy()
@@ -180,21 +230,52 @@ class TestFiles:
         with pytest.raises(ObserverError, match="is no observer of this release"):
             load_observer(path)
 
-    def test_damage_is_refused(self, tmp_path: Path):
+    @pytest.mark.parametrize("place", ["weights", "settings"])
+    def test_damage_is_refused(self, tmp_path: Path, place: str):
         path = tmp_path / "a.safetensors"
-        save_observer(path, Observer(width=4), {})
+        save_observer(path, Observer(width=4, hold=4), {})
         data = bytearray(path.read_bytes())
-        data[-3] ^= 1
+        where = len(data) - 3 if place == "weights" else data.index(b'hold\\": 4') + len(b'hold\\": ')
+        data[where] ^= 1
         path.write_bytes(data)
         with pytest.raises(ObserverError, match="damaged"):
+            load_observer(path)
+
+    def test_the_largest_can_be_read_again(self, tmp_path: Path):
+        save_observer(tmp_path / "a.safetensors", Observer(width=MAX_WIDTH), {})
+        assert load_observer(tmp_path / "a.safetensors")[0].width == MAX_WIDTH
+
+    def test_a_large_file_is_not_read(self, tmp_path: Path):
+        (tmp_path / "a.safetensors").write_bytes(b"0" * 1_000_001)
+        with pytest.raises(ObserverError, match=r"no observer of this release \(more than 1000000 bytes\)"):
+            load_observer(tmp_path / "a.safetensors")
+
+    def test_unsound_weights_are_neither_written_nor_read(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        path, observer = tmp_path / "a.safetensors", Observer(width=4)
+        observer.deviation[0] = 0
+        with pytest.raises(ObserverError, match="without a scale"):
+            save_observer(path, observer, {})
+        assert not path.exists()
+        with monkeypatch.context() as patch:
+            patch.setattr(files, "_require_sound", lambda *_: None)
+            save_observer(path, observer, {})
+        with pytest.raises(ObserverError, match="without a scale"):
+            load_observer(path)
+
+    def test_weights_of_another_kind_are_refused(self, tmp_path: Path):
+        path = tmp_path / "a.safetensors"
+        save_observer(path, Observer(width=4), {})
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata()
+        tensors = {name: value.bfloat16() for name, value in load_file(path).items()}
+        save_file(tensors, path, metadata)
+        with pytest.raises(ObserverError, match="not in single precision"):
             load_observer(path)
 
     @pytest.mark.parametrize("name", ["edition", "entries", "filter"])
     def test_an_observer_of_another_arm_observation_or_filter_is_refused(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
     ):
-        from agents.observer import files
-
         now = files._belongs_to
         monkeypatch.setattr(files, "_belongs_to", lambda observer: {**now(observer), name: 0})
         save_observer(tmp_path / "a.safetensors", Observer(width=4), {})
@@ -202,7 +283,7 @@ class TestFiles:
         with pytest.raises(ObserverError, match=f"made for another {name}.*fit it again"):
             load_observer(tmp_path / "a.safetensors")
 
-    @pytest.mark.parametrize("settings", [{"width": 0}, {"width": 257}, {"hold": 0}, {"hold": 1.5}, {"width": True}])
+    @pytest.mark.parametrize("settings", [{"width": 0}, {"width": 129}, {"hold": 0}, {"hold": 1.5}, {"width": True}])
     def test_settings_out_of_range_are_refused(self, settings: dict[str, Any]):
         with pytest.raises(ValueError, match="whole number from 1 to"):
             Observer(**settings)
@@ -210,7 +291,9 @@ class TestFiles:
 
 class TestRun:
     def config(self, tmp_path: Path, **options: Any) -> ObserverConfig:
-        return ObserverConfig(tmp_path / "o.safetensors", episodes=6, epochs=1, width=4, jobs=1, **options)
+        return ObserverConfig(
+            tmp_path / "o.safetensors", **dict[str, Any](episodes=6, epochs=1, width=4, jobs=1) | options
+        )
 
     def test_goes_on_with_the_episodes_that_it_has(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         def stop(*_: Any) -> None:
@@ -221,14 +304,28 @@ class TestRun:
             patch.setattr(running, "fit", stop)
             with pytest.raises(KeyboardInterrupt, match="the same command goes on"):
                 running.run(config)
-        assert len(list(tmp_path.glob(".o-episodes/*.npz"))) == 1 and not config.out.exists()
+        assert len(list(tmp_path.glob(".o-episodes/*.npz"))) == 1 and not config.file.exists()
         monkeypatch.setattr(running, "simulate_block", None)
         running.run(config)
         assert [path.name for path in tmp_path.iterdir()] == ["o.safetensors"]
-        _, content = load_observer(config.out)
+        _, content = load_observer(config.file)
         assert content["provenance"]["run"]["episodes"] == 6
 
-    @pytest.mark.parametrize("options", [{"learning_rate": 0.0}, {"epochs": 0}, {"batch_size": 0}])
+    def test_processes_and_blocks_change_nothing(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setattr(running, "_BLOCK", 6)
+        found = []
+        for jobs in (1, 2):
+            config = self.config(tmp_path / str(jobs), episodes=9, jobs=jobs)
+            running.run(config)
+            found.append(load_observer(config.file))
+        assert [content["provenance"]["run"]["episodes"] for _, content in found] == [9, 9]
+        first, second = (observer.state_dict() for observer, _ in found)
+        assert all(torch.equal(first[name], second[name]) for name in first)
+
+    def test_each_kind_has_a_file_of_its_own(self):
+        assert ObserverConfig().file != ObserverConfig(knowledge="none").file
+
+    @pytest.mark.parametrize("options", [{"learning_rate": 0.0}, {"epochs": 0}, {"batch_size": 0}, {"seed": -1}])
     def test_bad_options_are_named(self, tmp_path: Path, options: dict[str, Any]):
         config = ObserverConfig(tmp_path / "o.safetensors", **options)
         with pytest.raises(ValueError, match="--" + next(iter(options)).split("_")[0]):

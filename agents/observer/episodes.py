@@ -22,7 +22,8 @@ from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import OBSERVER
 
-_STUDENT = Path(__file__).resolve().parents[1] / "policies" / "student" / "seed0"
+STUDENT = Path(__file__).resolve().parents[1] / "policies" / "student" / "seed0"
+"""Policy that acts where a source is the student."""
 _MEMORY = 0.97  # of the noise from sample to sample: 50 ms
 
 
@@ -34,13 +35,16 @@ class Source(NamedTuple):
 
     def controller(self) -> Controller:
         """Make the controller."""
-        return load_controller(_STUDENT)[0] if self.name == "student" else make_base(self.name)
+        return load_controller(STUDENT)[0] if self.name == "student" else make_base(self.name)
 
 
 SOURCES = (
-    *(Source("adaptive"), Source("adaptive", 0.05)),
-    *(Source("student"), Source("student", 0.05)),
-    *(Source("preview", 0.05), Source("paper")),
+    Source("adaptive"),
+    Source("adaptive", 0.05),
+    Source("student"),
+    Source("student", 0.05),
+    Source("preview", 0.05),
+    Source("paper"),
 )
 
 
@@ -52,12 +56,12 @@ class Episodes(NamedTuple):
 
     @staticmethod
     def joined(parts: list[Episodes]) -> Episodes:
-        """All episodes of some."""
+        """Join parts, episode after episode."""
         return Episodes(*(torch.cat(tensors, dim=1) for tensors in zip(*parts, strict=True)))
 
 
 class Disturbed:
-    """Controller whose torque is disturbed, and what an observer sees of it noted; as a `Controller`."""
+    """Controller whose torque is disturbed, and that notes what an observer sees; for one rollout."""
 
     def __init__(self, controller: Controller, observer: Observer, noise: float, seed: int) -> None:
         self.informed = InformedBase(controller, observer.knowledge)
@@ -84,8 +88,7 @@ class Disturbed:
         self._step += 1
         fresh = self._random.standard_normal((count, 1))
         self._disturbance = _MEMORY * self._disturbance + np.sqrt(1 - _MEMORY**2) * self._size * fresh
-        action = informed.action if self._noise == 0 else informed.action + self._disturbance.astype(np.float32)
-        return action.clip(-1, 1), informed
+        return (informed.action + self._disturbance.astype(np.float32)).clip(-1, 1), informed
 
 
 def simulate(source: Source, observer: Observer, first: int, count: int, **settings: Any) -> Episodes:
@@ -105,15 +108,10 @@ def simulate(source: Source, observer: Observer, first: int, count: int, **setti
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))
 
 
-def simulate_block(observer: Observer, block: int, count: int) -> Episodes:
-    """Run all sources in turn, `count` arms in all, of a block of arms that no other one has.
-
-    Raises:
-        ValueError: If there are no arms left for it.
-    """
-    if (block + 1) * count > OBSERVER.size:
-        raise ValueError(f"an observer has at most {OBSERVER.size} arms, got block {block} of {count}")
+def simulate_block(observer: Observer, offset: int, count: int) -> Episodes:
+    """Run all sources in turn on `count` of the observer's arms, from the one at `offset` on."""
     ends = np.linspace(0, count, len(SOURCES) + 1).round().astype(int)
-    first = OBSERVER.first + block * count
+    first = OBSERVER.first + offset
     spans = zip(SOURCES, ends[:-1], ends[1:], strict=True)
-    return Episodes.joined([simulate(source, observer, first + low, high - low) for source, low, high in spans])
+    parts = [(source, int(low), int(high - low)) for source, low, high in spans if high > low]
+    return Episodes.joined([simulate(source, observer, first + low, size) for source, low, size in parts])

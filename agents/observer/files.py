@@ -1,8 +1,8 @@
 """Files of learned observers: weights and what they belong to, in one safetensors file; loading executes nothing.
 
 Its metadata is one JSON text with format, version and edition of the arms, the observer's settings, names of its inputs
-and quantities with units and scales, a hash of the filter's doubts that it was fitted with, how it came about, and the
-SHA-256 of the weights.
+and quantities with units and scales, a hash of the filter's doubts that it was fitted with, how it came about, and a
+SHA-256 of all that and of the weights.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ObserverError(ValueError):
 
 
 def _belongs_to(observer: Observer) -> dict[str, Any]:
-    """What an observer is worth something with."""
+    """What must be the same here for an observer to be used."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -51,8 +51,10 @@ def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) ->
     """Write an observer.
 
     Raises:
+        ObserverError: If its weights are not finite.
         OSError: If it cannot be written; a file of before stays.
     """
+    _require_sound(observer, path)
     tensors = {name: value.contiguous() for name, value in observer.state_dict().items()}
     content = {
         **_belongs_to(observer),
@@ -60,8 +62,8 @@ def save_observer(path: Path, observer: Observer, provenance: dict[str, Any]) ->
         "width": observer.width,
         "hold": observer.hold,
         "provenance": provenance,
-        "sha256": _digest(tensors),
     }
+    content["sha256"] = _digest(content, tensors)
     data = save(tensors, metadata={"observer": json.dumps(content)})
     write_atomically(path, lambda temporary: temporary.write_bytes(data))
 
@@ -74,7 +76,7 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise ObserverError(f"{path} has more than {MAX_BYTES} bytes: no observer")
+            raise OSError(f"more than {MAX_BYTES} bytes")
         with safe_open(path, "pt") as file:
             content = json.loads((file.metadata() or {})["observer"])
         tensors = load(path.read_bytes())
@@ -89,19 +91,29 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
         if content.get(name) != value:
             found = f": it has {made_for[name]!r}, here is {value!r}" if name in made_for else ""
             raise ObserverError(f"{path} was made for another {name}{found}; fit it again")
-    if content.get("sha256") != _digest(tensors):
-        raise ObserverError(f"{path} is damaged: its weights are not those that were saved; copy it again")
+    if any(value.dtype != torch.float32 for value in tensors.values()):
+        raise ObserverError(f"{path} has weights that are not in single precision; fit it again")
+    if content.get("sha256") != _digest(content, tensors):
+        raise ObserverError(f"{path} is damaged: it is not what was saved; copy it again")
     try:
         observer.load_state_dict(tensors)
     except RuntimeError as error:
-        raise ObserverError(f"{path} does not hold the weights of its observer: {error}") from None
-    if not all(torch.isfinite(value).all() for value in tensors.values()):
-        raise ObserverError(f"{path} has weights that are not finite numbers")
+        raise ObserverError(
+            f"{path} does not hold the weights of its observer: {' '.join(str(error).split())}"
+        ) from None
+    _require_sound(observer, path)
     return observer.requires_grad_(False), content
 
 
-def _digest(tensors: dict[str, torch.Tensor]) -> str:
-    found = hashlib.sha256()
+def _require_sound(observer: Observer, path: Path) -> None:
+    weights = observer.state_dict()
+    if not all(torch.isfinite(value).all() for value in weights.values()) or not (weights["deviation"] > 0).all():
+        raise ObserverError(f"{path}: the observer has weights that are not finite, or inputs without a scale")
+
+
+def _digest(content: dict[str, Any], tensors: dict[str, torch.Tensor]) -> str:
+    rest = {name: value for name, value in content.items() if name != "sha256"}
+    found = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
     for name in sorted(tensors):
         found.update(name.encode() + tensors[name].numpy().tobytes())
     return found.hexdigest()

@@ -22,7 +22,7 @@ _FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave 
 
 
 def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Tensor:
-    """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e."""
+    """Mean of (d - g)^2 / 2 exp(2 s) + s over samples and quantities, with d = (truth - b) / e, cut at `_FARTHEST`."""
     inputs = episodes.inputs.float()
     g, s = observer(inputs)
     d = ((episodes.truth - observer.believed(inputs)) / observer.error).clamp(-_FARTHEST, _FARTHEST)
@@ -60,11 +60,11 @@ def fit(
     average = AveragedModel(network, avg_fn=running_average)
     optimiser = torch.optim.Adam(network.parameters(), learning_rate)
     count = episodes.truth.shape[1]
-    batches = [chosen for _ in range(epochs) for chosen in torch.randperm(count).split(batch_size)]
-    for k, chosen in enumerate(batches):
+    batches = [rows for _ in range(epochs) for rows in torch.randperm(count).split(batch_size)]
+    for k, rows in enumerate(batches):
         for group in optimiser.param_groups:
             group["lr"] = learning_rate * (1 - k / len(batches)) * min((k + 1) / _WARM_UP, 1.0)
-        loss = negative_log_likelihood(network, Episodes(*(part[:, chosen] for part in episodes)))
+        loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
         if not np.isfinite(loss.item()):
             raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
         optimiser.zero_grad()

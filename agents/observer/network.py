@@ -27,7 +27,7 @@ from beltarm_env import observation
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import Entry
 
-MAX_WIDTH = 256
+MAX_WIDTH = 128
 _SMALLEST, _LARGEST = -4.0, 2.0  # s
 
 
@@ -74,10 +74,10 @@ class Observer(nn.Module):
         self.width, self.hold = width, hold
         names, entries = inputs_of(knowledge), offered(knowledge)
         at = {entry.name: k for k, entry in enumerate(entries)}
+        self._offered = len(entries)
         self.columns = np.array([at[name] for name in names])
         self._believed = [names.index(name) for name in BELIEVED] if knowledge == "belief" else None
-        units = [entries[at[name]].scale for name in BELIEVED] if self._believed else SCALES
-        self.register_buffer("_units", torch.as_tensor(np.array(units), dtype=torch.float32), persistent=False)
+        self.register_buffer("_units", torch.as_tensor(SCALES, dtype=torch.float32), persistent=False)
         self.register_buffer("mean", torch.zeros(len(names)))
         self.register_buffer("deviation", torch.ones(len(names)))
         self.register_buffer("error", torch.ones(len(NAMES)))
@@ -90,6 +90,10 @@ class Observer(nn.Module):
             return torch.zeros(*inputs.shape[:-1], len(NAMES))
         return inputs[..., self._believed] * self._units
 
+    def estimated(self, inputs: torch.Tensor, g: torch.Tensor, s: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Estimates q and their deviations sigma in the quantities' units."""
+        return self.believed(inputs) + self.error * g, self.error * s.exp()
+
     def forward(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Corrections g and logarithms s, shape (T, n, quantities), for n whole episodes of shape (T, n, inputs)."""
         features = standardised(inputs, self.mean, self.deviation)
@@ -101,16 +105,20 @@ class Observer(nn.Module):
         """Estimate from what an agent observes, shape (n, offered); the memory has shape (n, width).
 
         Args:
-            seen: As `agents.residual.knowledge.InformedBase.seen` returns it.
+            seen: As `agents.residual.knowledge.InformedBase.seen` returns it for an encoder.
             memory: What the last call returned; None at the beginning.
             episode_start: Which rows begin a new episode, shape (n,).
+
+        Raises:
+            ValueError: If what is seen has another shape.
         """
+        if seen.ndim != 2 or seen.shape[1] != self._offered:
+            raise ValueError(f"the observer chooses from {self._offered} entries, got shape {seen.shape}")
         with torch.no_grad():
             inputs = torch.as_tensor(np.ascontiguousarray(seen[:, self.columns]))
             features = standardised(inputs, self.mean, self.deviation)
             sequence, following = self.gru(features[None], begun(memory, episode_start, (len(seen), self.width))[None])
-            g, s = self._answer(features, sequence[0])
-            mean, deviation = self.believed(inputs) + self.error * g, self.error * s.exp()
+            mean, deviation = self.estimated(inputs, *self._answer(features, sequence[0]))
         return Estimate(mean.numpy().astype(np.float64), deviation.numpy().astype(np.float64)), following[0].numpy()
 
     def _answer(self, features: torch.Tensor, remembered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

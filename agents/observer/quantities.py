@@ -1,19 +1,23 @@
 """What a learned observer estimates: as a filter believes it, and as it is.
 
 Torsion and its rate, the tip's errors, and logarithms of six constants over their nominal values, see
-`baselines.estimation.believed_arm`.
+`baselines.estimation.believed_arm`. Constants are per commanded torque: a torque constant that is too high by k looks
+like an arm whose inertias, stiffness and friction are lower by 1 + k, and nothing that is measured tells the two apart.
+Friction is that of the episode's start, from which it drifts.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.residual.knowledge import ENTRIES
 from baselines.estimation.believed_arm import IDENTIFIED, nominal_row
 from beltarm_env import design_model
-from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.observation import Entry
+from beltarm_env.physics.drive import belt_motions, built_drive
 from beltarm_env.rollout import Recording
 
 STATES = (
@@ -38,16 +42,25 @@ def truth(recording: Recording, hold: int) -> Floats:
     Those of sample 0, at which nothing is recorded yet, are the next sample's: the arm is at rest.
     """
     rows = np.maximum(np.arange(0, len(recording.state), hold) - 1, 0)
-    moving = (recording.state[rows, :, 2:4], recording.tip_error[rows], recording.tip_velocity_error[rows])
+    moving = (_belt_motions(recording, rows), recording.tip_error[rows], recording.tip_velocity_error[rows])
     constants = np.broadcast_to(_logs(recording.params), (len(rows), len(recording.params), len(IDENTIFIED)))
     return np.concatenate([*moving, constants], axis=2)
 
 
+def _belt_motions(recording: Recording, rows: NDArray[np.int64]) -> Floats:
+    """Torsion and its rate of the belts themselves, which the error of the gear moves too, shape (rows, n, 2)."""
+    motions = np.empty((len(rows), len(recording.params), 2))
+    for i, row in enumerate(recording.params):
+        states = np.ascontiguousarray(recording.state[rows, i])
+        motions[:, i] = belt_motions(states, plant_of(row), built_drive(row))
+    return motions
+
+
 def _logs(table: Floats) -> Floats:
-    """Logarithms of the identified constants of arms over those of the model that controllers are made for."""
+    """Logarithms of the identified constants over those of the model that controllers are made for, (n, constants)."""
     nominal = nominal_row(design_model())
     columns = [FIELDS.index(name) for name in IDENTIFIED]
-    constants = table[:, columns].copy()
+    constants = table[:, columns]
     swing = IDENTIFIED.index("arm_inertia_swing")
     constants[:, swing] = [plant_of(row).inertia_swing for row in table]  # with the payload
-    return np.log(constants / nominal[columns])
+    return np.log(constants / nominal[columns]) - np.log1p(table[:, [COLUMN.torque_constant_error]])

@@ -5,6 +5,7 @@ Simulated episodes are kept beside the file until it is written: an interrupted 
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import time
 from contextlib import closing
@@ -19,12 +20,14 @@ from rich.console import Console
 import agents
 import baselines
 import beltarm_env
-from agents.observer.episodes import Episodes, simulate_block
+from agents.observer.episodes import STUDENT, Episodes, simulate_block
 from agents.observer.files import save_observer
 from agents.observer.fitting import fit, standardise
 from agents.observer.network import Observer
+from agents.policy.bundle import read_spec
 from agents.residual.knowledge import Knowledge
 from agents.runs.checkpoint import written_by
+from baselines.gains import FILE as GAINS
 from baselines.tools.command import require_bounds
 from baselines.tools.files import require_writable, write_atomically
 from baselines.tools.parallel import Channel, Failure, run_side_by_side
@@ -40,8 +43,8 @@ _BLOCK = 512  # episodes that are simulated side by side, and kept in one file
 class ObserverConfig:
     """Fit a learned observer."""
 
-    out: Path = Path("runs/observer/belief.safetensors")
-    """The file to write."""
+    out: Path | None = None
+    """The file to write. Default: runs/observer/KNOWLEDGE.safetensors."""
     knowledge: Knowledge = "belief"
     """Correct the belief of the filter, or see the measurements alone: "none"."""
     hold: int = 4
@@ -65,48 +68,59 @@ class ObserverConfig:
         """Check the options, and make an untrained observer.
 
         Raises:
-            ValueError: Naming the option, its value and the bound.
+            ValueError: Naming what is out of range, its value and the bound.
         """
         require_bounds(self, episodes=(6, OBSERVER.size), epochs=(1, 1000), batch_size=(1, None), jobs=(1, 256))
+        require_bounds(self, seed=(0, 2**32 - 1))
         if not 0 < self.learning_rate <= 1:
             raise ValueError(f"--learning-rate must be above 0 and at most 1, got {self.learning_rate}")
         torch.manual_seed(self.seed)
         return Observer(self.knowledge, self.width, self.hold)
 
+    @property
+    def file(self) -> Path:
+        """The file to write."""
+        return self.out or Path(f"runs/observer/{self.knowledge}.safetensors")
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the simulated episodes, until the file is written."""
+        return self.file.parent / f".{self.file.stem}-episodes"
+
 
 def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
     """Simulate all episodes, but for those that an interrupted run left."""
-    count = min(_BLOCK, config.episodes)
-    blocks = -(-config.episodes // count)
-    folder = _folder(config)
-    code = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))[:12]
-    stem = f"{config.knowledge}-{config.hold}-{count}-{code}"
-    files = {f"{k}": folder / f"{stem}-{k}.npz" for k in range(blocks)}
-    left = {name: file for name, file in files.items() if not file.exists()}
-    tasks = {name: partial(_simulate, observer, int(name), count, file) for name, file in left.items()}
+    stem = f"{config.knowledge}-{config.hold}-{_depends_on()}"
+    blocks = [(first, min(_BLOCK, config.episodes - first)) for first in range(0, config.episodes, _BLOCK)]
+    files = {block: config.folder / f"{stem}-{block[0]}-{block[1]}.npz" for block in blocks}
+    left = {block: file for block, file in files.items() if not file.exists()}
+    tasks = {file.name: partial(_simulate, observer, *block, file) for block, file in left.items()}
     with (
         closing(run_side_by_side(tasks, config.jobs)) as outcomes,
-        progress_rows(["episodes"], blocks, Console(stderr=True)) as rows,
+        progress_rows(["episodes"], len(blocks), Console(stderr=True)) as rows,
     ):
-        for k, (_, outcome) in enumerate(outcomes, blocks - len(left) + 1):
+        for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(left) + 1):
             if isinstance(outcome, Failure):
                 raise outcome.error
-            rows.show("episodes", k)
+            rows.show("episodes", done)
     return Episodes.joined([_read(file) for file in files.values()])
 
 
-def _simulate(observer: Observer, block: int, count: int, file: Path, _: Channel) -> None:
-    inputs, truth = simulate_block(observer, block, count)
+def _depends_on() -> str:
+    """Hash of everything that simulated episodes depend on."""
+    code = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+    student = read_spec(STUDENT)[1]["content_hash"]
+    return hashlib.sha256(GAINS.read_bytes() + f"{code} {student}".encode()).hexdigest()[:12]
+
+
+def _simulate(observer: Observer, first: int, count: int, file: Path, _: Channel) -> None:
+    inputs, truth = simulate_block(observer, first, count)
     write_atomically(file, lambda path: np.savez(path, allow_pickle=False, inputs=inputs.numpy(), truth=truth.numpy()))
 
 
 def _read(file: Path) -> Episodes:
     with np.load(file, allow_pickle=False) as stored:
         return Episodes(torch.from_numpy(stored["inputs"]), torch.from_numpy(stored["truth"]))
-
-
-def _folder(config: ObserverConfig) -> Path:
-    return config.out.parent / f".{config.out.stem}-episodes"
 
 
 def run(config: ObserverConfig) -> None:
@@ -118,7 +132,7 @@ def run(config: ObserverConfig) -> None:
         KeyboardInterrupt: If interrupted; simulated episodes are kept.
     """
     observer = config.check()
-    require_writable(config.out.parent)
+    require_writable(config.file.parent)
     try:
         _fit_and_save(config, observer)
     except KeyboardInterrupt:
@@ -128,15 +142,16 @@ def run(config: ObserverConfig) -> None:
 
 def _fit_and_save(config: ObserverConfig, observer: Observer) -> None:
     began = time.perf_counter()
-    provenance = {"command": command_line(), **written_by(), "config": asdict(config) | {"out": str(config.out)}}
+    provenance = {"command": command_line(), **written_by(), "config": asdict(config) | {"out": str(config.file)}}
     episodes = _simulated(config, observer)
     torch.set_num_threads(1)
+    torch.manual_seed(config.seed)  # simulating in this process draws from it too
     standardise(observer, episodes)
     with progress_rows(["fit"], 1.0, Console(stderr=True)) as rows:
         for share, loss in fit(observer, episodes, config.epochs, config.learning_rate, config.batch_size):
             rows.show("fit", share, f"loss {loss:.3f}")
     seconds = time.perf_counter() - began
     done = {"episodes": episodes.truth.shape[1], "seconds": round(seconds, 1)}
-    save_observer(config.out, observer, {**provenance, "run": done})
-    shutil.rmtree(_folder(config))
-    print(f"{done['episodes']} episodes in {seconds:.0f} s: {config.out}, {config.out.stat().st_size / 1000:.0f} kB")
+    save_observer(config.file, observer, {**provenance, "run": done})
+    shutil.rmtree(config.folder)
+    print(f"{done['episodes']} episodes in {seconds:.0f} s: {config.file}, {config.file.stat().st_size / 1000:.0f} kB")

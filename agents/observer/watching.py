@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from agents.observer.network import Estimate, Observer
 from agents.residual.knowledge import InformedBase, InformedMemory
 from baselines.reading import chosen
+from beltarm_env import observation as layout
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller
 
@@ -28,7 +29,7 @@ class WatchedController:
     """A controller with an observer beside it, as one controller with the same torques.
 
     Args:
-        controller: What acts. One that identifies its arm shares its belief with the observer.
+        controller: What acts, with any sensors; one that identifies its arm shares its belief with the observer.
         observer: What watches.
     """
 
@@ -54,7 +55,7 @@ class WatchedController:
         due = age % self.observer.hold == 0
         if state is not None and not due.any():
             return informed.action, WatchedMemory(informed, state.estimate, state.observer, age + 1)
-        seen = self.informed.seen(observation, informed)
+        seen = self.informed.seen(observation[:, : layout.size("encoder")], informed)  # which comes first in all tiers
         estimate, memory = self.observer.observe(seen, state.observer if state else None, episode_start)
         if state is not None and not due.all():
             estimate = Estimate(*(chosen(due, new, old) for new, old in zip(estimate, state.estimate, strict=True)))

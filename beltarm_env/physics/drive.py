@@ -17,9 +17,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.state import ArmState, belt_torque
 from beltarm_env.physics.trigonometry import sin_cos, wrapped
 
@@ -160,6 +162,16 @@ def belt_motion(x: ArmState, plant: Plant, drive: Drive | None) -> tuple[float, 
     if drive is None:
         return x.torsion, x.torsion_speed
     return belt_torsion(x, transmission(angles_of(x, plant, drive), plant, drive), plant)
+
+
+@compiled
+def belt_motions(states: Floats, plant: Plant, drive: Drive | None) -> Floats:
+    """Return torsion of the belt [rad] and its rate [rad/s], shape (n, 2), of states x, shape (n, 4), of one arm."""
+    motions = np.empty((len(states), 2))
+    for i in range(len(states)):
+        x = ArmState(states[i, 0], states[i, 1], states[i, 2], states[i, 3])
+        motions[i, 0], motions[i, 1] = belt_motion(x, plant, drive)
+    return motions
 
 
 @inlined
