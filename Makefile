@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive sensors tune learning readme
+.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive sensors observers steps tune learning readme
 
 ##@ Use
 
@@ -76,6 +76,9 @@ drive: $(READY)  ## Cost and vibration of every controller over each effect of t
 
 sensors: $(READY)  ## What an accelerometer buys the best two controllers, in docs/sensors
 	$(BIN)/python eval/sensors.py --out docs/sensors $(ARGS)
+
+observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/observers
+	$(BIN)/python eval/observers.py --out docs/observers $(ARGS)
 
 steps: $(READY)  ## What each step from the paper's controller to the best classical one brings, in docs/from_1991
 	$(BIN)/python eval/from_1991.py --out docs/from_1991 $(ARGS)
