@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
 
+from agents.policy.bundle import POLICIES
 from baselines.tools.command import run_command
 from baselines.tools.files import require_writable
-from eval.comparison.methods import POLICIES
 from eval.learning.curves import classical_cost, draw, find_curves
 
 

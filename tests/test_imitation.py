@@ -189,7 +189,6 @@ class TestFit:
     def fitted(advice: Advice, **options: Any) -> Student:
         config = tiny(Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
         learner = Student(config)
-        learner._standardise(advice.inputs)
         learner.advice = [advice]
         learner._fit(lambda _: None)
         return learner

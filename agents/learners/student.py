@@ -42,7 +42,7 @@ from torch.optim.swa_utils import AveragedModel
 
 from agents.learners.teaching import Advice, ask
 from agents.policy.actor import Actor
-from agents.policy.averaging import running_average
+from agents.policy.regression import running_average, scales_of, set_learning_rate
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.monitor import TrainingMonitor
@@ -52,11 +52,9 @@ from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
-_WARM_UP = 50  # gradient steps over which the learning rate rises
 _MAX_GRADIENT = 0.2
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
 _PARTS = ("_actor", "_average", "_optimiser")  # of a snapshot
-_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
 
 
 @dataclass(frozen=True)
@@ -186,8 +184,6 @@ class Student:
 
         student = ResidualController(make_base(config.base), self.actor(), config.residual)
         advice, own = ask(trial, student, config.torque_price, lambda: pause(0))
-        if self.rounds == 0:
-            self._standardise(advice.inputs)
         self.advice = [*self.advice, advice][-config.remembered :]
         difference = self._fit(pause)
         self.rounds += 1
@@ -195,17 +191,13 @@ class Student:
         monitor.logger.record("student/left", 1 - float(own.finished.mean()))
         monitor.logger.record("student/difference", difference)
 
-    def _standardise(self, inputs: torch.Tensor) -> None:
-        """Standardise by these inputs; the average takes over what is no weight with its next step."""
-        flat = inputs.float().flatten(0, 1)
-        self._actor.mean.copy_(flat.mean(dim=0))
-        self._actor.deviation.copy_(flat.std(dim=0).clamp_min(_LEAST_DEVIATION))
-
     def _fit(self, pause: Callable[[int], None]) -> float:
         """Fit the student to the remembered advice, and return the weighted squared error of the last pass."""
         config, limit = self.config, self.config.residual_limit
-        network = self._actor.to(config.device)
         inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
+        if self.rounds == 0:  # the average takes over what is no weight with its next step
+            self._actor.mean, self._actor.deviation = scales_of(inputs.float())
+        network = self._actor.to(config.device)
         episodes, difference = labels.shape[1], 0.0
         batches = -(-episodes // config.batch_size)
         for epoch in range(config.epochs):
@@ -213,7 +205,8 @@ class Student:
             for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
                 pause(0)
                 done = (self.rounds + (epoch + batch / batches) / config.epochs) / config.rounds
-                self._set_learning_rate(done)
+                rate = config.learning_rate_left(1 - done)
+                set_learning_rate(self._optimiser, rate, int(self._average.n_averaged))
                 answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
                 error = (answers - labels[:, chosen].to(config.device)) * limit
                 weight = weights[:, chosen].to(config.device)
@@ -228,12 +221,6 @@ class Student:
         if not np.isfinite(difference):
             raise ValueError(f"diverged at {self.steps} steps: begin anew with a smaller --learning-rate")
         return difference
-
-    def _set_learning_rate(self, done: float) -> None:
-        """Set the learning rate after a share of the run: it falls to zero, after a short rise from there."""
-        rate = self.config.learning_rate_left(1 - done) * min((int(self._average.n_averaged) + 1) / _WARM_UP, 1.0)
-        for group in self._optimiser.param_groups:
-            group["lr"] = rate
 
 
 def make_learner(config: StudentConfig) -> Student:

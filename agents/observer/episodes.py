@@ -6,7 +6,6 @@ the torques are disturbed besides, by noise of first order of a size that differ
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,14 +14,14 @@ from numpy.typing import NDArray
 
 from agents.observer.network import Observer
 from agents.observer.quantities import truth
-from agents.policy.bundle import load_controller
+from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.bases import make_base
 from agents.residual.knowledge import InformedBase
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import OBSERVER
 
-STUDENT = Path(__file__).resolve().parents[1] / "policies" / "student" / "seed0"
+STUDENT = POLICIES / "student" / "seed0"
 """Policy that acts where a source is the student."""
 _MEMORY = 0.97  # of the noise from sample to sample: 50 ms
 
@@ -91,7 +90,7 @@ class Disturbed:
         return (informed.action + self._disturbance.astype(np.float32)).clip(-1, 1), informed
 
 
-def simulate(source: Source, observer: Observer, first: int, count: int, **settings: Any) -> Episodes:
+def simulate(source: Source, observer: Observer, first: int, count: int) -> Episodes:
     """Run a source on arms of the training ranges, but for those that leave their workspace.
 
     Args:
@@ -99,10 +98,9 @@ def simulate(source: Source, observer: Observer, first: int, count: int, **setti
         observer: For its inputs.
         first: Seed of the first arm.
         count: Number of arms.
-        **settings: Of `rollout`, instead of the training ranges.
     """
     noted = Disturbed(source.controller(), observer, source.noise, first)
-    recording = rollout(noted, count, seed=first, **(settings or {"randomization": "train"}))
+    recording = rollout(noted, count, seed=first, randomization="train")
     kept = np.flatnonzero(recording.finished)
     inputs, true = np.stack(noted.inputs)[:, kept], truth(recording, observer.hold)[:, kept]
     return Episodes(torch.from_numpy(inputs), torch.from_numpy(true.astype(np.float32)))

@@ -13,11 +13,9 @@ from torch.optim.swa_utils import AveragedModel
 
 from agents.observer.episodes import Episodes
 from agents.observer.network import Observer
-from agents.policy.averaging import running_average
+from agents.policy.regression import running_average, scales_of, set_learning_rate
 
 _MAX_GRADIENT = 1.0
-_WARM_UP = 50  # gradient steps over which the learning rate rises
-_LEAST_DEVIATION = 1e-3  # of an input, so that one that never varies is not blown up
 _FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
 
 
@@ -32,10 +30,8 @@ def negative_log_likelihood(observer: Observer, episodes: Episodes) -> torch.Ten
 def standardise(observer: Observer, episodes: Episodes) -> None:
     """Set the scales of an observer's inputs and corrections by what there is in some episodes."""
     inputs = episodes.inputs.float()
-    flat = inputs.flatten(0, 1)
-    observer.mean.copy_(flat.mean(dim=0))
-    observer.deviation.copy_(flat.std(dim=0).clamp_min(_LEAST_DEVIATION))
-    observer.error.copy_((episodes.truth - observer.believed(inputs)).flatten(0, 1).square().mean(dim=0).sqrt())
+    observer.mean, observer.deviation = scales_of(inputs)
+    observer.error = (episodes.truth - observer.believed(inputs)).flatten(0, 1).square().mean(dim=0).sqrt()
 
 
 def fit(
@@ -62,8 +58,7 @@ def fit(
     count = episodes.truth.shape[1]
     batches = [rows for _ in range(epochs) for rows in torch.randperm(count).split(batch_size)]
     for k, rows in enumerate(batches):
-        for group in optimiser.param_groups:
-            group["lr"] = learning_rate * (1 - k / len(batches)) * min((k + 1) / _WARM_UP, 1.0)
+        set_learning_rate(optimiser, learning_rate * (1 - k / len(batches)), k)
         loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
         if not np.isfinite(loss.item()):
             raise ValueError("the observer diverged: fit it with a smaller --learning-rate")

@@ -43,6 +43,8 @@ FORMAT = "beltarm-policy"
 VERSION = 3
 MANIFEST = "policy.json"
 CARD = "README.md"
+POLICIES = Path(__file__).resolve().parents[1] / "policies"
+"""Folder of the shipped policies: METHOD/SEED, each a bundle."""
 MAX_BYTES = 1_000_000
 """Of each file of a bundle; larger ones are neither written nor read."""
 ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": False}

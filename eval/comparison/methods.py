@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.policy.bundle import load_controller, read_spec
+from agents.policy.bundle import POLICIES, load_controller, read_spec
 from baselines import CONTROLLERS
 from baselines.gains import read_file
 from baselines.yardsticks.privileged import PrivilegedController
@@ -19,7 +19,6 @@ from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from eval.comparison import custom
 
-POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 Kind = Literal["classical", "learned", "privileged", "added"]
 PRIVILEGED = "privileged"
 
