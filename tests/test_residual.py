@@ -333,6 +333,25 @@ def test_reward_is_the_scaled_sum_over_a_hold(hold: int, scale: float):
         assert told == pytest.approx(scale * total, rel=1e-6)
 
 
+def test_price_of_the_torque_is_charged_for_every_change_to_the_last_sample():
+    """The task charges 0.1 times every change, see `beltarm_env.task.cost`; so it does again for a price of two."""
+    batch, dearer = many(2), many(2, torque_price=2.0)
+    observed(batch)
+    observed(dearer)
+    residuals, charged = random_residuals(2), np.zeros(2)
+
+    class Given:
+        def predict(self, observation: Singles, state: Any = None, *_: Any, **__: Any):
+            hold = 0 if state is None else state
+            return residuals[hold], hold + 1
+
+    torques = rollout(ResidualController(CONTROLLERS["paper"](), Given(), SETTINGS), 2, seed=30, **ARMS).torque
+    for given in residuals:
+        charged += stepped(batch, given)[1] - stepped(dearer, given)[1]
+    changes = np.abs(np.diff(torques, axis=0, prepend=0.0)).sum(axis=0) / ArmParams().torque_limit
+    assert charged == pytest.approx(0.1 * changes, rel=1e-4)
+
+
 def test_the_end_of_an_episode():
     batch = many(3)
     seen, infos, elapsed = observed(batch), [], index("elapsed_time")

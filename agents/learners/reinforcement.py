@@ -33,6 +33,8 @@ class ReinforcementConfig(RunConfig):
     """Discount per agent step."""
     reward_scale: float = 0.08
     """Factor on the mean reward over a hold, so that values are of order 1."""
+    torque_price: float = 25.0
+    """What a change of the torque costs the agent, over what the task charges; validation has the task's price."""
     validation_every: int = 500_000
     """Agent steps between validations, each of which saves a checkpoint."""
 
@@ -49,7 +51,7 @@ class ReinforcementConfig(RunConfig):
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""
         self.at_least(1, "total_steps", "validation_every")
-        self.positive("gamma", "reward_scale")
+        self.positive("gamma", "reward_scale", "torque_price")
         if self.gamma > 1:
             raise ValueError(f"--gamma must be at most 1, got {self.gamma}")
         super().check()
@@ -65,6 +67,7 @@ def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
         make_base(config.base),
         config.residual,
         reward_scale=config.reward_scale / config.hold,
+        torque_price=config.torque_price,
         worst_reward=config.worst_reward,
     )
 

@@ -17,7 +17,7 @@ from agents.residual.controller import ResidualSettings, checked_residual, combi
 from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
-from beltarm_env.arrays import Flags, Singles
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, check_data_sheet
 
 
@@ -74,6 +74,7 @@ class ResidualVecEnv(VecEnv):
         base: The base controller.
         settings: How the residual acts.
         reward_scale: Factor on the reward, the sum over the samples of a hold.
+        torque_price: What a change of the torque from sample to sample is charged, over what the task charges.
         worst_reward: Scaled rewards are cut to at least minus this, for learners that a rare huge charge throws off.
         stagger: Spread the arms over the phases of the episode, so that a rollout sees all of them.
     """
@@ -85,6 +86,7 @@ class ResidualVecEnv(VecEnv):
         settings: ResidualSettings,
         *,
         reward_scale: float = 1.0,
+        torque_price: float = 1.0,
         worst_reward: float = np.inf,
         stagger: bool = True,
     ) -> None:
@@ -94,6 +96,7 @@ class ResidualVecEnv(VecEnv):
         self.informed = InformedBase(base, settings.knowledge)
         self.settings = settings
         self.reward_scale = reward_scale
+        self.torque_price = torque_price
         self.worst_reward = worst_reward
         self.stagger = stagger
         self.render_mode = env.render_mode
@@ -158,8 +161,9 @@ class ResidualVecEnv(VecEnv):
             observation, reward, terminated, truncated, info = self.env.step(
                 combine(self._memory.action, residual, self.settings.limit)
             )
-            rewards += reward if not done.any() else np.where(done, 0.0, reward)
             ended = terminated | truncated
+            reward = reward - (self.torque_price - 1.0) * _torque_charge(info, ended)
+            rewards += reward if not done.any() else np.where(done, 0.0, reward)
             if ended.any():
                 last = observation.copy()
                 last[ended] = np.stack(info["final_obs"][ended])
@@ -215,6 +219,12 @@ class ResidualVecEnv(VecEnv):
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Draw all arms."""
         return list(self.env.render() or ())
+
+
+def _torque_charge(info: dict[str, Any], ended: Flags) -> Floats:
+    """What the task charged for the last change of the torque, shape (n,)."""
+    charge = info["cost_torque_rate"]
+    return np.where(ended, info["final_info"]["cost_torque_rate"], charge) if ended.any() else charge
 
 
 _NOTHING: dict[str, Any] = {}  # shared by all arms with nothing to tell: one dict per arm and step would cost more

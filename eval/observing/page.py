@@ -86,9 +86,8 @@ def size_table(watchers: dict[str, Watcher], times: dict[str, float]) -> str:
             inputs = len(watcher.columns)
             weights = sum(parameter.numel() for parameter in watcher.parameters())
             products = (inputs + watcher.width) * (3 * watcher.width + 2 * len(NAMES))
-            period = f"{watcher.hold} samples"
-            rows.append([name, f"{4e-3 * weights:.0f}", f"{products}", period, f"{times[name]:.0f}"])
-    head = ["weights (kB, single precision)", "multiplications", "one estimate per", "in Python, one arm, median (µs)"]
+            rows.append([name, f"{4e-3 * weights:.0f}", f"{products}", f"{watcher.hold}", f"{times[name]:.0f}"])
+    head = ["weights (kB, single precision)", "multiplications", "every … samples", "in Python, one arm, median (µs)"]
     return markdown_table(["observer", *head], rows)
 
 
