@@ -16,8 +16,9 @@ from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combine
 from agents.residual.env import ResidualEnv, ResidualVecEnv
 from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space
-from baselines import CONTROLLERS
+from baselines import CONTROLLERS, PaperController
 from baselines.optimal.adaptive import tuned_identifier
+from baselines.optimal.felt import FeltAdaptiveController
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import index, size
@@ -582,6 +583,15 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
         ValueError, match=rf"chooses from {len(spec.offered())} entries, got shape \(2, 3\): .*--sensors"
     ):
         loaded.policy.predict(np.ones((2, 3), np.float32))
+
+
+def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(tmp_path: Path):
+    spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
+    save_bundle(tmp_path, spec, Actor(spec.shape()))
+    controller, _ = load_controller(tmp_path)
+    assert isinstance(controller.informed.base, FeltAdaptiveController)
+    assert not isinstance(make_base("adaptive"), FeltAdaptiveController)
+    assert isinstance(make_base("paper", "accelerometer"), PaperController)  # which has no filter
 
 
 def test_shipped_policies_are_told_all_that_there_is_and_see_the_encoder_alone():

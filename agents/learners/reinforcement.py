@@ -64,7 +64,7 @@ def make_env(config: ReinforcementConfig) -> ResidualVecEnv:
     )
     return ResidualVecEnv(
         arms,
-        make_base(config.base),
+        make_base(config.base, config.sensors),
         config.residual,
         reward_scale=config.reward_scale / config.hold,
         torque_price=config.torque_price,

@@ -182,7 +182,7 @@ class Student:
             paused = _Paused(controller, pause)
             return rollout(paused, config.arms, seed=seed, randomization=config.randomization, sensors=config.sensors)
 
-        student = ResidualController(make_base(config.base), self.actor(), config.residual)
+        student = ResidualController(make_base(config.base, config.sensors), self.actor(), config.residual)
         advice, own = ask(trial, student, config.torque_price, lambda: pause(0))
         self.advice = [*self.advice, advice][-config.remembered :]
         difference = self._fit(pause)

@@ -237,7 +237,7 @@ def load_controller(folder: Path) -> tuple[ResidualController, BundleSpec]:
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {error}") from None
     _require_finite(actor, str(path))
     policy = actor if spec.inputs is None else SelectedInputs(actor, spec.inputs, spec.offered())
-    return ResidualController(make_base(spec.base), policy, spec.residual), spec
+    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual), spec
 
 
 def _read(path: Path) -> bytes:

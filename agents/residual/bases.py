@@ -15,6 +15,7 @@ from agents.residual.knowledge import Knowledge
 from baselines import CONTROLLERS
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveGains
+from baselines.registry import FELT
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller
 
@@ -33,8 +34,12 @@ BASES: dict[str, Callable[[], Any]] = {**CONTROLLERS, "none": NoController}
 """Base controllers by name: all of `baselines.CONTROLLERS`, and none."""
 
 
-def make_base(name: str) -> Controller:
+def make_base(name: str, sensors: str = "encoder") -> Controller:
     """Make the base controller called `name`.
+
+    Args:
+        name: Of `BASES`.
+        sensors: Of the arm; with "accelerometer", a base whose filter can use it does.
 
     Raises:
         ValueError: If there is none, naming the nearest one.
@@ -43,7 +48,7 @@ def make_base(name: str) -> Controller:
         near = difflib.get_close_matches(str(name), BASES, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(BASES)}"
         raise ValueError(f"no base controller {name!r}; {hint}")
-    return BASES[name]()
+    return (FELT if sensors == "accelerometer" and name in FELT else BASES)[name]()
 
 
 def base_settings(name: str, knowledge: Knowledge) -> dict[str, dict[str, float]]:

@@ -104,7 +104,7 @@ class TrainingMonitor:
         self.spec = spec
         self.logger = logger
         self.channel = channel
-        base = validate(make_base(config.base), config.validation_arms, config.sensors)
+        base = validate(make_base(config.base, config.sensors), config.validation_arms, config.sensors)
         self.progress: dict[str, Any] = progress or {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
         self.base_scores = base
         self._before = self.progress["seconds"]
@@ -149,7 +149,7 @@ class TrainingMonitor:
         if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
             return
         actor = self.learner.actor()
-        controller = ResidualController(make_base(self.config.base), actor, self.spec.residual)
+        controller = ResidualController(make_base(self.config.base, self.config.sensors), actor, self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
         ratios = {name: scores[name] / self.base_scores[name] for name in SCORES}
         for name in SCORES:

@@ -42,7 +42,8 @@ class RunConfig:
     knowledge: Knowledge = "belief"
     """Inputs of the agent besides the observation: the belief of the identification, or none."""
     sensors: Sensors = "encoder"
-    """Sensors of the arm; "full" measures the true torsion: an upper bound, not comparable with the others."""
+    """Sensors of the arm. With "accelerometer" the filter of `adaptive` and `preview` has it too; "full" measures the
+    true torsion: an upper bound, not comparable with the others."""
     randomization: Literal["train", "ideal"] = "train"
     """Arms that are trained on: of the training ranges, or with an ideal drive. Validation has the training ranges."""
     arms: int = 512
