@@ -45,10 +45,8 @@ VARIANTS = (
     Variant("sac", "learner", "SAC, on paper", script="sac"),
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full")),
-    Variant("felt", "told", "accelerometer, also in the filter", ("--sensors", "accelerometer")),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL)),
     Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal")),
-    Variant("price-1", "price", "the task's price", ("--torque-price", "1")),
     Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25")),
 )
