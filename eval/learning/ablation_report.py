@@ -108,7 +108,8 @@ def markdown(study: AblationStudy, seconds: float) -> str:
         "# What makes learning work: ablations",
         f"Each row is the default run of `train/student.py` with one thing changed, at a shortened budget: "
         f"{study.samples:,} simulated samples, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning "
-        "rate falling to zero over them. (A base that leaves more to correct gets the whole torque limit for it.) "
+        "rate falling to zero over them. (A row without ranges is one run, of seed 0. A base that leaves more to "
+        "correct gets the whole torque limit for it.) "
         f"Scores are those of the *last* policy on {study.arms} arms of the training ranges with seeds from "
         f"{ABLATIONS.first}, which nothing else uses. Of several seeds the mean, with the lowest and the highest; "
         "differences within that range show nothing. *left* is the share of arms that left the workspace, which costs "
