@@ -30,7 +30,7 @@ class AblationConfig:
     """Folder of the runs; finished ones are kept and not repeated."""
     only: tuple[str, ...] = ()
     """Factors or variants, such as told or gru-0; all by default. The default run is always among them."""
-    samples: int = 5_000_000
+    samples: int = 10_000_000
     """Samples that every run simulates."""
     seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ...; of some, one is enough."""
