@@ -27,6 +27,7 @@ setup: $(READY)  ## Create .venv with pinned versions
 
 $(READY): pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or make PYTHON=..." >&2; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || { echo "$(PYTHON) is not Python 3.11: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
@@ -74,7 +75,7 @@ loops: $(READY)  ## Margins, costs and times of every controller, and where it b
 drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/drive; takes five minutes
 	$(BIN)/python eval/drive.py --out docs/drive $(ARGS)
 
-sensors: $(READY)  ## What an accelerometer buys the best two controllers, in docs/sensors
+sensors: $(READY)  ## What an accelerometer buys, in docs/sensors
 	$(BIN)/python eval/sensors.py --out docs/sensors $(ARGS)
 
 observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/observers

@@ -130,7 +130,11 @@ def rollout(
     Raises:
         ValueError: If a setting or option is not allowed, the controller is made for arms with another gear ratio or
             torque limit, or it returns another shape or NaN.
+        TypeError: If the controller has no `predict`.
     """
+    if not callable(getattr(controller, "predict", None)):
+        found = f"the name {controller!r}: make it first" if isinstance(controller, str) else repr(controller)
+        raise TypeError(f"a controller is an object with a method predict, got {found}")
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
     return record(controller, env, seed=seed, options=options)
 

@@ -442,3 +442,9 @@ class Constant:
 )
 def test_controllers_that_return_something_else(action: Any, words: tuple[str, ...]):
     refused(ValueError, words, lambda: rollout(Constant(action), 2, seed=0))
+
+
+@pytest.mark.parametrize(("controller", "got"), [("paper", "got the name 'paper': make it first"), (None, "got None")])
+def test_a_rollout_wants_a_controller(controller: Any, got: str):
+    with pytest.raises(TypeError, match=got):
+        rollout(controller, 5)

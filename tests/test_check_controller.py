@@ -182,6 +182,7 @@ def test_a_controller_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ("spec", "message"),
     [
         ("nothing", "package.module:Class or path/to/file.py:Class"),
+        (f"{ROOT / 'README.md'}:X", "README.md is no Python file"),
         ("nowhere.py:Class", "there is no file"),
         ("no.such.module:Class", "No module named 'no'"),
         ("broken.py:Class", "cannot be imported: SyntaxError"),

@@ -588,7 +588,7 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
 def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(tmp_path: Path):
     spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
     save_bundle(tmp_path, spec, Actor(spec.shape()))
-    controller, _ = load_controller(tmp_path)
+    controller, _ = load_controller(str(tmp_path))
     assert isinstance(controller.informed.base, FeltAdaptiveController)
     assert not isinstance(make_base("adaptive"), FeltAdaptiveController)
     assert isinstance(make_base("paper", "accelerometer"), PaperController)  # which has no filter

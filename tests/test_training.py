@@ -513,7 +513,13 @@ def test_progress_is_told(tmp_path: Path):
     train(config, MODULES["ppo"].make_learner, Channel(told.append))
     validated = [news for news in told if news.cost is not None]
     assert [news.steps for news in validated] == [0, 128, 256]
-    assert all("of the base" in news.scores for news in validated)
+    assert all("of the base" in news.scores and "ringing" in news.scores for news in validated)
+
+
+def test_an_arm_without_a_base_does_not_ring_to_be_compared_with(tmp_path: Path):
+    told: list[News] = []
+    train(tiny("ppo", tmp_path, total_steps=64, base="none"), MODULES["ppo"].make_learner, Channel(told.append))
+    assert "cost" in told[-1].scores and "ringing" not in told[-1].scores
 
 
 # Options

@@ -44,7 +44,9 @@ VERSION = 3
 MANIFEST = "policy.json"
 CARD = "README.md"
 POLICIES = Path(__file__).resolve().parents[1] / "policies"
-"""Folder of the shipped policies: METHOD/SEED, each a bundle."""
+"""Folder of the shipped policies that see the encoder alone: METHOD/SEED, each a bundle."""
+FELT_POLICIES = POLICIES.with_name("policies_accelerometer")
+"""Folder of those that have an accelerometer, which are ranked with none of the others."""
 MAX_BYTES = 1_000_000
 """Of each file of a bundle; larger ones are neither written nor read."""
 ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": False}
@@ -152,13 +154,13 @@ def _content_hash(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def read_spec(folder: Path) -> tuple[BundleSpec, dict[str, Any]]:
+def read_spec(folder: Path | str) -> tuple[BundleSpec, dict[str, Any]]:
     """Read the description in a bundle, and its whole manifest, without loading weights.
 
     Raises:
         BundleError: If it is missing, damaged, foreign, or made for other gains than the checkout's.
     """
-    manifest = folder / MANIFEST
+    manifest = Path(folder) / MANIFEST
     content = _read_manifest(manifest)
     try:
         spec = _spec_of(content)
@@ -216,14 +218,14 @@ def _spec_of(content: dict[str, Any]) -> BundleSpec:
     return spec
 
 
-def load_controller(folder: Path) -> tuple[ResidualController, BundleSpec]:
+def load_controller(folder: Path | str) -> tuple[ResidualController, BundleSpec]:
     """Load a bundle as a controller on the environment's observation.
 
     Raises:
         BundleError: If it is missing, damaged, or foreign.
     """
     spec, content = read_spec(folder)
-    path = folder / content["weights"]["file"]
+    path = Path(folder) / content["weights"]["file"]
     try:
         data = _read(path)
     except OSError as error:

@@ -21,7 +21,8 @@ from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import VALIDATION
 
 SCORES = ("cost", "tip_rms_mm", "residual_pp_mm")
-_WORDS = ("cost", "tip", "ringing")
+_WORDS = dict(zip(SCORES, ("cost", "tip", "ringing"), strict=True))
+_LEAST = 1e-6  # of a score of the base to compare with: an arm without one is at rest, but for rounding
 _NEWS_EVERY = 0.5  # [s]
 
 
@@ -155,7 +156,8 @@ class TrainingMonitor:
         for name in SCORES:
             self.logger.record(f"validation/{name}", scores[name])
             self.logger.record(f"validation/{name}_over_base", ratios[name])
-        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in zip(SCORES, _WORDS, strict=True))
+        base = self.base_scores
+        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if base[name] > _LEAST)
         self.progress["scores"] = f"{words} of the base"
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:

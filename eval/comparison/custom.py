@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+_NAMED = "a controller is named package.module:Class or path/to/file.py:Class"
 MOST_FILES, MOST_BYTES = 2000, 200_000_000
 """Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
 
@@ -24,7 +25,9 @@ def absolute(spec: str) -> str:
     """
     where, colon, name = spec.rpartition(":")
     if not colon or not where or not name.isidentifier():
-        raise ValueError(f"a controller is named package.module:Class or path/to/file.py:Class, got {spec!r}")
+        raise ValueError(f"{_NAMED}, got {spec!r}")
+    if not where.endswith(".py") and Path(where).is_file():
+        raise ValueError(f"{_NAMED}, got {spec!r}: {where} is no Python file")
     return f"{Path(where).resolve()}:{name}" if where.endswith(".py") else spec
 
 
