@@ -1,6 +1,7 @@
-"""What an accelerometer on the arm's end buys the best two controllers: `python eval/sensors.py`.
+"""What an accelerometer on the arm's end buys: `python eval/sensors.py`.
 
-Runs them with and without it on the development set, and writes summary.md, with tables and a picture.
+Runs the best controllers and a student with and without it on the development set, and writes summary.md, with tables
+and a picture.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ except ModuleNotFoundError as error:
 
 @dataclass(frozen=True)
 class Config:
-    """Show what an accelerometer on the arm's end buys the best two controllers."""
+    """Show what an accelerometer on the arm's end buys the best controllers and a student."""
 
     splits: tuple[str, ...] = ()
     """Splits to run them on. Default: all."""

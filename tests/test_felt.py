@@ -12,6 +12,7 @@ from commands import mistake, stopped
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from agents.policy.bundle import FELT_POLICIES, read_spec
 from baselines import CONTROLLERS
 from baselines.estimation import believed_arm as arm_of
 from baselines.estimation.felt import SPREAD, unfiltered
@@ -25,8 +26,9 @@ from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BIAS, RANGE
 from eval import sensors
+from eval.comparison.methods import learned_methods, shipped_policies
 from eval.comparison.sets import development_set
-from eval.sensing.study import Found, Tier, measure
+from eval.sensing.study import NAMES, Found, Tier, measure
 
 Floats = NDArray[np.float64]
 SEED = 5_210_000  # of the gains' search
@@ -206,6 +208,12 @@ class TestControllers:
         assert all(CONTROLLERS[name]().sensors == "encoder" for name in FELT)
         assert all(FELT[name]().gains == CONTROLLERS[name]().gains for name in FELT)
 
+    def test_the_student_that_has_it_is_not_ranked_either(self):
+        (folder,) = FELT_POLICIES.glob("*/*")
+        assert read_spec(folder)[0].sensors == "accelerometer" and folder not in shipped_policies()
+        with pytest.raises(ValueError, match="the comparison gives all methods the encoder alone"):
+            learned_methods([folder])
+
 
 def test_the_command_writes_the_page(tmp_path: Path):
     code, errors = stopped(
@@ -216,7 +224,7 @@ def test_the_command_writes_the_page(tmp_path: Path):
     page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
     assert not re.search(r"\b(nan|inf)\b", page) and development_set().label.note in page
     tables = [block for block in page.split("\n\n") if block.startswith("|")]
-    assert [len(table.splitlines()) for table in tables] == [2 + 2, 2 + 2, 2 + 2 * len(FELT)]
+    assert [len(table.splitlines()) for table in tables] == [*(2 + 2 for _ in NAMES), 2 + 2 * len(NAMES)]
     run = measure("preview", "accelerometer", development_set().splits["nominal"], 4)
     assert f"→ {np.sort(run.metrics['cost'])[1:3].mean():.0f} |" in tables[1].splitlines()[2]
 

@@ -11,12 +11,12 @@ from beltarm_env.metrics import TORQUE_QUALITY, heading
 from eval.comparison.estimates import average, interquartile_mean, paired
 from eval.comparison.sets import SetLabel
 from eval.sensing.study import COMPARED, NAMES, TIERS, Results, Times
-from eval.style.colours import BLUE, ORANGE
+from eval.style.colours import BLUE, GREEN, ORANGE
 from eval.style.figures import save_figure
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell, rounded
 
-_COLOURS = dict(zip(NAMES, (BLUE, ORANGE), strict=True))
+_COLOURS = dict(zip(NAMES, (BLUE, ORANGE, GREEN), strict=True))
 
 
 def splits_of(results: Results) -> list[str]:
@@ -53,11 +53,11 @@ def torques_table(results: Results, split: str, times: Times) -> str:
 def draw(results: Results) -> Figure:
     """Cost on every split: without the accelerometer a ring, with it a disc."""
     splits = splits_of(results)
-    figure, axis = plt.subplots(figsize=(8.5, 0.62 * len(splits) + 1.4))
+    figure, axis = plt.subplots(figsize=(8.5, 0.8 * len(splits) + 1.4))
     for place, split in enumerate(splits):
         for k, name in enumerate(NAMES):
             before, after = (interquartile_mean(results[name, split, tier].metrics["cost"]) for tier in TIERS)
-            height = place + 0.34 * (k - 0.5)
+            height = place + 0.26 * (k - 1)
             axis.plot([before, after], [height, height], color=_COLOURS[name], lw=2.2, alpha=0.45, zorder=1)
             axis.plot(before, height, "o", mfc="white", mec=_COLOURS[name], ms=7)
             axis.plot(after, height, "o", color=_COLOURS[name], ms=7)
@@ -87,10 +87,13 @@ def markdown(results: Results, times: Times, label: SetLabel, folder: Path, orig
     parts = [
         "# What an accelerometer buys",
         f"**{label.note}**",
-        "The two best controllers, with the motor's encoder alone and with an accelerometer on the arm's end beside it "
-        '(`sensors="accelerometer"`: a MEMS part, low-passed, noisy, with a zero-g output of its own). The laws and '
-        "their gains are the same, tuned for the encoder alone; only the filter has two readings more, with the noise "
-        "of the part's data sheet. A track of its own, ranked with nothing.",
+        "The best classical controllers and a student, with the motor's encoder alone and with an accelerometer on the "
+        'arm\'s end beside it (`sensors="accelerometer"`: a MEMS part, low-passed, noisy, with a zero-g output of its '
+        "own). The laws of `adaptive` and `preview` and their gains are the same, tuned for the encoder alone; only "
+        "the filter has two readings more, with the noise of the part's data sheet. Of `student` there is one for each "
+        "set of sensors, both with training seed 0; that with the accelerometer (`python train/student.py --sensors "
+        "accelerometer`) sees its readings, and corrects the `adaptive` that has them. A track of its own, ranked with "
+        "nothing.",
         f"{episodes} scenarios per split, the same for all; interquartile means, and the interquartile mean of the "
         "differences on the same scenarios with its bootstrap 95 % interval. Lower is better; encoder → with the "
         "accelerometer. Left: arms that left the workspace.",

@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller
+from agents.residual.controller import ResidualMemory
 from baselines.registry import CONTROLLERS, FELT
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
@@ -16,7 +18,8 @@ from eval.comparison.timing import action_times
 
 Tier = Literal["encoder", "accelerometer"]
 TIERS: tuple[Tier, Tier] = ("encoder", "accelerometer")
-NAMES = tuple(FELT)
+STUDENT = "student"
+NAMES = (*FELT, STUDENT)
 """Controllers of the study."""
 COMPARED = ("cost", "tip_rms_mm", "residual_pp_mm")
 """Metrics that are compared scenario by scenario."""
@@ -38,7 +41,9 @@ Times = dict[tuple[str, Tier], float]
 
 
 def controller(name: str, tier: Tier) -> Controller:
-    """Make a controller with its tuned gains, the same for both sets of sensors."""
+    """Make a classical controller with its tuned gains, the same for both sets of sensors, or the student of a set."""
+    if name == STUDENT:
+        return load_controller((POLICIES if tier == "encoder" else FELT_POLICIES) / STUDENT / "seed0")[0]
     return (CONTROLLERS if tier == "encoder" else FELT)[name]()
 
 
@@ -68,6 +73,7 @@ class _Watched:
     def predict(self, *arguments: Any, **named: Any) -> Any:
         """Call the controller; see `Controller`."""
         action, memory = self._of.predict(*arguments, **named)
-        estimate = memory.belief if hasattr(memory, "belief") else memory.estimate
+        told: Any = memory.informed if isinstance(memory, ResidualMemory) else memory
+        estimate = told.belief if hasattr(told, "belief") else told.estimate
         self.torsions.append(estimate.state[:, 2])
         return action, memory
