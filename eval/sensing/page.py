@@ -61,7 +61,14 @@ def draw(results: Results) -> Figure:
             axis.plot([before, after], [height, height], color=_COLOURS[name], lw=2.2, alpha=0.45, zorder=1)
             axis.plot(before, height, "o", mfc="white", mec=_COLOURS[name], ms=7)
             axis.plot(after, height, "o", color=_COLOURS[name], ms=7)
-            axis.annotate(f"{after:.0f}", (after, height), (-8, 0), textcoords="offset points", ha="right", va="center")
+            axis.annotate(
+                f"{after:.0f}",
+                (min(before, after), height),
+                (-8, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+            )
     for name in NAMES:
         axis.plot([], [], "o-", color=_COLOURS[name], mfc="white", label=f"{name}, encoder")
         axis.plot([], [], "o-", color=_COLOURS[name], label=f"{name}, with the accelerometer")
