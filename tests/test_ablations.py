@@ -72,6 +72,13 @@ def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
     assert variant.script == "student" or variant.factor == "learner"
 
 
+def test_of_some_variants_one_seed_is_enough():
+    seeds: dict[str, list[int]] = {variant.name: [] for variant in VARIANTS}
+    for run in AblationConfig(seeds=3).planned():
+        seeds[run.variant.name].append(run.seed)
+    assert seeds == {variant.name: [0] if variant.once else [0, 1, 2] for variant in VARIANTS}
+
+
 @pytest.mark.parametrize("name", ["default", "ppo", "ppo-nothing", "sac", "gru-0"])
 def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
     run = AblationRun(next(v for v in VARIANTS if v.name == name), 0, 2_000_000, tmp_path)

@@ -1,6 +1,5 @@
 """Accelerometer in the filters: its measurement equation, what it tells of the arm, and `eval/sensors.py`."""
 
-import re
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -8,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import mistake, stopped
+from commands import mistake
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pages import MISTAKES, tables_of
 
 from agents.policy.bundle import FELT_POLICIES, read_spec
 from baselines import CONTROLLERS
@@ -216,27 +216,13 @@ class TestControllers:
 
 
 def test_the_command_writes_the_page(tmp_path: Path):
-    code, errors = stopped(
-        sensors.main, ("--splits", "nominal", "randomized", "--episodes", "4", "--out", "out"), tmp_path
-    )
-    assert code == 0, errors
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"summary.md", "cost.png"}
-    page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
-    assert not re.search(r"\b(nan|inf)\b", page) and development_set().label.note in page
-    tables = [block for block in page.split("\n\n") if block.startswith("|")]
+    tables = tables_of(sensors.main, ("nominal", "randomized"), "cost.png", tmp_path)
     assert [len(table.splitlines()) for table in tables] == [*(2 + 2 for _ in NAMES), 2 + 2 * len(NAMES)]
     run = measure("preview", "accelerometer", development_set().splits["nominal"], 4)
     assert f"→ {np.sort(run.metrics['cost'])[1:3].mean():.0f} |" in tables[1].splitlines()[2]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--episodes", "3"), "--episodes must lie within 4 and 500, got 3"),
-        (("--splits", "nominl"), "unknown split 'nominl'; did you mean nominal?"),
-        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), MISTAKES)
 def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
     line = mistake(sensors.main, arguments, tmp_path)
     assert line.startswith("eval/sensors.py: ") and message in line

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import mistake, stopped
+from commands import mistake
+from pages import MISTAKES, tables_of
 
 from agents.observer.files import SHIPPED, load_observer
 from agents.observer.network import Estimate, Observer, inputs_of
@@ -70,28 +70,14 @@ def test_what_is_compared_sees_what_it_says():
 
 
 def test_the_command_writes_the_page(tmp_path: Path):
-    code, errors = stopped(
-        observers.main, ("--splits", "nominal", "sensing", "--episodes", "4", "--out", "out"), tmp_path
-    )
-    assert code == 0, errors
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"summary.md", "torsion.png"}
-    page = (tmp_path / "out" / "summary.md").read_text(encoding="utf-8")
-    assert not re.search(r"\b(nan|inf)\b", page) and development_set().label.note in page
-    tables = [block for block in page.split("\n\n") if block.startswith("|")]
+    tables = tables_of(observers.main, ("nominal", "sensing"), "torsion.png", tmp_path)
     assert [len(table.splitlines()) for table in tables] == [2 + 2, 2 + len(NAMES), 2 + 2, 2 + 2]
     again = measure("adaptive", watchers(), development_set().splits["sensing"], 4)
     cells = [f"{1e3 * found.rms[0]:.2f}" for found in again.values()]
     assert tables[0].splitlines()[3].startswith(f"| sensing | {' | '.join(cells)} |")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--episodes", "3"), "--episodes must lie within 4 and 500, got 3"),
-        (("--splits", "nominl"), "unknown split 'nominl'; did you mean nominal?"),
-        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), MISTAKES)
 def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
     line = mistake(observers.main, arguments, tmp_path)
     assert line.startswith("eval/observers.py: ") and message in line
