@@ -152,11 +152,11 @@ class TrainingMonitor:
         actor = self.learner.actor()
         controller = ResidualController(make_base(self.config.base, self.config.sensors), actor, self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
-        ratios = {name: scores[name] / self.base_scores[name] for name in SCORES}
+        base = self.base_scores
+        ratios = {name: scores[name] / base[name] for name in SCORES}
         for name in SCORES:
             self.logger.record(f"validation/{name}", scores[name])
             self.logger.record(f"validation/{name}_over_base", ratios[name])
-        base = self.base_scores
         words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if base[name] > _LEAST)
         self.progress["scores"] = f"{words} of the base"
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
