@@ -49,8 +49,9 @@ def report(config: Config) -> None:
     require_bounds(config, arms=(4, PRESLIDING.size), checked=within, seed=(0, None), jobs=(1, None))
     require_writable(config.out)
     study = run_study(config.arms, config.checked, config.seed, config.jobs)
+    seconds = time.perf_counter() - began
+    text = markdown(study, config.arms, config.checked, config.seed, seconds)  # before a file of the commit changes
     save_picture(study, config.out / "cost.png")
-    text = markdown(study, config.arms, config.checked, config.seed, time.perf_counter() - began)
     write_text(config.out / "summary.md", text)
     print(answer(study))
     print(f"written to {config.out}: summary.md, cost.png")
