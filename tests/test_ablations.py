@@ -69,7 +69,7 @@ def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
     changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
     assert len(changed) == len([word for word in variant.options if word.startswith("--")])
     assert len(changed) <= (2 if variant.factor == "base" else 1)
-    assert variant.script == "student" or variant.factor == "learner"
+    assert variant.script == "student" or variant.factor in ("learner", "sight")
 
 
 def test_of_some_variants_one_seed_is_enough():
@@ -79,7 +79,7 @@ def test_of_some_variants_one_seed_is_enough():
     assert seeds == {variant.name: [0] if variant.once else [0, 1, 2] for variant in VARIANTS}
 
 
-@pytest.mark.parametrize("name", ["default", "ppo", "ppo-nothing", "sac", "gru-0"])
+@pytest.mark.parametrize("name", ["default", "rma", "ppo", "ppo-nothing", "sac", "gru-0"])
 def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
     run = AblationRun(next(v for v in VARIANTS if v.name == name), 0, 2_000_000, tmp_path)
     script, *options = run.words
@@ -188,9 +188,14 @@ def made_up(seeds: int = 2) -> AblationStudy:
 def test_the_page():
     study = made_up()
     page = markdown(study, 5.0)
-    for question, _ in FACTORS.values():
-        assert f"## {question}" in page
-    assert page.count("(default) | – | 305 [300, 310] |") == len(FACTORS)
+    assert all(f"## {factor.question}" in page for factor in FACTORS.values())
+    against = [factor.against for factor in FACTORS.values()]
+    assert page.count("(default) | – | 305 [300, 310] |") == against.count("default")
+    ppo = next(result for result in study.results if result.variant.name == "ppo").score("cost_mean")
+    compared = [
+        line for line in page.splitlines() if line.startswith("| belief of the filter (default) | `train/ppo.py`")
+    ]
+    assert len(compared) == 1 and f"| {ppo.mean():.0f} [" in compared[0] and "| 1.00 |" in compared[0]
     place = next(k for k, variant in enumerate(VARIANTS) if variant.name == "nothing")
     cost = study.results[place].score("cost_mean")
     ratio = cost.mean() / 305

@@ -197,7 +197,7 @@ class TestFit:
         inputs = torch.zeros(30, 2, 26).half()
         labels, weights = torch.zeros(30, 2), torch.ones(30, 2)
         labels[:, 0], weights[:, 0] = 0.3, 3.0
-        actor = self.fitted(Advice(inputs, labels, weights), huber=10.0)._actor
+        actor = self.fitted(Advice(inputs, labels, weights), huber=10.0)._regression.network
         assert float(actor(inputs.float()).detach().mean()) == pytest.approx(0.225, abs=0.01)
 
     @pytest.mark.parametrize(("width", "remembers"), [(6, True), (0, False)])
@@ -206,7 +206,7 @@ class TestFit:
         inputs = torch.zeros(10, 2, 26)
         inputs[0, 0, 3] = 1.0
         labels = torch.tensor([[0.4, -0.4]]).repeat(10, 1)
-        actor = self.fitted(Advice(inputs.half(), labels, torch.ones(10, 2)), gru_width=width)._actor
+        actor = self.fitted(Advice(inputs.half(), labels, torch.ones(10, 2)), gru_width=width)._regression.network
         late = actor(inputs)[-1, :, 0].detach().numpy()
         assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 

@@ -19,17 +19,15 @@ it works where reinforcement learning does not:
 - A memory can find what the filter's model leaves out: how the belt is damped, at which speed friction falls.
 
 The untrained student is its base, bit for bit. It acts, in training as after it, by the running average of its weights
-[2]; the learning rate falls to zero over the run.
+(`agents.policy.regression`); the learning rate falls to zero over the run.
 
 [1] S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret
-Online Learning, AISTATS 2011. [2] B. T. Polyak, A. B. Juditsky: Acceleration of Stochastic Approximation by Averaging,
-SIAM J. Control Optim. 30, 1992.
+Online Learning, AISTATS 2011.
 """
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,14 +35,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from torch.nn.functional import huber_loss
-from torch.nn.utils import clip_grad_norm_
-from torch.optim.swa_utils import AveragedModel
 
-from agents.learners.teaching import Advice, ask
+from agents.learners.teaching import Advice, Trial, ask
 from agents.policy.actor import Actor
-from agents.policy.regression import running_average, scales_of, set_learning_rate
+from agents.policy.regression import Regression, scales_of
 from agents.residual.bases import make_base
-from agents.residual.controller import ResidualController
+from agents.residual.controller import Policy, ResidualController
 from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
 from beltarm_env import EPISODE_STEPS
@@ -52,9 +48,9 @@ from beltarm_env.arrays import Flags, Singles
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.seeds import SEED_SPACING, training_arms
 
-_MAX_GRADIENT = 0.2
+MAX_GRADIENT = 0.2
+"""Norm to which a gradient is cut."""
 _SCALE = 100.0  # of the loss: errors are of a tenth of the torque limit
-_PARTS = ("_actor", "_average", "_optimiser")  # of a snapshot
 
 
 @dataclass(frozen=True)
@@ -131,22 +127,21 @@ class Student:
         self.config = config
         self.rounds = 0
         self.advice: list[Advice] = []
-        self._actor = Actor(config.spec().shape())
-        with torch.no_grad():
-            for parameter in self._actor.layers[-1].parameters():
-                parameter.zero_()
-        self._average = AveragedModel(self._actor, avg_fn=running_average)
-        self._optimiser = torch.optim.Adam(self._actor.parameters(), config.learning_rate)
+        self._regression = Regression(as_base(Actor(config.spec().shape())), MAX_GRADIENT)
 
     @property
     def steps(self) -> int:
         """Agent steps so far."""
         return self.rounds * self.config.samples // self.config.hold
 
+    @property
+    def seed(self) -> int:
+        """First seed of this round's arms."""
+        return training_arms(self.config.seed).first + self.rounds * self.config.arms
+
     def actor(self) -> Actor:
         """Copy of the current policy."""
-        averaged: Any = self._average.module
-        return copy.deepcopy(averaged).requires_grad_(False)
+        return self._regression.averaged()
 
     def learn(self, monitor: TrainingMonitor) -> None:
         """Learn to the end of the run, see `agents.runs.monitor.Learner.learn`.
@@ -155,72 +150,106 @@ class Student:
         """
         monitor.begin()
         while self.rounds < self.config.rounds:
-            self._learn_round(monitor)
+            self.learn_round(monitor)
+            self.rounds += 1
             monitor.evaluate()
             monitor.logger.record("time/total_timesteps", self.steps)
             monitor.logger.dump(self.steps)
 
-    def snapshot(self) -> dict[str, Any]:
-        """State that determines the next round."""
-        parts = {name: getattr(self, name).state_dict() for name in _PARTS}
-        return {"rounds": self.rounds, "advice": self.advice, **parts}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore a snapshot into a new student of the same options."""
-        self.rounds, self.advice = state["rounds"], state["advice"]
-        for name in _PARTS:
-            getattr(self, name).load_state_dict(state[name])
-
-    def close(self) -> None:
-        """Do nothing: no arms are held."""
-
-    def _learn_round(self, monitor: TrainingMonitor) -> None:
-        config, pause = self.config, _Pause(monitor)
-        seed = training_arms(config.seed).first + self.rounds * config.arms
-
-        def trial(controller: Controller) -> Recording:
-            paused = _Paused(controller, pause)
-            return rollout(paused, config.arms, seed=seed, randomization=config.randomization, sensors=config.sensors)
-
-        student = ResidualController(make_base(config.base, config.sensors), self.actor(), config.residual)
-        advice, own = ask(trial, student, config.torque_price, lambda: pause(0))
+    def learn_round(self, monitor: TrainingMonitor) -> None:
+        """Act, ask and fit."""
+        config, pause = self.config, Pause(monitor)
+        advice, own = self._asked(pause)
         self.advice = [*self.advice, advice][-config.remembered :]
         difference = self._fit(pause)
-        self.rounds += 1
         monitor.logger.record("student/cost", float(own.cost.mean()))
         monitor.logger.record("student/left", 1 - float(own.finished.mean()))
         monitor.logger.record("student/difference", difference)
 
+    def snapshot(self) -> dict[str, Any]:
+        """State that determines the next round."""
+        return {"rounds": self.rounds, "advice": self.advice, "regression": self._regression.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore a snapshot into a new student of the same options."""
+        self.rounds, self.advice = state["rounds"], state["advice"]
+        self._regression.restore(state["regression"])
+
+    def close(self) -> None:
+        """Do nothing: no arms are held."""
+
+    def _asked(self, pause: Pause) -> tuple[Advice, Recording]:
+        """Advice about this round's moves, and the moves."""
+        return self._ask(self.actor(), pause)
+
+    def _ask(self, policy: Policy, pause: Pause) -> tuple[Advice, Recording]:
+        """Ask the teacher about this round's moves, made by a policy."""
+        return ask(self._trial(pause), self._acting(policy), self.config.torque_price, lambda: pause(0))
+
+    def _acting(self, policy: Policy) -> ResidualController:
+        """Controller that acts by a policy."""
+        return ResidualController(make_base(self.config.base, self.config.sensors), policy, self.config.residual)
+
+    def _trial(self, pause: Pause) -> Trial:
+        """Moves of this round, on arms that no round has seen."""
+        config = self.config
+
+        def trial(controller: Controller) -> Recording:
+            settings: dict[str, Any] = {"randomization": config.randomization, "sensors": config.sensors}
+            return rollout(Paused(controller, pause), config.arms, seed=self.seed, **settings)
+
+        return trial
+
+    def _share_done(self, share: float) -> float:
+        """Share of the fitting that is done, of the share of this round that is."""
+        return (self.rounds + share) / self.config.rounds
+
     def _fit(self, pause: Callable[[int], None]) -> float:
         """Fit the student to the remembered advice, and return the weighted squared error of the last pass."""
-        config, limit = self.config, self.config.residual_limit
+        config, limit, network = self.config, self.config.residual_limit, self._regression.network
         inputs, labels, weights = (torch.cat(parts, dim=1) for parts in zip(*self.advice, strict=True))
         if self.rounds == 0:  # the average takes over what is no weight with its next step
-            self._actor.mean, self._actor.deviation = scales_of(inputs.float())
-        network = self._actor.to(config.device)
-        episodes, difference = labels.shape[1], 0.0
+            network.mean, network.deviation = scales_of(inputs.float())
+        network.to(config.device)
+        errors: list[float] = []
+        for share, chosen in self._batches(labels.shape[1]):
+            pause(0)
+            answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
+            error = (answers - labels[:, chosen].to(config.device)) * limit
+            weight = weights[:, chosen].to(config.device)
+            losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
+            rate = config.learning_rate_left(1 - self._share_done(share))
+            self._regression.step((weight * losses).mean().mul(_SCALE), rate)
+            errors.append(float((weight * error.detach().square()).mean()))
+        network.to("cpu")
+        return self._last_pass(errors)
+
+    def _batches(self, episodes: int) -> Iterator[tuple[float, torch.Tensor]]:
+        """Yield the share of this round's fit that is done, and the next batch of its episodes, at random."""
+        config = self.config
         batches = -(-episodes // config.batch_size)
         for epoch in range(config.epochs):
-            difference = 0.0
             for batch, chosen in enumerate(torch.randperm(episodes).split(config.batch_size)):
-                pause(0)
-                done = (self.rounds + (epoch + batch / batches) / config.epochs) / config.rounds
-                rate = config.learning_rate_left(1 - done)
-                set_learning_rate(self._optimiser, rate, int(self._average.n_averaged))
-                answers = network(inputs[:, chosen].to(config.device).float())[..., 0]
-                error = (answers - labels[:, chosen].to(config.device)) * limit
-                weight = weights[:, chosen].to(config.device)
-                losses = huber_loss(error, torch.zeros_like(error), reduction="none", delta=config.huber)
-                self._optimiser.zero_grad()
-                (weight * losses).mean().mul(_SCALE).backward()
-                clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
-                self._optimiser.step()
-                self._average.update_parameters(network)
-                difference += float((weight * error.detach().square()).mean()) / batches
-        self._actor.to("cpu")
-        if not np.isfinite(difference):
+                yield (epoch + batch / batches) / config.epochs, chosen
+
+    def _last_pass(self, errors: Sequence[float]) -> float:
+        """Mean error over the batches of the last pass.
+
+        Raises:
+            ValueError: If it is not finite.
+        """
+        error = float(np.mean(errors[-(len(errors) // self.config.epochs) :])) if errors else 0.0
+        if not np.isfinite(error):
             raise ValueError(f"diverged at {self.steps} steps: begin anew with a smaller --learning-rate")
-        return difference
+        return error
+
+
+def as_base(actor: Actor) -> Actor:
+    """Set an actor's last layer to zero, so that it does what its base does."""
+    with torch.no_grad():
+        for parameter in actor.layers[-1].parameters():
+            parameter.zero_()
+    return actor
 
 
 def make_learner(config: StudentConfig) -> Student:
@@ -228,7 +257,7 @@ def make_learner(config: StudentConfig) -> Student:
     return Student(config)
 
 
-class _Pause:
+class Pause:
     """Reports progress within a round, and interrupts it on request."""
 
     def __init__(self, monitor: TrainingMonitor) -> None:
@@ -246,7 +275,7 @@ class _Pause:
         self._monitor.tell(self._monitor.learner.steps + self._samples // self._monitor.config.hold)
 
 
-class _Paused:
+class Paused:
     """Controller with a pause before each sample."""
 
     def __init__(self, controller: Controller, pause: Callable[[int], None]) -> None:

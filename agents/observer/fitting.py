@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import torch
-from torch.nn.utils import clip_grad_norm_
-from torch.optim.swa_utils import AveragedModel
 
 from agents.observer.episodes import Episodes
 from agents.observer.network import Observer
-from agents.policy.regression import running_average, scales_of, set_learning_rate
+from agents.policy.regression import Regression, scales_of
 
 _MAX_GRADIENT = 1.0
 _FARTHEST = 20.0  # errors e that count: those of an arm that is about to leave would drown the others'
@@ -53,20 +50,13 @@ def fit(
         ValueError: If the loss is not finite.
     """
     network = copy.deepcopy(observer)
-    average = AveragedModel(network, avg_fn=running_average)
-    optimiser = torch.optim.Adam(network.parameters(), learning_rate)
+    regression = Regression(network, _MAX_GRADIENT)
     count = episodes.truth.shape[1]
     batches = [rows for _ in range(epochs) for rows in torch.randperm(count).split(batch_size)]
     for k, rows in enumerate(batches):
-        set_learning_rate(optimiser, learning_rate * (1 - k / len(batches)), k)
         loss = negative_log_likelihood(network, Episodes(*(part[:, rows] for part in episodes)))
         if not np.isfinite(loss.item()):
             raise ValueError("the observer diverged: fit it with a smaller --learning-rate")
-        optimiser.zero_grad()
-        loss.backward()
-        clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
-        optimiser.step()
-        average.update_parameters(network)
+        regression.step(loss, learning_rate * (1 - k / len(batches)))
         yield (k + 1) / len(batches), loss.item()
-    averaged: Any = average.module
-    observer.load_state_dict(averaged.state_dict())
+    observer.load_state_dict(regression.averaged().state_dict())

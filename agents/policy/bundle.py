@@ -49,7 +49,7 @@ FELT_POLICIES = POLICIES.with_name("policies_accelerometer")
 """Folder of those that have an accelerometer, which are ranked with none of the others."""
 MAX_BYTES = 1_000_000
 """Of each file of a bundle; larger ones are neither written nor read."""
-ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "sac": True, "student": False}
+ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "rma": False, "sac": True, "student": False}
 """Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
 
 

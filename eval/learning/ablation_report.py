@@ -73,14 +73,16 @@ class AblationStudy:
     classical_validated: float  # cost of the best classical controller on the validation arms
 
     def factors(self) -> dict[str, list[VariantResult]]:
-        """Results by factor; the default is the first of each."""
-        default, *others = self.results
-        grouped = {factor: [o for o in others if o.variant.factor == factor] for factor in FACTORS}
-        return {factor: [default, *group] for factor, group in grouped.items() if group}
+        """Results by factor; the first of each is the run that its variants are compared with."""
+        by_name = {result.variant.name: result for result in self.results}
+        grouped = {factor: [r for r in self.results if r.variant.factor == factor] for factor in FACTORS}
+        return {factor: [by_name[FACTORS[factor].against], *group] for factor, group in grouped.items() if group}
 
 
 def _label(result: VariantResult, factor: str) -> str:
-    return f"{FACTORS[factor].default} (default)" if result.variant == DEFAULT else result.variant.label
+    if result.variant.name == FACTORS[factor].against:
+        return f"{FACTORS[factor].default} (default)"
+    return result.variant.label
 
 
 def as_json(study: AblationStudy) -> str:
@@ -106,8 +108,9 @@ def markdown(study: AblationStudy, seconds: float) -> str:
     common = study.results[0].runs[0]["command"].rsplit(" --seed ", 1)[0]
     parts = [
         "# What makes learning work: ablations",
-        f"Each row is the default run of `train/student.py` with one thing changed, at a shortened budget: "
-        f"{study.samples:,} simulated samples, {seeds} training seed{'s' if seeds > 1 else ''} (from 0), the learning "
+        "Each row is the default run of `train/student.py`, or of `train/ppo.py`, with one thing changed, at a "
+        f"shortened budget: {study.samples:,} simulated samples, {seeds} training seed{'s' if seeds > 1 else ''} "
+        "(from 0), the learning "
         "rate falling to zero over them. (A row without ranges is one run, of seed 0. A base that leaves more to "
         "correct gets the whole torque limit for it.) "
         f"Scores are those of the *last* policy on {study.arms} arms of the training ranges with seeds from "
@@ -123,15 +126,15 @@ def markdown(study: AblationStudy, seconds: float) -> str:
         f"Dashed: the default's base, `{study.results[0].base}`{best}.",
     ]
     for factor, results in study.factors().items():
-        parts += [f"## {FACTORS[factor].question}", _table(study, factor, results)]
+        parts += [f"## {FACTORS[factor].question}", _table(factor, results)]
     parts += ["## On the same arms, without learning", _references(study)]
     took = sum(result.minutes * len(result.runs) for result in study.results)
     parts += [f"`{command_line()}`, beltarm {__version__} ({commit()}), {seconds:.0f} s; the runs took {took:.0f} min."]
     return "\n\n".join(parts) + "\n"
 
 
-def _table(study: AblationStudy, factor: str, results: list[VariantResult]) -> str:
-    default = float(study.results[0].score("cost_mean").mean())
+def _table(factor: str, results: list[VariantResult]) -> str:
+    default = float(results[0].score("cost_mean").mean())
     titles = ["", "changed", *(title for title, _ in COLUMNS.values()), "vs default", "minutes"]
     rows = []
     for result in results:

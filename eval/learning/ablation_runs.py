@@ -16,6 +16,7 @@ import numpy as np
 import tyro
 
 from agents.learners.registry import ALGORITHMS
+from agents.learners.student import StudentConfig
 from agents.policy.bundle import BundleError, load_controller, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import SCORES
@@ -57,7 +58,7 @@ class AblationRun:
 
     def _budget(self, config: RunConfig) -> list[object]:
         """Options by which a script simulates as many samples."""
-        if self.variant.script == "student":
+        if isinstance(config, StudentConfig):
             rounds = 2 if self.quick else _VALIDATIONS
             return ["--arms", max(self.samples // (rounds * EPISODE_STEPS), 1), "--rounds", rounds]
         steps = max(self.samples // config.hold, 1)

@@ -29,8 +29,8 @@ class AblationConfig:
     runs: Path = Path("runs/ablations")
     """Folder of the runs; finished ones are kept and not repeated."""
     only: tuple[str, ...] = ()
-    """Factors or variants, such as told or gru-0; all by default. The default run is always among them."""
-    samples: int = 10_000_000
+    """Factors or variants, such as told or gru-0; all by default. Runs that they are compared with are among them."""
+    samples: int = 8_000_000
     """Samples that every run simulates."""
     seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ...; of some, one is enough."""
@@ -59,6 +59,9 @@ class AblationConfig:
         known = [*FACTORS, *(variant.name for variant in VARIANTS)]
         require_known(self.only, known, "nothing to vary is called {}")
         wanted = {DEFAULT.name, *self.only} if self.only else set(known)
+        wanted |= {
+            FACTORS[variant.factor].against for variant in VARIANTS[1:] if wanted & {variant.name, variant.factor}
+        }
         return [variant for variant in VARIANTS if variant.name in wanted or variant.factor in wanted]
 
     def planned(self) -> list[AblationRun]:

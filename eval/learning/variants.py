@@ -1,4 +1,4 @@
-"""Variants of the student's default run that the ablations train: each changes one thing of `train/student.py`."""
+"""Variants that the ablations train: each changes one thing of `train/student.py`, or of `train/ppo.py`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ class Factor(NamedTuple):
     """Something that is varied."""
 
     question: str
-    default: str  # its setting in the default run
+    default: str  # its setting in the run that its variants are compared with
+    against: str = "default"  # name of that run
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,9 @@ class Variant:
 
 FACTORS = {
     "learner": Factor("Which way of learning?", "student, on adaptive"),
-    "told": Factor("What must it know of the arm?", "belief of the filter"),
-    "memory": Factor("What is a memory worth?", "GRU of 96"),
+    "sight": Factor("What must PPO be told of the arm?", "belief of the filter", "ppo"),
+    "told": Factor("What must a student be told of the arm?", "belief of the filter"),
+    "memory": Factor("What is its memory worth?", "GRU of 96"),
     "base": Factor("Which controller should it correct?", "adaptive"),
     "drive": Factor("Which arms should it be trained on?", "with drives as built"),
     "price": Factor("What should changes of the torque cost?", "5 times the task's price"),
@@ -38,23 +40,17 @@ DEFAULT = Variant("default", "default", "default")
 _ALL = ("--residual-limit", "1.0")
 VARIANTS = (
     DEFAULT,
+    Variant("rma", "learner", "RMA, on adaptive", script="rma"),
     Variant("ppo", "learner", "PPO, on paper", script="ppo"),
-    Variant("ppo-nothing", "learner", "PPO, on paper, told nothing", ("--knowledge", "none"), "ppo"),
-    Variant("ppo-torsion", "learner", "PPO, on paper, told true torsion, and belief", ("--sensors", "full"), "ppo"),
-    Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo"),
-    Variant(
-        "ppo-price-1",
-        "learner",
-        "PPO, on paper, the task's price",
-        ("--torque-price", "1"),
-        "ppo",
-        once=True,
-    ),
+    Variant("ppo-nothing", "sight", "nothing", ("--knowledge", "none"), "ppo", once=True),
+    Variant("ppo-torsion", "sight", "true torsion, and belief", ("--sensors", "full"), "ppo"),
+    Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo", once=True),
+    Variant("ppo-price-1", "learner", "PPO, on paper, the task's price", ("--torque-price", "1"), "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", script="sac", once=True),
     Variant("nothing", "told", "nothing", ("--knowledge", "none")),
     Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full")),
     Variant("gru-0", "memory", "none", ("--gru-width", "0")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
     Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal")),
-    Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25")),
+    Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25"), once=True),
 )
