@@ -23,6 +23,7 @@ from agents.learners import teaching
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, ask, best_changes
 from agents.policy.bundle import load_controller
+from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.training import train
@@ -307,7 +308,7 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
 def test_the_untrained_student_is_its_base(tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
     config = StudentConfig(out=tmp_path)
-    untrained = ResidualController(CONTROLLERS["adaptive"](), Student(config).actor(), config.residual)
+    untrained = ResidualController(CONTROLLERS["adaptive"](), NetworkPolicy(Student(config).actor()), config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 

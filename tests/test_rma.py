@@ -13,6 +13,7 @@ import torch
 from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, Told, merged, told_constants
 from agents.policy.actor import ActorShape
 from agents.policy.bundle import load_controller
+from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController
 from agents.runs.monitor import validate
 from agents.runs.training import train
@@ -98,9 +99,9 @@ def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
     expected = informed.policy(torch.cat([observed, guess], dim=-1))
     assert expected.std() > 0.1 and guess.std() > 0.1
     np.testing.assert_allclose(actor(inputs).numpy(), expected.numpy(), atol=2e-5)
-    state, residuals = None, []
+    policy, state, residuals = NetworkPolicy(actor), None, []
     for seen in inputs.numpy():
-        residual, state = actor.predict(seen, state)
+        residual, state = policy.predict(seen, state)
         residuals.append(residual)
     np.testing.assert_allclose(residuals, expected.clamp(-1, 1).numpy(), atol=2e-5)
 
@@ -117,7 +118,7 @@ def test_a_policy_is_told_the_arm_of_its_row():
 def test_the_untrained_policy_is_its_base(tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
     config = RmaConfig(out=tmp_path)
-    untrained = ResidualController(CONTROLLERS["adaptive"](), Rma(config).actor(), config.residual)
+    untrained = ResidualController(CONTROLLERS["adaptive"](), NetworkPolicy(Rma(config).actor()), config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 
@@ -181,9 +182,13 @@ def test_the_memory_moves_the_torque_once_it_is_fitted(whole: Path):
     """Its weights into the first layer are zero as long as it is not."""
     trained, _ = load_controller(whole / "last")
     policy: Any = trained.policy
-    assert float(policy.layers[0].weight[:, -6:].abs().max()) > 0
-    untrained: Any = Rma(tiny(whole)).actor()
-    assert float(untrained.layers[0].weight[:, -6:].abs().max()) == 0
+    seen = np.zeros((2, policy.shape.inputs), np.float32)
+    memories = np.zeros((2, 6), np.float32)
+    memories[1] = 0.5
+    residuals, _ = policy.predict(seen, memories)
+    assert residuals[0, 0] != residuals[1, 0]
+    untrained, _ = NetworkPolicy(Rma(tiny(whole)).actor()).predict(seen, memories)
+    assert untrained[0, 0] == untrained[1, 0]
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {

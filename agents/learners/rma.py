@@ -27,6 +27,7 @@ from torch import nn
 from agents.learners.student import MAX_GRADIENT, Pause, Student, StudentConfig, as_base
 from agents.learners.teaching import Advice, Noted
 from agents.policy.actor import Actor, ActorShape, standardised
+from agents.policy.network import NetworkPolicy
 from agents.policy.regression import Regression
 from agents.runs.monitor import TrainingMonitor
 from beltarm_env import BeltArmVectorEnv
@@ -206,7 +207,7 @@ class Rma(Student):
 
     def _remember(self, monitor: TrainingMonitor) -> None:
         """Fit the memory to the z of arms, on moves that are made with its guess."""
-        pause, noted = Pause(monitor), Noted(self._acting(self.actor()))
+        pause, noted = Pause(monitor), Noted(self._acting(NetworkPolicy(self.actor())))
         self.advice = []
         own = self._trial(pause)(noted)
         informed = self._regression.averaged()

@@ -38,6 +38,7 @@ from torch.nn.functional import huber_loss
 
 from agents.learners.teaching import Advice, Trial, ask
 from agents.policy.actor import Actor
+from agents.policy.network import NetworkPolicy
 from agents.policy.regression import Regression, scales_of
 from agents.residual.bases import make_base
 from agents.residual.controller import Policy, ResidualController
@@ -180,7 +181,7 @@ class Student:
 
     def _asked(self, pause: Pause) -> tuple[Advice, Recording]:
         """Advice about this round's moves, and the moves."""
-        return self._ask(self.actor(), pause)
+        return self._ask(NetworkPolicy(self.actor()), pause)
 
     def _ask(self, policy: Policy, pause: Pause) -> tuple[Advice, Recording]:
         """Ask the teacher about this round's moves, made by a policy."""

@@ -24,7 +24,8 @@ from beltarm_env.arrays import Flags, Singles
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 MAX_WIDTH = 1024
 MAX_LAYERS = 8
-_FARTHEST = 5.0  # of a standardised input
+FARTHEST = 5.0
+"""Bound of a standardised input, in deviations."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class ActorShape:
 
 
 class Actor(nn.Module):
-    """Network from a residual agent's observation to its residual; `predict` is that of a Stable-Baselines3 policy."""
+    """Network from what a residual agent observes to its residual, for training; `NetworkPolicy` acts by it."""
 
     def __init__(self, shape: ActorShape) -> None:
         super().__init__()
@@ -91,44 +92,10 @@ class Actor(nn.Module):
     def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
         return standardised(observations, self.mean, self.deviation) if self.shape.standardised else observations
 
-    def predict(
-        self,
-        observation: Singles,
-        state: Singles | None = None,
-        episode_start: Flags | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Singles, Singles | None]:
-        """Return residuals, shape (n, 1), and the memory: of an LSTM hidden and cell state, shape (n, 2, width).
-
-        That of a GRU has shape (n, width), and an actor without either has None.
-
-        Raises:
-            ValueError: If the observations are not of shape (n, inputs).
-        """
-        if observation.ndim != 2 or observation.shape[1] != self.shape.inputs:
-            raise ValueError(
-                f"the policy observes {self.shape.inputs} entries, got shape {observation.shape}: run it with the "
-                "--sensors that it was trained with"
-            )
-        with torch.no_grad():
-            features, following = self._standardised(torch.as_tensor(observation)), None
-            if self.lstm is not None:
-                memory = begun(state, episode_start, (len(observation), 2, self.shape.lstm))
-                hidden, cell = memory.permute(1, 0, 2).contiguous()
-                sequence, (hidden, cell) = self.lstm(features[None], (hidden[None], cell[None]))
-                features, following = sequence[0], torch.stack([hidden[0], cell[0]], dim=1).numpy()
-            elif self.gru is not None:
-                memory = begun(state, episode_start, (len(observation), self.shape.gru))
-                sequence, hidden = self.gru(features[None], memory[None])
-                features, following = torch.cat([features, sequence[0]], dim=1), hidden[0].numpy()
-            output = self.layers(features)
-            residual = torch.tanh(output) if self.shape.squashed else output.clamp(-1.0, 1.0)
-        return residual.numpy(), following
-
 
 def standardised(inputs: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
-    """Inputs by the mean and deviation that they had in training, cut at `_FARTHEST`."""
-    return ((inputs - mean) / deviation).clamp(-_FARTHEST, _FARTHEST)
+    """Inputs by the mean and deviation that they had in training, cut at `FARTHEST`."""
+    return ((inputs - mean) / deviation).clamp(-FARTHEST, FARTHEST)
 
 
 def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> torch.Tensor:

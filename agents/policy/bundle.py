@@ -32,6 +32,7 @@ from safetensors.torch import save as save_weights
 from agents.policy.actor import Actor, ActorShape
 from agents.policy.card import card
 from agents.policy.inputs import SelectedInputs, chosen_names
+from agents.policy.network import NetworkPolicy
 from agents.residual.bases import BASES, base_settings, changed_settings, make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
@@ -238,7 +239,8 @@ def load_controller(folder: Path | str) -> tuple[ResidualController, BundleSpec]
     except (SafetensorError, RuntimeError) as error:
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {error}") from None
     _require_finite(actor, str(path))
-    policy = actor if spec.inputs is None else SelectedInputs(actor, spec.inputs, spec.offered())
+    network = NetworkPolicy(actor)
+    policy = network if spec.inputs is None else SelectedInputs(network, spec.inputs, spec.offered())
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual), spec
 
 

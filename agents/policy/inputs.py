@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy.actor import Actor
+from agents.policy.network import NetworkPolicy
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.observation import Entry
 
@@ -43,13 +43,13 @@ class SelectedInputs:
     """A policy that is given some of the observation's entries, in its own order.
 
     Args:
-        actor: The policy.
+        policy: The policy.
         names: Names of its inputs, in order.
         offered: All entries of the observation, in order.
     """
 
-    def __init__(self, actor: Actor, names: Sequence[str], offered: Sequence[Entry]) -> None:
-        self.actor = actor
+    def __init__(self, policy: NetworkPolicy, names: Sequence[str], offered: Sequence[Entry]) -> None:
+        self.policy = policy
         self._offered = len(offered)
         all_names = [entry.name for entry in offered]
         self._columns = np.array([all_names.index(name) for name in names])
@@ -61,7 +61,7 @@ class SelectedInputs:
         episode_start: Flags | None = None,
         deterministic: bool = True,
     ) -> tuple[Singles, Any]:
-        """Residuals for observations of shape (n, entries), see `Actor.predict`.
+        """Residuals for observations of shape (n, entries), see `NetworkPolicy.predict`.
 
         Raises:
             ValueError: If the observations have another shape.
@@ -71,6 +71,4 @@ class SelectedInputs:
                 f"the policy chooses from {self._offered} entries, got shape {observation.shape}: run it with the "
                 "--sensors that it was trained with"
             )
-        # By rows: the network sums what lies side by side in the same order as it was trained.
-        chosen = np.ascontiguousarray(observation[:, self._columns])
-        return self.actor.predict(chosen, state, episode_start, deterministic)
+        return self.policy.predict(observation[:, self._columns], state, episode_start, deterministic)

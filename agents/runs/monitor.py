@@ -12,6 +12,7 @@ from stable_baselines3.common.logger import Logger
 
 from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec, save_bundle
+from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController
 from agents.runs.checkpoint import RunFolder
@@ -150,14 +151,15 @@ class TrainingMonitor:
         if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
             return
         actor = self.learner.actor()
-        controller = ResidualController(make_base(self.config.base, self.config.sensors), actor, self.spec.residual)
+        base = make_base(self.config.base, self.config.sensors)
+        controller = ResidualController(base, NetworkPolicy(actor), self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
-        base = self.base_scores
-        ratios = {name: scores[name] / base[name] for name in SCORES}
+        theirs = self.base_scores
+        ratios = {name: scores[name] / theirs[name] for name in SCORES}
         for name in SCORES:
             self.logger.record(f"validation/{name}", scores[name])
             self.logger.record(f"validation/{name}_over_base", ratios[name])
-        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if base[name] > _LEAST)
+        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if theirs[name] > _LEAST)
         self.progress["scores"] = f"{words} of the base"
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:
