@@ -20,6 +20,8 @@ from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec, save_bundle
 from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
+from baselines.servo.paper import PaperController
+from beltarm_env.observation import size
 from beltarm_env.rollout import rollout
 from eval import compare
 from eval.comparison import computing_time, custom, pairs
@@ -49,6 +51,45 @@ def test_pairs_are_kept_and_read_again(tmp_path: Path):
     assert isinstance(measured, dict) and kept is not None
     assert set(kept) == set(measured) and LEFT in kept
     assert all(np.array_equal(kept[name], measured[name]) for name in kept)
+
+
+def test_sensitivity_is_measured_where_it_is_asked_for(tmp_path: Path):
+    """A pair that was kept without it is run again."""
+    plain = run_and_keep(pair(), tmp_path)
+    assert isinstance(plain, dict) and pairs.SENSITIVE not in plain
+    nudged = replace(pair(), nudged=True)
+    assert read_kept(nudged, tmp_path) is None
+    measured = run_and_keep(nudged, tmp_path)
+    assert isinstance(measured, dict) and measured[pairs.SENSITIVE].tolist() == [[0.0] * 4]
+    kept = read_kept(nudged, tmp_path)
+    assert kept is not None and set(kept) == set(measured)
+
+
+def test_an_episode_counts_as_another_one_from_a_hundredth_of_its_cost_on():
+    costs = np.array([100.0, 100.0, 100.0, 300.0])
+    assert pairs._moved(costs, np.array([100.9, 101.1, 98.9, 300.0])).tolist() == [0, 1, 1, 0]
+
+
+def test_the_nudge_reaches_the_motor_within_its_limits():
+    """Towards zero where the torque has its limit; later torques are the controller's own."""
+
+    class Gives:
+        def __init__(self, torque: float) -> None:
+            self.torque = torque
+
+        def predict(self, observation, state=0, episode_start=None, deterministic=True):
+            state = (state or 0) + 1
+            return np.full((len(observation), 1), self.torque * state, np.float32), state
+
+    for torque, sign in ((1.0, -1), (0.5, -1), (0.0, 1), (-0.5, 1), (-1.0, 1)):
+        controller = pairs.Nudged(Gives(torque))
+        first, memory = controller.predict(np.zeros((2, size()), np.float32))
+        assert (0.3 * (first - torque)).ravel() == pytest.approx(sign * pairs.NUDGE, rel=1e-6)
+        second, _ = controller.predict(np.zeros((2, size()), np.float32), memory)
+        assert second.ravel().tolist() == [2 * torque, 2 * torque]
+    run = rollout(pairs.Nudged(PaperController()), 2, seed=1)
+    own = rollout(PaperController(), 2, seed=1)
+    assert np.abs(run.torque[0] - own.torque[0]) == pytest.approx(pairs.NUDGE, rel=1e-6)
 
 
 def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -19,10 +19,11 @@ from beltarm_env.arm import FIELDS
 from beltarm_env.metrics import SHOWN, TORQUES, heading
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Kind, Method, classical_methods
-from eval.comparison.pairs import LEFT, Failure
+from eval.comparison.pairs import LEFT, Failure, Pair, measure
 from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import SetLabel, development_set
+from eval.comparison.splits import Split
 from eval.views.frame import frame_of, frame_of_rows, lines, part
 from eval.views.markdown import markdown
 from eval.views.report.animation import EVERY, animation, encode
@@ -334,15 +335,32 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
     assert failures == [Failure("bad", "maps", "RuntimeError: no such arm")]
 
 
-def test_scenes_are_of_chosen_scenarios():
+def measured(name: str, split: Split) -> MethodOutcome:
+    (method,) = [known for known in classical_methods() if known.name == name]
+    return make_outcome(method, split.name, measure(Pair(method, split, 8)), (40.0, 2000.0))
+
+
+def test_scenes_are_of_chosen_scenarios_and_what_was_measured():
     splits = {"nominal": development_set().splits["nominal"]}
-    costs = np.ones(24)
-    costs[7] = 5.0
-    comparison = made(outcome("paper", "classical", 1.0), outcome("zvd", "classical", 0.5 * costs))
-    scenes, failures = record_scenes(comparison, splits)
+    outcomes = [measured(name, splits["nominal"]) for name in ("paper", "zvd")]
+    scenes, failures = record_scenes(made(*outcomes), splits)
     assert not failures
-    assert [(scene.title, scene.scenario) for scene in scenes][1] == ("worst of zvd on all splits", 7)
-    assert all(set(scene.motions) == {"paper", "zvd"} for scene in scenes)
+    costs = outcomes[1].metrics["cost"][0]
+    assert [(scene.title, scene.scenario) for scene in scenes][1] == ("worst of zvd on all splits", costs.argmax())
+    for scene in scenes:
+        assert set(scene.motions) == {"paper", "zvd"}
+        assert scene.motions["zvd"].cost[0] == costs[scene.scenario]
+
+
+def test_what_is_not_what_was_measured_is_not_drawn():
+    """An episode of a controller whose torques depend on how many arms there are: alone it is another one."""
+    splits = {"nominal": development_set().splits["nominal"]}
+    paper, zvd = (measured(name, splits["nominal"]) for name in ("paper", "zvd"))
+    zvd.metrics["cost"][0, :] *= 1 + 1e-12
+    scenes, failures = record_scenes(made(paper, zvd), splits)
+    assert all(set(scene.motions) == {"paper"} for scene in scenes)
+    assert {failure.method for failure in failures} == {"zvd"}
+    assert re.search(r"scenario \d alone costs \d+.*its torques depend on how many arms there are", failures[0].message)
 
 
 def test_the_seed_of_median_cost_stands_for_a_learned_method():

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,11 @@ import baselines
 import beltarm_env
 from baselines.tools import parallel
 from baselines.tools.files import write_atomically
+from beltarm_env.arm import NOMINAL
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.jit import sources_digest
 from beltarm_env.metrics import METRICS
-from beltarm_env.rollout import rollout
+from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
 from eval.comparison.methods import Method
 from eval.comparison.splits import EDITION, VERSION, Split
 
@@ -38,6 +40,12 @@ Metrics = dict[str, NDArray[np.float64]]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
+SENSITIVE = "sensitive"
+"""Of nudged pairs, beside the metrics: 1 where an episode is another one after a nudge."""
+NUDGE = 1e-9
+"""By how much a first torque differs in a nudged episode [N m]."""
+CHANGE = 0.01
+"""Share of its cost by which an episode has to change to count as another one."""
 _PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
 """Packages whose version the numbers may depend on."""
 _LONGEST_MESSAGE = 300
@@ -51,6 +59,12 @@ class Pair:
     method: Method
     split: Split
     episodes: int
+    nudged: bool = False  # whether each scenario is run once more, see `Nudged`
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of all that is measured."""
+        return (*METRICS, LEFT, *([SENSITIVE] if self.nudged else []))
 
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
@@ -95,17 +109,61 @@ def _code() -> list[str]:
     return [sources, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
 
 
+class Nudged:
+    """Controller whose first torques differ by `NUDGE`, to see whether its episodes are the same ones again.
+
+    Whether a motor sticks is decided by a hair, and what follows is another motion. Where a controller and its arm make
+    much of such a difference, a single episode says little, and on a real arm the same move is not made twice.
+
+    Args:
+        controller: Whose torques they are.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.params = nominal_params(controller)
+        self._nudge = NUDGE / (self.params or NOMINAL).torque_limit
+
+    def predict(
+        self,
+        observation: Singles,
+        state: tuple[Any] | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, tuple[Any]]:
+        """Torques over their limit, shape (n, 1): at the first sample in double precision, which holds the nudge."""
+        own = None if state is None else state[0]
+        action, following = self._controller.predict(observation, own, episode_start, deterministic)
+        if state is None:
+            first = np.clip(action.astype(np.float64), -1, 1)
+            action = np.where(first > 0, first - self._nudge, first + self._nudge)  # within the limits
+        return action, (following,)
+
+
 def measure(pair: Pair) -> Metrics:
     """Run all controllers of a method on the scenarios of a split."""
     seeds = len(pair.method.sources)
-    metrics = {name: np.empty((seeds, pair.episodes)) for name in (*METRICS, LEFT)}
-    arguments = pair.split.arguments(slice(pair.episodes))
+    metrics = {name: np.empty((seeds, pair.episodes)) for name in pair.tables}
     for seed in range(seeds):
-        controller = pair.method.controller(seed, pair.split.arms(pair.episodes))
-        run = rollout(controller, pair.episodes, sensors=pair.method.sensors, **arguments)
-        for name, values in {**run.metrics(), LEFT: 1.0 - run.finished}.items():
+        run = _run(pair, seed)
+        found = {**run.metrics(), LEFT: 1.0 - run.finished}
+        if pair.nudged:
+            found[SENSITIVE] = _moved(run.cost, _run(pair, seed, Nudged).cost)
+        for name, values in found.items():
             metrics[name][seed] = values
     return metrics
+
+
+def _run(pair: Pair, seed: int, wrapped: Callable[[Controller], Controller] = lambda of: of) -> Recording:
+    """Run the controller of one training seed on all scenarios."""
+    controller = wrapped(pair.method.controller(seed, pair.split.arms(pair.episodes)))
+    arguments = pair.split.arguments(slice(pair.episodes))
+    return rollout(controller, pair.episodes, sensors=pair.method.sensors, **arguments)
+
+
+def _moved(cost: Floats, nudged: Floats) -> Floats:
+    """1.0 where the cost of an episode and of the nudged one differ by more than `CHANGE`, else 0.0."""
+    return (np.abs(nudged - cost) > CHANGE * cost).astype(np.float64)
 
 
 def read_kept(pair: Pair, folder: Path) -> Metrics | None:
@@ -116,7 +174,7 @@ def read_kept(pair: Pair, folder: Path) -> Metrics | None:
     shape = (len(pair.method.sources), pair.episodes)
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            metrics = {name: stored[name] for name in (*METRICS, LEFT)}
+            metrics = {name: stored[name] for name in pair.tables}
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):

@@ -17,7 +17,7 @@ from beltarm_env.metrics import METRICS, SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
 from eval.comparison.methods import Method, policies_of
-from eval.comparison.pairs import LEFT, Failure, Metrics
+from eval.comparison.pairs import LEFT, SENSITIVE, Failure, Metrics
 from eval.comparison.sets import SetLabel
 
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
@@ -62,6 +62,11 @@ class MethodOutcome:
         settled = self.metrics["failure_share"]
         left = self.metrics[LEFT]
         return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
+
+    @property
+    def sensitivity(self) -> float | None:
+        """Share of episodes that are other ones after a nudge; None where that was not measured."""
+        return float(self.metrics[SENSITIVE].mean()) if SENSITIVE in self.metrics else None
 
 
 def make_outcome(
@@ -119,9 +124,8 @@ class Comparison:
 
     @property
     def main_split(self) -> str:
-        """Split of arms from the training ranges, or else the first split."""
-        splits = self.splits()
-        return "randomized" if "randomized" in splits else splits[0]
+        """Split that is asked about first, see `eval.comparison.splits.main_split`."""
+        return splits.main_split(self.splits())
 
     def methods(self) -> list[MethodOutcome]:
         """One outcome of every method, in order; those that are not ranked last."""

@@ -35,7 +35,7 @@ from eval.comparison.results import (
 from eval.comparison.scenarios import require_same_physics
 from eval.comparison.schema import require_same_set
 from eval.comparison.sets import ScenarioSet
-from eval.comparison.splits import Split
+from eval.comparison.splits import Split, main_split
 
 
 def choose_methods(
@@ -104,8 +104,9 @@ def compare(
         require_same_set(folder / "results.json", scenarios.label, computing_time)
     require_same_physics(scenarios)
     times = measured_once(methods, folder, fresh=fresh) if computing_time else measured_times(methods)
+    main = main_split(list(scenarios.splits))
     runs = [
-        _Run(method, split, times[method.name], computing_time, episodes)
+        _Run(method, split, times[method.name], computing_time, episodes, nudged=split.name == main)
         for split in scenarios.splits.values()
         for method in methods
     ]
@@ -131,6 +132,7 @@ class _Run:
     times: Times | Failure
     computing_time: bool  # whether its commands are later by that time
     episodes: int
+    nudged: bool  # whether its sensitivity is measured
 
     @property
     def latency(self) -> float:
@@ -143,7 +145,7 @@ class _Run:
         if isinstance(self.times, Failure):
             return replace(self.times, split=self.split.name)
         late = attempt(self.method.name, self.split.name, lambda: self.split.later(self.latency))
-        return late if isinstance(late, Failure) else Pair(self.method, late, self.episodes)
+        return late if isinstance(late, Failure) else Pair(self.method, late, self.episodes, self.nudged)
 
 
 def _kept(pairs: list[Pair], folder: Path) -> int:

@@ -11,7 +11,8 @@
   (of shares: a plain mean) with its 95 % interval, `low` to `high`; `failures`, in how many of all `runs` the tip did
   not settle and the arm left its workspace; `action_us`, time per action; `training`, simulator steps and wall-clock of
   tuning or training, per seed (empty: neither); `added_latency_us`, by which its commands were later than the drive's
-  latency because computing time counted (0, or not there in older files: it did not).
+  latency because computing time counted (0, or not there in older files: it did not); on the main split `sensitivity`,
+  the share of episodes whose cost changes by more than 1 % after a first torque that differs by 1e-9 N m.
 - `paired`, one per comparison on the same scenarios: `method`, `other`, `against` ("best classical" or "base"),
   `split`, and by metric the difference `iqm`, `low`, `high`, the `win_rate` (probability of improvement, `win_rate_low`
   to `win_rate_high`), `p` and, after Holm's correction within split and metric, `p_holm`, and a `verdict`.
@@ -80,6 +81,7 @@ def result_row(outcome: MethodOutcome) -> dict[str, Any]:
         "action_us": {"p50": outcome.action_times[0], "p99": outcome.action_times[1]},
         "training": outcome.method.training,
         "added_latency_us": 1e6 * outcome.latency,
+        **({} if outcome.sensitivity is None else {"sensitivity": outcome.sensitivity}),
     }
 
 
@@ -162,7 +164,7 @@ SCHEMA = _object(
     ),
     rows=_list(
         _object(
-            ("added_latency_us",),
+            ("added_latency_us", "sensitivity"),
             method=_TEXT,
             kind={"enum": list(get_args(Kind))},
             split=_TEXT,
@@ -173,6 +175,7 @@ SCHEMA = _object(
             action_us=_object(p50=_NUMBER, p99=_NUMBER),
             training=_mapping(_list(_NUMBER)),
             added_latency_us=_NUMBER,
+            sensitivity=_NUMBER,
         )
     ),
     paired=_list(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -87,6 +88,11 @@ SPLITS = {
     ),
 }
 """By name. A new one comes last: its place says which seeds it has."""
+
+
+def main_split(names: Sequence[str]) -> str:
+    """Split of arms from the training ranges, or else the first of some splits."""
+    return "randomized" if "randomized" in names else names[0]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import pandas as pd
 
 from beltarm_env.metrics import METRICS, REVERSAL_SWING, TORQUES, heading
 from eval.comparison.estimates import RESAMPLES
+from eval.comparison.pairs import CHANGE, NUDGE
 from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.markdown_table import markdown_table
@@ -44,6 +45,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     parts += ["## Paired differences", _how_to_read()]
     for split in comparison.splits():
         parts += [f"### {split}", paired_table(comparison, split)]
+    parts += ["## Repeatability", _of_sensitivity(comparison.main_split), sensitivity_table(comparison)]
     parts += ["## What it takes", compute_table(comparison), "The controller's period is 1500 µs."]
     parts += ["## Where this comes from", _origin(comparison, results), "## Pictures"]
     parts += [seed_note(comparison, shown_methods(comparison)), *(f"![{Path(name).stem}]({name})" for name in pictures)]
@@ -127,6 +129,21 @@ def paired_table(comparison: Comparison, split: str) -> str:
         rows.append([method, other, *cells])
     titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (heading(name), "improves"))]
     return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS))
+
+
+def _of_sensitivity(split: str) -> str:
+    return (
+        f"Each scenario of {split} is run once more with a first torque that differs by {NUDGE:g} N m. *Another "
+        f"episode* is one whose cost changes by more than {CHANGE:.0%}: on a real arm the same move would not be made "
+        "twice."
+    )
+
+
+def sensitivity_table(comparison: Comparison) -> str:
+    """Share of episodes of each method that are other ones after a nudge."""
+    shares = [(o, o.sensitivity) for o in comparison.on(comparison.main_split) if o.sensitivity is not None]
+    rows = [[_italic(outcome.method.name, outcome.ranked), f"{100 * share:.1f}"] for outcome, share in shares]
+    return markdown_table(["method", "another episode (%)"], rows)
 
 
 def compute_table(comparison: Comparison) -> str:

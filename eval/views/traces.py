@@ -53,7 +53,10 @@ def shown_scenario(outcomes: list[MethodOutcome]) -> int:
 def motions(
     comparison: Comparison, split: Split, scenario: int, names: list[str]
 ) -> tuple[dict[str, Recording], list[Failure]]:
-    """Record some methods on one scenario, each alone in its environment; also returns failures."""
+    """Record some methods on one scenario, each alone in its environment; also returns failures.
+
+    A recording that is not the episode that was measured, by its cost, is a failure: it shows something else.
+    """
     recordings, failures = {}, []
     for outcome in comparison.on(split.name):
         method = outcome.method
@@ -66,6 +69,12 @@ def motions(
             lambda method=method, seed=seed, late=late: late.run(method.controller(seed, []), scenario),
             f"alone on scenario {scenario}",
         )
+        measured = float(outcome.metrics["cost"][seed, scenario])
+        if not isinstance(found, Failure) and found.cost[0] != measured:
+            words = f"scenario {scenario} alone costs {found.cost[0]:.9g}, and {measured:.9g} among the others"
+            found = Failure(
+                method.name, split.name, f"{words}: its torques depend on how many arms there are; not drawn"
+            )
         if isinstance(found, Failure):
             failures.append(found)
         else:
