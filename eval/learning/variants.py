@@ -40,10 +40,10 @@ DEFAULT = Variant("default", "default", "default")
 _ALL = ("--residual-limit", "1.0")
 VARIANTS = (
     DEFAULT,
-    Variant("rma", "learner", "RMA, on adaptive", script="rma"),
+    Variant("rma", "learner", "RMA, on adaptive", script="rma", once=True),
     Variant("ppo", "learner", "PPO, on paper", script="ppo"),
     Variant("ppo-nothing", "sight", "nothing", ("--knowledge", "none"), "ppo", once=True),
-    Variant("ppo-torsion", "sight", "true torsion, and belief", ("--sensors", "full"), "ppo"),
+    Variant("ppo-torsion", "sight", "true torsion, and belief", ("--sensors", "full"), "ppo", once=True),
     Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo", once=True),
     Variant("ppo-price-1", "learner", "PPO, on paper, the task's price", ("--torque-price", "1"), "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", script="sac", once=True),
