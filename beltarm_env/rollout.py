@@ -7,7 +7,6 @@ it sees the observation and nothing else, and keeps its memory in the state that
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,9 +14,11 @@ from gymnasium.vector import AutoresetMode
 
 from beltarm_env.arm import COLUMN, FIELDS, ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.metrics import episode_metrics
-from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
+from beltarm_env.recording import Recording
+from beltarm_env.timing import EPISODE_STEPS
 from beltarm_env.vector_env import BeltArmVectorEnv
+
+__all__ = ["DATA_SHEET", "Controller", "Recording", "check_data_sheet", "nominal_params", "record", "rollout"]
 
 
 class Controller(Protocol):
@@ -77,37 +78,6 @@ def check_data_sheet(params: ArmParams | None, table: Floats, name: str) -> None
                 f"arm {others[0]} has {field} {value!r}, but {name} is made for {expected!r} and would decode its "
                 f"observations wrongly: make it with params=ArmParams({field}={value!r})"
             )
-
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """n episodes of T steps; row k is the sample after step k + 1. SI units."""
-
-    state: Floats  # x [rad, rad/s]        (T, n, 4)
-    torque: Floats  # commanded [N m]      (T, n)
-    tip_error: Floats  # radial, lateral [m]     (T, n, 2)
-    tip_velocity_error: Floats  # [m/s]     (T, n, 2)
-    cost: Floats  # of the whole episode    (n,)
-    finished: Flags  # False where the arm left the workspace, and stayed where it was    (n,)
-    params: Floats  # columns as `ArmParams`     (n, len(FIELDS))
-    moves: Floats  # start, goal [rad], duration, ramp time [s]     (n, 4)
-
-    @property
-    def time(self) -> Floats:
-        """Time of each row [s], shape (T,)."""
-        return np.arange(1, len(self.state) + 1, dtype=np.float64) * CONTROL_PERIOD
-
-    def metrics(self) -> dict[str, Floats]:
-        """All metrics of `beltarm_env.metrics.METRICS`, each of shape (n,)."""
-        return episode_metrics(
-            self.tip_error,
-            self.tip_velocity_error,
-            self.torque,
-            self.params[:, COLUMN.torque_limit],
-            self.moves[:, 2],
-            self.cost,
-            self.finished,
-        )
 
 
 def rollout(

@@ -27,7 +27,7 @@ from baselines.tools.command import require_bounds, run_command
 from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
-from eval.comparison.run import choose_methods, compare
+from eval.comparison.run import choose_methods, compare, fuller
 from eval.comparison.scenarios import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.views.publish import publish
@@ -42,9 +42,9 @@ class Config:
     (docs/baselines.md), all policies, the yardstick and what --add names."""
     splits: tuple[str, ...] = ()
     """Splits to run them on. Default: all."""
-    policy: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
-    """Folder of a policy bundle, such as runs/ppo/best; repeat it for more training seeds or methods. Default: the
-    shipped policies."""
+    policy: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A policy of your own beside the shipped ones: its folder, such as runs/ppo/best, or NAME=FOLDER. Repeat it for
+    more training seeds, under the same name, or for more methods."""
     add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several. What is
     kept of it is used again until any file changes in its folder or below (of a package: in the whole package); if it
@@ -70,6 +70,8 @@ class Config:
     arm. It is measured once and kept in computing_time.json; needs a folder of its own."""
     jobs: int | None = None
     """Number of processes; by default one per core."""
+    verbose: bool = False
+    """Print all splits too, with intervals and differences."""
 
     @property
     def count(self) -> int:
@@ -89,6 +91,8 @@ def run(config: Config) -> None:
         if method.identity is None:
             why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
             console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
+    if lost := fuller(config.out, [method.name for method in methods], list(scenarios.splits), config.count):
+        console.print(lost, soft_wrap=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pairs of method and split", total=None)
         comparison = compare(
@@ -101,10 +105,10 @@ def run(config: Config) -> None:
             computing_time=config.computing_time,
             done=lambda done, total: progress.update(task, completed=done, total=total),
         )
-    failures = publish(comparison, scenarios.splits, config.out, console, maps=config.maps).failures
-    for failure in failures:
+    shown = publish(comparison, scenarios.splits, config.out, console, maps=config.maps, verbose=config.verbose)
+    for failure in shown.failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
-    sys.exit(1 if failures else 0)
+    sys.exit(1 if shown.failures else 0)
 
 
 def main() -> None:

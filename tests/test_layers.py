@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FLOORS = {
     "beltarm_env": (
         *("arrays timing", "jit", "arm", "physics", "observation metrics", "task", "kernels", "rendering", "mujoco"),
-        *("simulation batch", "env", "vector_env", "rollout"),
+        *("simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (
         *("tools", "gains reading", "controller models", "estimation planning", "servo optimal"),

@@ -21,7 +21,7 @@ LAYERS = {
     "agents": ("train", "eval"),
 }
 DEPENDENCIES = {"gymnasium", "numpy", "numba"}
-OPTIONAL = {"pygame", "mujoco"}
+OPTIONAL = {"pygame", "mujoco", "matplotlib", "pandas"}
 
 
 def python(code: str, folder: Path, path: Path | str = ROOT, *options: str, **environment: str) -> str:

@@ -28,7 +28,7 @@ from eval.comparison import computing_time, custom, pairs
 from eval.comparison.methods import Method, classical_methods, learned_methods, shipped_policies
 from eval.comparison.pairs import LEFT, Pair, measure, read_kept, run_and_keep
 from eval.comparison.results import TIMED_NOTE, Comparison
-from eval.comparison.run import choose_methods
+from eval.comparison.run import choose_methods, fuller
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
@@ -342,13 +342,13 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
     assert code == 1
     assert "eval/compare.py: Fails failed on nominal: RuntimeError: no such number of arms\n" in errors
     assert "eval/compare.py: Nan failed on nominal: ValueError" in errors
-    assert re.search(r"Alone failed on nominal: alone on scenario \d: IndexError: one arm is too few\n", errors)
+    assert re.search(r"Alone failed on nominal: on scenario \d: IndexError: one arm is too few\n", errors)
     assert len(errors.strip().splitlines()) == 3
     results = read_results(tmp_path / "out" / "results.json")
     assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]
     assert [failure["method"] for failure in results["failures"]] == ["Fails", "Nan", "Alone"]
     assert "- Fails on nominal: RuntimeError" in (tmp_path / "out" / "summary.md").read_text()
-    assert "<b>Alone</b> on nominal: alone on" in (tmp_path / "out" / "report.html").read_text()
+    assert "<b>Alone</b> on nominal: on scenario" in (tmp_path / "out" / "report.html").read_text()
     assert not list(tmp_path.glob("out/pairs/*Fails*"))  # tried again next time
 
 
@@ -382,8 +382,8 @@ def test_policies_are_grouped_by_method(tmp_path: Path):
     folders = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
     found = learned_methods(folders)
     assert [(method.name, method.base, len(method.sources)) for method in found] == [
-        ("ppo", "paper", 2),
-        ("ppo-preview", "preview", 1),
+        ("my-ppo", "paper", 2),
+        ("my-ppo-preview", "preview", 1),
     ]
     assert found[0].training == {"simulator_steps": [20, 20], "wall_clock_s": [0.0, 0.0]}
 
@@ -393,13 +393,31 @@ def test_policies_of_other_sensors_are_refused(tmp_path: Path):
         learned_methods([bundle(tmp_path / "a", sensors="tip")])
 
 
-def test_given_policies_take_the_place_of_the_shipped(tmp_path: Path):
-    bundle(tmp_path / "mine")
-    chosen = ("--policy", "mine", "--methods", "ppo", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1")
-    code, errors = stopped(compare.main, chosen, tmp_path)
+def test_policies_of_ones_own_stand_beside_the_shipped_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """By a name of their own, or that of their algorithm; and a run that has less says what it replaces."""
+    for name in ("mine", "other"):
+        bundle(tmp_path / name)
+    policies = ("--policy", "mine", "--policy", "tried=other", "--policy", "tried=mine")
+    chosen = (*policies, "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--methods", "paper")
+    code, errors = stopped(compare.main, (*chosen, "my-ppo", "tried", "ppo"), tmp_path)
     assert code == 0, errors
     rows = read_results(tmp_path / "results" / "compare" / "results.json")["rows"]
-    assert [(row["method"], row["seeds"]) for row in rows] == [("paper", 1), ("ppo", 1)]
+    shipped = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
+    seeds = {"paper": 1, "ppo": shipped, "my-ppo": 1, "tried": 2}
+    assert {row["method"]: row["seeds"] for row in rows} == seeds
+    assert "fuller" not in capsys.readouterr().out
+    code, _ = stopped(compare.main, (*chosen, "my-ppo"), tmp_path)
+    told = " ".join(capsys.readouterr().out.split())
+    assert code == 0 and "results/compare has fuller results (ppo, tried), which these replace." in told
+
+
+def test_what_a_run_replaces(tmp_path: Path):
+    assert fuller(tmp_path, ["paper"], ["nominal"], 4) == ""
+    arguments = ("--methods", "paper", "zvd", "--splits", "nominal", "ideal", "--episodes", "6", "--jobs", "1")
+    assert stopped(compare.main, (*arguments, "--out", "out"), tmp_path)[0] == 0
+    assert fuller(tmp_path / "out", ["paper", "zvd", "ei"], ["nominal", "ideal"], 6) == ""
+    less = fuller(tmp_path / "out", ["paper"], ["nominal"], 4)
+    assert "(zvd, ideal, 6 scenarios per split)" in less
 
 
 def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
@@ -423,6 +441,11 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
     ("arguments", "message"),
     [
         (("--policy", "nowhere"), "no policy bundle at nowhere"),
+        (
+            ("--policy", "runs/model.zip"),
+            "runs/model.zip is an archive of Stable-Baselines3, and loading one can",
+        ),
+        (("--policy", "paper=agents"), "no policy bundle at agents"),
         (("--episodes", "2"), "--episodes must lie within 4 and 500, got 2"),
         (("--episodes", "501"), "--episodes must lie within 4 and 500, got 501"),
         (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),

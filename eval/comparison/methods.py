@@ -91,25 +91,42 @@ def added_method(spec: str, results: Path | None = None) -> Method:
     return Method(spec.rpartition(":")[2], "added", (spec,), own and _hash([own, _all_gains()]))
 
 
-def learned_methods(folders: Iterable[Path]) -> list[Method]:
+def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
     """Learning methods from policy bundles, one per training seed of a method, in the order in which they are given.
+
+    Args:
+        policies: Folders, or NAME=FOLDER. Shipped ones are called as their folder, others "my" and their algorithm's
+            name, unless they are given one.
 
     Raises:
         BundleError: If a bundle is missing or damaged.
-        ValueError: If a policy needs other sensors than the encoder.
+        ValueError: If a policy needs other sensors than the encoder, or is an archive of Stable-Baselines3.
     """
     grouped: dict[str, list[Path]] = {}
-    for folder in folders:
+    for policy in policies:
+        given, folder = _named(policy)
         spec, _ = read_spec(folder)
         if spec.sensors != "encoder":
             raise ValueError(
                 f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
             )
-        name = spec.algorithm if spec.base == "paper" else f"{spec.algorithm}-{spec.base}"
+        name = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
         if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
             name = folder.resolve().parent.name
-        grouped.setdefault(name, []).append(folder.resolve())
+        grouped.setdefault(given or name, []).append(folder.resolve())
     return [_learned(name, members) for name, members in grouped.items()]
+
+
+def _named(policy: Path | str) -> tuple[str, Path]:
+    """Name and folder of a policy, given as FOLDER or NAME=FOLDER."""
+    name, equals, folder = str(policy).partition("=")
+    path = Path(folder if equals else name)
+    if path.suffix == ".zip":
+        raise ValueError(
+            f"{path} is an archive of Stable-Baselines3, and loading one can execute what is in it: wrap it in a "
+            "controller, and give that with --add (README.md, 'A model of your own')"
+        )
+    return (name if equals else ""), path
 
 
 def _learned(name: str, folders: list[Path]) -> Method:

@@ -133,6 +133,13 @@ class Comparison:
         order = dict.fromkeys(outcome.method.name for outcome in self.outcomes)
         return sorted((found[name] for name in order), key=lambda outcome: not outcome.ranked)
 
+    def challengers(self, split: str) -> list[MethodOutcome]:
+        """Rivals of the classical controllers on a split, best first: learned methods, or else added ones."""
+        kinds = {outcome.method.kind for outcome in self.outcomes}
+        wanted = next((kind for kind in ("learned", "added") if kind in kinds), None)
+        found = [outcome for outcome in self.on(split) if outcome.method.kind == wanted]
+        return sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
+
     def best_classical(self, split: str) -> MethodOutcome | None:
         """Classical method of the lowest cost, if there is any."""
         return best_classical(self.on(split))

@@ -33,31 +33,31 @@ from eval.comparison.results import (
     provenance,
 )
 from eval.comparison.scenarios import require_same_physics
-from eval.comparison.schema import require_same_set
+from eval.comparison.schema import read_results, require_same_set
 from eval.comparison.sets import ScenarioSet
 from eval.comparison.splits import Split, main_split
 
 
 def choose_methods(
-    names: Sequence[str], policies: Sequence[Path] = (), added: Sequence[str] = (), results: Path | None = None
+    names: Sequence[str], policies: Sequence[Path | str] = (), added: Sequence[str] = (), results: Path | None = None
 ) -> list[Method]:
     """Choose methods by name, and check the user's own.
 
     Args:
         names: Names of the methods; none for all but those that are dominated, see `baselines.registry.DOMINATED`.
-        policies: Folders of policies, in place of the shipped ones.
+        policies: Policies beside the shipped ones, see `eval.comparison.methods.learned_methods`.
         added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class.
         results: Folder of the comparison, see `eval.comparison.custom.identity`.
 
     Raises:
         ValueError: If a name is unknown or given twice, or a controller of the user's own does not keep the protocol.
     """
-    known = [*classical_methods(), *learned_methods(policies or shipped_policies())]
+    known = [*classical_methods(), *learned_methods([*shipped_policies(), *policies])]
     known += [added_method(spec, results) for spec in added] + [privileged_method()]
     all_names = [method.name for method in known]
     for name in all_names:
         if all_names.count(name) > 1:
-            raise ValueError(f"two methods are called {name!r}: give yours another name")
+            raise ValueError(f"two methods are called {name!r}: give yours another name (a policy: NAME=FOLDER)")
     wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
     if names and set(wanted) == {PRIVILEGED}:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
@@ -66,6 +66,24 @@ def choose_methods(
         if method.kind == "added" and (failure := first_failure(method.sources[0])):
             raise ValueError(f"{failure}; see `python eval/check_controller.py {method.sources[0]}`")
     return methods
+
+
+def fuller(folder: Path, methods: Sequence[str], splits: Sequence[str], episodes: int) -> str:
+    """Words for results in a folder that have more than a run of these methods, splits and scenarios; empty if none."""
+    try:
+        rows = read_results(folder / "results.json")["rows"]
+    except ValueError:
+        return ""  # there are none; those of other scenarios are refused later
+    more = sorted({row["method"] for row in rows} - {*methods})
+    more += sorted({row["split"] for row in rows} - {*splits})
+    most = max((row["episodes"] for row in rows), default=0)
+    more += [f"{most} scenarios per split"] if most > episodes else []
+    if not more:
+        return ""
+    return (
+        f"{folder} has fuller results ({', '.join(more)}), which these replace. What was run for them is kept: the "
+        "command that made them shows them again at once."
+    )
 
 
 def compare(

@@ -16,8 +16,9 @@ from eval.comparison.splits import EDITION, SPLITS
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell
 from eval.views.frame import frame_of, lines, part
-from eval.views.terminal import TIE, verdict
+from eval.views.terminal import TIE, result
 from eval.views.traces import seed_note, shown_methods
+from eval.views.verdict import verdict
 
 _MARKED = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
@@ -28,6 +29,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     parts = [
         "# Comparison on the belt-driven arm",
         f"**{comparison.note}**",
+        " ".join(verdict(comparison)),
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
         f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
         f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "
@@ -124,7 +126,7 @@ def paired_table(comparison: Comparison, split: str) -> str:
         cells = []
         for name in PAIRED_METRICS:
             wins = pairs[name].win_rate
-            cells.append(f"{verdict(pairs[name])}: {cell(name, pairs[name].difference)}")
+            cells.append(f"{result(pairs[name])}: {cell(name, pairs[name].difference)}")
             cells.append(f"{wins.iqm:.0%} [{wins.low:.0%}, {wins.high:.0%}]")
         rows.append([method, other, *cells])
     titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (heading(name), "improves"))]

@@ -14,14 +14,20 @@ from eval.comparison.splits import Split
 from eval.views.markdown import markdown
 from eval.views.plots import save_plots
 from eval.views.report import Recordings, record_scenes, robustness_maps, write_report
-from eval.views.terminal import print_tables
+from eval.views.terminal import print_results
 from eval.views.traces import record
 
 
 def publish(
-    comparison: Comparison, splits: dict[str, Split], folder: Path, console: Console, *, maps: bool = False
+    comparison: Comparison,
+    splits: dict[str, Split],
+    folder: Path,
+    console: Console,
+    *,
+    maps: bool = False,
+    verbose: bool = False,
 ) -> Comparison:
-    """Print tables and write report.html, results.json, episodes.csv, summary.md and pictures.
+    """Print the main split and the verdict, and write report.html, results.json, episodes.csv, summary.md and pictures.
 
     Args:
         comparison: What was found.
@@ -29,6 +35,7 @@ def publish(
         folder: Where to write.
         console: Where to print.
         maps: Whether the report has robustness maps, which are simulated first.
+        verbose: Whether all splits are printed, with intervals and differences.
 
     Returns:
         The comparison, with the failures of methods that were run once more to be shown.
@@ -40,12 +47,11 @@ def publish(
     scenes, unseen = record_scenes(comparison, splits)
     drawn, unmapped = robustness_maps(comparison) if maps else ([], [])
     comparison = comparison.with_failures([*unrecorded, *unseen, *unmapped])
-    print_tables(comparison, console)
     write_results(comparison, folder)
     digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
     pictures = save_plots(comparison, traces, folder, digest)
     write_text(folder / "summary.md", markdown(comparison, [path.name for path in pictures], digest))
-    console.print(f"written to {folder}: results.json, episodes.csv, summary.md, {len(pictures)} pictures")
     write_report(comparison, Recordings(scenes, drawn), folder)
-    console.print(f"for reading: {folder / 'report.html'}")
+    print_results(comparison, console, verbose=verbose)
+    console.print(f"written to {folder}: report.html, summary.md, results.json, episodes.csv, pictures", soft_wrap=True)
     return comparison

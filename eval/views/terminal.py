@@ -1,19 +1,23 @@
-"""Tables and verdicts of the comparison for the terminal; `eval.views.markdown` has all metrics."""
+"""The comparison on the terminal: the main split and the verdict; `eval.views.markdown` has all metrics."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import pandas as pd
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from beltarm_env.metrics import METRICS, heading
-from eval.comparison.estimates import Paired
-from eval.comparison.results import PAIRED_METRICS, Comparison
-from eval.style.metrics import cell, numbers, with_unit
+from eval.comparison.estimates import Paired, worst_mean
+from eval.comparison.pairs import LEFT
+from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
+from eval.comparison.splits import EPISODES, SPLITS
+from eval.style.metrics import cell, numbers, rounded, with_unit
 from eval.views.frame import frame_of, lines, part
+from eval.views.verdict import verdict
 
 TIE = "not shown to differ from the best, by the paired test with Holm's correction"
 _TERMINAL = ("cost", "residual_pp_mm")
@@ -21,22 +25,69 @@ _STYLES = {"best": "bold", "tie": "underline"}
 _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13
 
 
-def print_tables(comparison: Comparison, console: Console) -> None:
-    """Print two metrics over all splits, and the other methods' verdicts against the best classical one."""
+def print_results(comparison: Comparison, console: Console, *, verbose: bool = False) -> None:
+    """Print the main split, best method first, and the verdict; `verbose` adds all splits with their intervals."""
+    if verbose:
+        _print_tables(comparison, console)
+    console.print(_ranking(comparison))
+    for sentence in verdict(comparison):
+        console.print(escape(sentence), style="bold", highlight=False)
+    console.print(escape(comparison.note), highlight=False)
+    episodes = comparison.outcomes[0].metrics["cost"].shape[1]
+    few = f" {episodes} of {EPISODES} scenarios show less than all." if episodes < EPISODES else ""
+    console.print(
+        "cost: minus the return (errors of the arm's end, and changes of the torque), averaged over the middle half of "
+        f"all runs; mean: over all of them; worst 5 %: over the worst of them.{few}",
+        style="dim",
+        highlight=False,
+    )
+    for failure in comparison.failures:
+        console.print(escape(f"{failure.method} failed on {failure.split}: {failure.message}"), style="red")
+
+
+def _ranking(comparison: Comparison) -> Table:
+    """Table of the main split: a row per method, of the lowest cost first; those that are not ranked at the end."""
+    split = comparison.main_split
+    outcomes = comparison.on(split)
+    episodes = outcomes[0].metrics["cost"].shape[1]
+    title = f"{split}: {SPLITS[split].description}; {episodes} scenarios"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("method", no_wrap=True)
+    for heading_ in ("cost", "mean", "worst 5 %", "error\nRMS, mm", "vibration\nafter, mm", "left"):
+        table.add_column(heading_, justify="right", no_wrap=True)
+    ranked = sorted((o for o in outcomes if o.ranked), key=_cost)
+    marks = comparison.marks[split]["cost"]
+    for outcome in [*ranked, *(o for o in outcomes if not o.ranked)]:
+        name = outcome.method.name
+        mark = {"best": "  < lowest cost", "tie": "  < no difference to it shown"}.get(marks.get(name, ""), "")
+        style = "dim italic" if not outcome.ranked else "bold" if marks.get(name) == "best" else ""
+        table.add_row(f"{name}{mark}", *_scores(outcome), style=style)
+    return table
+
+
+def _cost(outcome: MethodOutcome) -> float:
+    return outcome.estimates["cost"].iqm
+
+
+def _scores(outcome: MethodOutcome) -> list[str]:
+    costs = outcome.metrics["cost"]
+    averages = (_cost(outcome), float(costs.mean()), worst_mean(costs))
+    shown = [rounded(name, outcome.estimates[name].iqm) for name in ("tip_rms_mm", "residual_pp_mm")]
+    return [*(rounded("cost", value) for value in averages), *shown, str(outcome.failures[LEFT])]
+
+
+def _print_tables(comparison: Comparison, console: Console) -> None:
+    """Print two metrics over all splits, and every method's differences from the best classical one."""
     splits = comparison.splits()
     fitting = max(1, (console.width - _METHOD_WIDTH) // _SPLIT_WIDTH)
     found = frame_of(comparison)
     for name in _TERMINAL:
         for first in range(0, len(splits), fitting):
             console.print(_overview(part(found, split=splits[first : first + fitting], metric=[name]), name))
-    episodes = comparison.outcomes[0].metrics["cost"].shape[1]
-    console.print(comparison.note, style="bold", soft_wrap=True)
-    console.print(f"{episodes} scenarios per split; interquartile means with bootstrap 95 % intervals.")
+    console.print("Interquartile means with bootstrap 95 % intervals.")
     console.print(f"[bold]Bold[/bold]: best; [underline]underlined[/underline]: {TIE}.", soft_wrap=True)
-    for line in verdicts(comparison):
+    for line in differences(comparison):
         console.print(escape(line), soft_wrap=True)
-    for failure in comparison.failures:
-        console.print(escape(f"{failure.method} failed on {failure.split}: {failure.message}"), style="red")
 
 
 def _overview(found: pd.DataFrame, name: str) -> Table:
@@ -60,12 +111,12 @@ def _cell(row: Any) -> str:
     return f"{f'[{style}]{point}[/{style}]' if style else point}\n{low}–{high}"
 
 
-def verdict(pair: Paired) -> str:
-    """Verdict of a comparison, with a star if the difference does not outlive Holm's correction."""
+def result(pair: Paired) -> str:
+    """Result of a paired comparison, with a star if the difference does not outlive Holm's correction."""
     return pair.verdict + ("" if pair.verdict == "no difference shown" or pair.survives else "*")
 
 
-def verdicts(comparison: Comparison) -> list[str]:
+def differences(comparison: Comparison) -> list[str]:
     """Sentence per split and method that is not classical: its differences from the best classical one."""
     lines = []
     for split in comparison.splits():
@@ -78,7 +129,7 @@ def verdicts(comparison: Comparison) -> list[str]:
             for name in PAIRED_METRICS:
                 shown = with_unit(name, cell(name, pairs[name].difference))
                 parts.append(
-                    f"{METRICS[name].title} {verdict(pairs[name])} ({shown}, wins {pairs[name].win_rate.iqm:.0%})"
+                    f"{METRICS[name].title} {result(pairs[name])} ({shown}, wins {pairs[name].win_rate.iqm:.0%})"
                 )
             lines.append(f"{split}: {outcome.method.name} against {best.method.name}: " + "; ".join(parts) + ".")
     return lines

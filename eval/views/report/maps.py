@@ -18,7 +18,7 @@ from beltarm_env.task.seeds import MAPS
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.pairs import Failure, attempt
 from eval.comparison.results import Comparison, MethodOutcome
-from eval.views.report.scenes import Map, challengers
+from eval.views.report.scenes import Map
 
 _STIFFNESS = [0.5, 0.65, 0.8, 1.0, 1.2]
 _PAYLOAD = [0.0, 0.1, 0.2, 0.35, 0.5]
@@ -32,7 +32,7 @@ def robustness_maps(comparison: Comparison) -> tuple[list[Map], list[Failure]]:
 
     Also what failed; there are no maps without a challenger and a classical controller.
     """
-    rivals = challengers(comparison, comparison.main_split)[:1]
+    rivals = comparison.challengers(comparison.main_split)[:1]
     found = [outcome for outcome in comparison.on(comparison.main_split) if outcome.method.kind == "classical"]
     classical = sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
     if not rivals or not classical:

@@ -18,11 +18,11 @@ from eval.style.colours import COLOURS
 from eval.views.report.animation import animation
 from eval.views.report.figures import STRONGEST, background, forests, map_panels, profile_panels
 from eval.views.report.motions import scene_panels
-from eval.views.report.scenes import Map, Recordings, challengers
+from eval.views.report.scenes import Map, Recordings
 from eval.views.report.svg import Panel, line
 from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables, torque_table
-from eval.views.report.verdict import verdict
 from eval.views.traces import seed_note
+from eval.views.verdict import verdict
 
 _TEMPLATES = Path(__file__).parent
 LARGEST = 3_000_000
@@ -94,7 +94,7 @@ def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
     shown = {method for scene in recordings.scenes for method in scene.motions}
     split = comparison.main_split
     best = comparison.best_classical(split)
-    shown = shown or {o.method.name for o in [*challengers(comparison, split)[:1], *([best] if best else [])]}
+    shown = shown or {o.method.name for o in [*comparison.challengers(split)[:1], *([best] if best else [])]}
     return [outcome.method.name for outcome in comparison.methods() if outcome.method.name in shown]
 
 

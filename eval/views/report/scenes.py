@@ -8,13 +8,11 @@ import numpy as np
 
 from beltarm_env.rollout import Recording
 from eval.comparison.pairs import Failure
-from eval.comparison.results import Comparison, MethodOutcome
+from eval.comparison.results import Comparison
 from eval.comparison.splits import Split
 from eval.style.colours import COLOURS
 from eval.views.traces import motions, shown_seed
 
-CHALLENGERS = ("learned", "added")
-"""Kinds of method that are put up against the classical ones; learned ones first."""
 _USUALLY = 5  # methods side by side
 
 
@@ -51,14 +49,6 @@ class Recordings:
     maps: list[Map] = field(default_factory=list)
 
 
-def challengers(comparison: Comparison, split: str) -> list[MethodOutcome]:
-    """Rivals of the classical controllers on a split, best first: learned methods, or else added ones."""
-    found = [outcome for kind in CHALLENGERS for outcome in comparison.on(split) if outcome.method.kind == kind]
-    kinds = {outcome.method.kind for outcome in comparison.outcomes}
-    wanted = next((kind for kind in CHALLENGERS if kind in kinds), None)
-    return sorted((o for o in found if o.method.kind == wanted), key=lambda o: o.estimates["cost"].iqm)
-
-
 def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[list[Scene], list[Failure]]:
     """Record the scenes of the report; also returns failures."""
     chosen: dict[tuple[str, int], str] = {}
@@ -83,7 +73,7 @@ def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
     """
     home = comparison.main_split
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
-    rivals = challengers(comparison, home)
+    rivals = comparison.challengers(home)
     bases = [outcome for outcome in ranked if rivals and outcome.method.name == rivals[0].method.base]
     best = [found for split in splits if (found := comparison.best_classical(split))]
     classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
@@ -96,7 +86,7 @@ def _shown(comparison: Comparison, splits: list[str]) -> list[str]:
 def _chosen(comparison: Comparison) -> list[tuple[str, str, int]]:
     """Title, split and scenario of each scene."""
     home = comparison.main_split
-    rivals = challengers(comparison, home)
+    rivals = comparison.challengers(home)
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     if not ranked:
         return []

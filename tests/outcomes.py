@@ -1,0 +1,41 @@
+"""Made-up outcomes of a comparison."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from beltarm_env.metrics import SHOWN
+from eval.comparison.methods import Kind, Method
+from eval.comparison.pairs import LEFT, Failure
+from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
+from eval.comparison.sets import SetLabel
+
+ORIGIN = {
+    "command": "python eval/compare.py --out /tmp/me/out",
+    "beltarm": "1",
+    "commit": "abc",
+    "splits_version": 2,
+    "split_seeds": {"nominal": 1},
+    "split_sha256": {"nominal": "0" * 64},
+    "python": "3",
+    "packages": {"numpy": "2"},
+    "machine": "riscv64",
+    "seconds": 1.0,
+    "pairs_kept_before": 0,
+}
+
+
+def outcome(
+    name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
+) -> MethodOutcome:
+    """A made-up outcome, of the same scenarios for every method."""
+    scenarios = np.linspace(0.9, 1.1, 24)
+    noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, 24))
+    values = np.broadcast_to(np.asarray(costs) * scenarios, (seeds, 24)) + noise
+    metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, 24))}
+    metrics["failure_share"] = metrics["saturated_share"] = np.zeros((seeds, 24))
+    return make_outcome(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
+
+
+def made(*outcomes: MethodOutcome, failures: list[Failure] | None = None) -> Comparison:
+    return make_comparison(list(outcomes), failures or [], SetLabel("seed 7", "0" * 64), ORIGIN)

@@ -1,0 +1,144 @@
+"""The verdict of a comparison: what the sentences say, and that they say it of the numbers."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from outcomes import made, outcome
+from rich.console import Console
+
+from eval.comparison.pairs import Failure
+from eval.comparison.results import Comparison, MethodOutcome
+from eval.views.terminal import print_results
+from eval.views.verdict import duels, verdict
+
+
+def over(costs: dict[str, tuple[float, float]]) -> Comparison:
+    """Comparison of a classical and a learned method on some splits, by their costs."""
+    found: list[MethodOutcome] = []
+    for split, (classical, learned) in costs.items():
+        found += [outcome("pid", "classical", classical, split), outcome("net", "learned", learned, split)]
+    return made(*found)
+
+
+def test_a_learned_method_that_is_better_and_worse():
+    first, second, third = verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
+    assert first == (
+        "On nominal, the best learned method, net, costs 40% less than the best classical controller, pid "
+        "(60 against 100; mean of all runs 60 against 100)."
+    )
+    assert second == "net costs less on 1 of 2 splits (nominal); net costs more on 1 of 2 splits (payload)."
+    assert "swings by 60.00 mm with net and 100.00 mm with pid (better)" in third
+
+
+def test_costs_of_several_times_as_much():
+    first, *_ = verdict(over({"nominal": (100.0, 350.0)}))
+    assert "costs 3.5 times as much as the best classical controller, pid" in first
+
+
+def test_the_main_split_decides_who_is_compared():
+    """On every split the same two methods, though others are better there."""
+    costs = {"randomized": {"pid": 100.0, "lqg": 90.0, "net": 80.0}, "nominal": {"pid": 50.0, "lqg": 90.0, "net": 70.0}}
+    found = made(
+        *(
+            outcome(name, "learned" if name == "net" else "classical", cost, split)
+            for split, of_split in costs.items()
+            for name, cost in of_split.items()
+        )
+    )
+    assert {duel.classical.method.name for duel in duels(found).values()} == {"lqg"}
+    assert verdict(found)[1] == "net costs less on all 2 splits."
+
+
+def test_a_difference_below_three_percent_is_a_practical_tie():
+    first, *_ = verdict(over({"nominal": (100.0, 98.0)}))
+    assert first.endswith("against 100): a practical tie.")
+
+
+def test_a_tie_is_called_one():
+    close = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=5.0))
+    first, second = verdict(close)
+    assert first.startswith("On nominal, no difference in cost is shown between the best learned method, net, and the")
+    assert "(no difference shown)" in second
+
+
+def test_better_takes_the_mean_too():
+    """A method that is better on most arms, and loses far more on a few, is not called better."""
+    costs = np.full(24, 90.0)
+    costs[:3] = 1500.0
+    few_lost = made(outcome("pid", "classical", 100.0), outcome("net", "learned", costs))
+    duel = duels(few_lost)["nominal"]
+    assert duel.middle.better and duel.mean.iqm > 0 and duel.result == "open"
+    assert "no difference in cost is shown" in verdict(few_lost)[0]
+
+
+def test_the_correction_is_for_all_splits():
+    rng = np.random.default_rng(3)
+    splits = ("nominal", *(f"split {k}" for k in range(11)))
+    found = []
+    for split in splits:
+        found.append(outcome("pid", "classical", 100.0, split))
+        found.append(outcome("net", "learned", 100.0 * (1 + 0.05 * rng.standard_normal(24)), split))
+    fought = duels(made(*found))
+    smallest = min(duel.middle.p for duel in fought.values())
+    assert min(duel.middle.p_holm for duel in fought.values()) == min(1.0, smallest * len(splits))
+
+
+def test_the_best_of_several_learned_methods_stands_for_them():
+    rivals = [outcome(name, "learned", cost) for name, cost in {"weak": 300.0, "good": 80.0}.items()]
+    comparison = made(outcome("pid", "classical", 100.0), *rivals)
+    assert [rival.method.name for rival in comparison.challengers("nominal")] == ["good", "weak"]
+    assert "the best learned method, good, costs 20% less" in verdict(comparison)[0]
+
+
+def test_without_a_learned_method_or_a_classical_one():
+    first, second = verdict(made(outcome("pid", "classical", 100.0), outcome("lqg", "classical", 80.0)))
+    assert first == "Learned against classical is not decided here: no learned method took part."
+    assert "nominal: lqg (80)" in second
+    assert "No classical controller took part" in verdict(made(outcome("net", "learned", 60.0)))[0]
+    failed = made(outcome("pid", "classical", 100.0), failures=[Failure("net", "nominal", "it broke")])
+    assert "a learned method could not be run" in verdict(failed)[0]
+
+
+def test_an_added_controller_stands_in_where_nothing_was_learned():
+    found = verdict(made(outcome("pid", "classical", 100.0), outcome("Mine", "added", 60.0)))
+    assert "the best added controller, Mine, costs 40% less" in found[0]
+
+
+# On the terminal
+
+
+def printed(comparison: Comparison, *, verbose: bool = False) -> list[str]:
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_results(comparison, console, verbose=verbose)
+    return console.export_text().splitlines()
+
+
+def many() -> Comparison:
+    names = ("paper", "rigid", "zvd", "smooth", "flat", "adrc", "lqg", "robust", "preview", "mpc", "adaptive")
+    splits = ("nominal", "ideal", "randomized", "payload", "stiffness", "friction", "drive", "sensing", "structural")
+    found = []
+    for split in splits:
+        found += [outcome(name, "classical", 1000.0 - 70 * k, split) for k, name in enumerate(names)]
+        found += [outcome("ppo", "learned", 330.0, split, 5), outcome("student", "learned", 260.0, split, 5)]
+        found += [outcome("privileged", "privileged", 150.0, split)]
+    return made(*found)
+
+
+def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
+    lines = printed(many())
+    assert len(lines) <= 40 and max(map(len, lines)) <= 80
+    assert lines[0].startswith("randomized: arms and drives from the training ranges; 24 scenarios")
+    methods = [line.split()[0] for line in lines[5:19]]
+    assert methods[:3] == ["student", "adaptive", "ppo"] and methods[-1] == "privileged"
+    assert [line for line in lines if "lowest cost" in line] == [lines[5]]
+    text = " ".join(" ".join(lines).split())
+    assert all(" ".join(sentence.split()) in text for sentence in verdict(many()))
+    assert "24 of 500 scenarios show less than all." in text
+    assert "payload" not in lines[0] and len(printed(many(), verbose=True)) > 100
+
+
+def test_failures_are_on_the_terminal():
+    failed = made(outcome("pid", "classical", 100.0), failures=[Failure("net", "nominal", "it broke [so]")])
+    assert "net failed on nominal: it broke [so]" in printed(failed)
