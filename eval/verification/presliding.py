@@ -23,7 +23,7 @@ from eval.verification.lugre import STEPS, LuGreArms
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-CONTROLLERS = ("paper", "ei", "preview", "lqg", "adaptive", "ppo")
+CONTROLLERS = ("paper", "ei", "preview", "adaptive", "ppo", "student")
 """Shipped controllers; of a learned one the policy of its first training seed."""
 DEFLECTIONS = (3e-4, 1e-3, 3e-3, 1e-2)
 """Breakaway deflections at the motor [rad]; over the gear ratio at the joint."""

@@ -114,8 +114,13 @@ def answer(study: Study) -> str:
         f"located friction and with bristles, with opposite signs): {verdict} The cost of the controllers with which "
         f"no arm leaves the workspace ({', '.join(f'`{name}`' for name in study.steady)}) changes by "
         f"{max(steady, key=abs, default=0.0):+.1f} % at most.",
-        "The answer holds for these controllers and gains. With the others the nudge alone changes many arms too, and "
-        "few of the intervals below exclude zero: what bristles change there is hardly told from chance.",
+        "The answer holds for these controllers and gains."
+        + (
+            " With the others the nudge alone changes many arms too, and few of the intervals below exclude zero: what "
+            "bristles change there is hardly told from chance."
+            if len(study.steady) < len(CONTROLLERS)
+            else ""
+        ),
         "Pairs of controllers, and the largest change among those with which no arm leaves, and among the others:",
         "\n".join(_line(study, metric, friction) for metric in JUDGED for friction in (NUDGED, *_BRISTLES)),
     ]
