@@ -102,12 +102,14 @@ def _line(study: Study, metric: str, friction: str) -> str:
 def answer(study: Study) -> str:
     """What the numbers say about the order of controllers, line by line, and what follows."""
     count = len(CONTROLLERS) * (len(CONTROLLERS) - 1) // 2 * len(_BRISTLES) * len(JUDGED)
-    reversals = sum(len(_pairs(study, metric, friction)[0]) for metric in JUDGED for friction in _BRISTLES)
+    found = {friction: sum(len(_pairs(study, metric, friction)[0]) for metric in JUDGED) for friction in _BRISTLES}
+    reversals, where = sum(found.values()), [friction for friction, number in found.items() if number]
     steady = [_change(study, "cost", name, of)[0] for name in study.steady for of in _BRISTLES]
     verdict = (
         "presliding does not change conclusions, and stays left out of the plant."
         if not reversals
-        else "presliding changes conclusions, and belongs in the plant."
+        else f"presliding changes conclusions at {', '.join(where)}. What is claimed of the pairs named below does not "
+        "hold on a motor that gives way so far before it breaks away, and a later plant has to have bristles."
     )
     lines = [
         f"**Of {count} comparisons of two controllers, {reversals} are reversed** (a difference shown both with the "
