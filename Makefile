@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive sensors observers steps tune learning readme
+.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive sensors observers steps tune learning film readme
 
 ##@ Use
 
@@ -89,6 +89,10 @@ tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.js
 
 learning: $(READY)  ## Ablations of the training in docs/learning: half an hour or more; goes on where it was interrupted
 	$(BIN)/python eval/ablations.py --out docs/learning $(ARGS)
+
+film: $(READY)  ## Regenerate the film on the README's first screen
+	$(BIN)/python eval/watch.py --controller paper --controller adaptive --policy agents/policies/student/seed0 \
+		--speed 0.5 --out docs/comparison/motion.gif
 
 readme: $(READY)  ## Regenerate the README, docs/comparison, docs/iterative and docs/training
 	$(BIN)/python eval/compare.py --out docs/comparison

@@ -1,6 +1,6 @@
 """Write the comparison's numbers into the README: `python eval/readme.py`, or `make readme` to measure first.
 
-Everything between the two markers comes from `docs/comparison/results.json`; `--check` fails where the README differs,
+Everything between markers comes from `docs/comparison/results.json`; `--check` fails where the README differs,
 and where the summary or a picture beside that file was not written with it.
 """
 
@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import run_command
 from baselines.tools.files import write_text
 from eval.comparison.schema import read_results
-from eval.views.readme import block, of_other_results, updated
+from eval.views.readme import blocks, of_other_results, updated
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "comparison" / "results.json"
@@ -33,7 +33,7 @@ class Config:
 def run(config: Config) -> None:
     """Write the numbers, or check them."""
     readme = README.read_text(encoding="utf-8")
-    fresh = updated(readme, block(read_results(RESULTS)))
+    fresh = updated(readme, blocks(read_results(RESULTS)))
     if not config.check:
         write_text(README, fresh)
         return

@@ -29,7 +29,7 @@ from eval.comparison.pairs import Failure, Metrics, Pair, run_pairs
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, check, read_results
 from eval.comparison.splits import EDITION, SPLITS, VERSION
-from eval.views.readme import block
+from eval.views.readme import answer, tables
 from eval.views.report.page import LARGEST
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -84,7 +84,7 @@ def test_every_file_names_the_scenarios(compared: tuple[Path, str], results: dic
     assert label.note in " ".join(output.split())
     assert all(label.note in (folder / name).read_text(encoding="utf-8") for name in ("summary.md", "report.html"))
     assert {row["scenario_set"] for row in read_csv(folder / "episodes.csv")} == {label.name}
-    assert f"6 scenarios per split of the {label.title};" in block(results)
+    assert f"6 scenarios per split of the {label.title};" in tables(results)
 
 
 def test_torques_of_every_method_are_everywhere(compared: tuple[Path, str], results: dict[str, Any]):
@@ -94,7 +94,7 @@ def test_torques_of_every_method_are_everywhere(compared: tuple[Path, str], resu
     assert [line.split(" | ")[0].strip("|* ") for line in section.splitlines()[-len(METHODS) :]] == METHODS
     table = (compared[0] / "report.html").read_text().split("<summary>Torques on nominal</summary>")[1]
     assert all(f'data-value="{method}"' in table.split("</details>")[0] for method in METHODS)
-    assert all(heading(name) in block(results) for name in TORQUE_QUALITY)
+    assert all(heading(name) in tables(results) for name in TORQUE_QUALITY)
 
 
 def test_rows_of_the_results(results: dict[str, Any]):
@@ -116,8 +116,9 @@ def test_the_privileged_one_is_never_ranked(results: dict[str, Any], compared: t
     assert compared_methods == {"paper", "zvd", "ppo", "MyController"}
     lines = [line for line in (compared[0] / "summary.md").read_text().splitlines() if "privileged" in line]
     assert lines and not any("**" in line for line in lines if line.startswith("|"))
-    tables = block(results).split("\n\n")
-    assert all(table.splitlines()[-1].startswith("| *privileged* |") for table in tables if table.startswith("|"))
+    shown = tables(results).split("\n\n")
+    assert all(table.splitlines()[-1].startswith("| *privileged* |") for table in shown if table.startswith("|"))
+    assert "privileged" not in answer(results)
 
 
 def test_paired_rows(results: dict[str, Any]):

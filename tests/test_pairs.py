@@ -32,7 +32,7 @@ from eval.comparison.run import choose_methods, fuller
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
-from eval.views.readme import block
+from eval.views.readme import tables
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -257,7 +257,7 @@ def test_computing_time_makes_commands_later(
     for name in ("summary.md", "report.html"):
         text = (tmp_path / "late" / name).read_text()
         assert TIMED_NOTE in text and "latency that it was given (µs)" in text
-    assert TIMED_NOTE in block(results) and TIMED_NOTE in " ".join(capsys.readouterr().out.split())
+    assert TIMED_NOTE in tables(results) and TIMED_NOTE in " ".join(capsys.readouterr().out.split())
 
 
 def test_computing_times_are_measured_once_and_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -340,9 +340,11 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
     chosen = ("--methods", "paper", "Fails", "Nan", "Alone", "--splits", "nominal", "--episodes", "7", "--jobs", "1")
     code, errors = stopped(compare.main, (*added, *chosen, "--out", "out"), tmp_path)
     assert code == 1
-    assert "eval/compare.py: Fails failed on nominal: RuntimeError: no such number of arms\n" in errors
+    assert "eval/compare.py: Fails failed on nominal: RuntimeError: no such number of arms (mine.py:7)\n" in errors
     assert "eval/compare.py: Nan failed on nominal: ValueError" in errors
-    assert re.search(r"Alone failed on nominal: on scenario \d: IndexError: one arm is too few\n", errors)
+    assert re.search(
+        r"Alone failed on nominal: on scenario \d: IndexError: one arm is too few \(mine\.py:19\)\n", errors
+    )
     assert len(errors.strip().splitlines()) == 3
     results = read_results(tmp_path / "out" / "results.json")
     assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]

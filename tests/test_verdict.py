@@ -5,11 +5,15 @@ from __future__ import annotations
 import io
 
 import numpy as np
+import pytest
 from outcomes import made, outcome
 from rich.console import Console
 
-from eval.comparison.pairs import Failure
+from eval.comparison.pairs import LEFT, Failure
 from eval.comparison.results import Comparison, MethodOutcome
+from eval.comparison.schema import to_json
+from eval.views.markdown import tail_table
+from eval.views.readme import answer, tables, updated
 from eval.views.terminal import print_results
 from eval.views.verdict import duels, verdict
 
@@ -142,3 +146,56 @@ def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
 def test_failures_are_on_the_terminal():
     failed = made(outcome("pid", "classical", 100.0), failures=[Failure("net", "nominal", "it broke [so]")])
     assert "net failed on nominal: it broke [so]" in printed(failed)
+
+
+# In the summary
+
+
+def test_the_summary_has_mean_and_tail():
+    costs = np.full(24, 90.0)
+    costs[:3] = 1500.0
+    left = outcome("net", "learned", costs)
+    left.metrics[LEFT][0, 5] = 1.0
+    table = tail_table(made(outcome("pid", "classical", 100.0), left, outcome("privileged", "privileged", 10.0)))
+    values = np.array(left.metrics["cost"])
+    assert table.splitlines()[2:] == [
+        "| pid | 100 / 110 |",
+        f"| net | {values.mean():.0f} / {values.max():.0f}; 1 left |",
+        "| *privileged* | *10 / 11* |",
+    ]
+
+
+# In the README
+
+
+def test_the_answer_of_the_readme():
+    """The verdict, and five methods best first: the four best, and the controller that all began with."""
+    comparison = many()
+    said = verdict(comparison)
+    text, table = answer(to_json(comparison, said)).split("\n\nOn `randomized`:\n\n")
+    assert text.startswith(f"**{said[0]}** {said[1]} {said[2]}") and text.endswith(comparison.scenario_set.note)
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    assert lines[0] == [
+        "method",
+        "cost",
+        "error of the arm's end, RMS (mm)",
+        "vibration after the move, peak to peak (mm)",
+    ]
+    assert [line[0] for line in lines[2:]] == ["student", "adaptive", "ppo", "mpc", "paper"]
+    assert lines[2][1] == "260"
+
+
+def test_the_tables_of_the_readme_are_sorted_by_the_main_split():
+    first, second = [part for part in tables(to_json(many())).split("\n\n") if part.startswith("|")]
+    for table in (first, second):
+        methods = [line.split("|")[1].strip() for line in table.splitlines()[2:]]
+        assert methods[:3] == ["student (5 seeds)", "adaptive", "ppo (5 seeds)"] and methods[-1] == "*privileged*"
+        assert "[" not in table
+    assert first.splitlines()[0].split(" | ")[1:4] == ["nominal", "ideal", "randomized"]
+
+
+def test_parts_are_written_between_their_markers():
+    page = "a\n<!-- x: begin -->\nold\n<!-- x: end -->\nb"
+    assert updated(page, {"x": "new"}) == "a\n<!-- x: begin -->\n\nnew\n\n<!-- x: end -->\nb"
+    with pytest.raises(ValueError, match=r"README\.md has no <!-- y: begin --> and <!-- y: end -->"):
+        updated(page, {"y": "new"})

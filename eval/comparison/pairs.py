@@ -11,6 +11,7 @@ import hashlib
 import json
 import platform
 import re
+import traceback
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 import agents
 import baselines
 import beltarm_env
+import eval
 from baselines.tools import parallel
 from baselines.tools.files import write_atomically
 from beltarm_env.arm import NOMINAL
@@ -49,6 +51,7 @@ CHANGE = 0.01
 _PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
 """Packages whose version the numbers may depend on."""
 _LONGEST_MESSAGE = 300
+_INSTALLED = {"site-packages", "lib", "<string>"}  # folders of code that is not a user's own
 _Result = TypeVar("_Result")
 
 
@@ -93,7 +96,15 @@ def attempt(method: str, split: str, run: Callable[[], _Result], where: str = ""
         return run()
     except Exception as error:
         message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
-        return Failure(method, split, message[:_LONGEST_MESSAGE])
+        return Failure(method, split, message[:_LONGEST_MESSAGE] + _place(error))
+
+
+def _place(error: Exception) -> str:
+    """File and line of a user's own code in which an exception was raised, in brackets; empty if it was in none."""
+    ours = tuple(str(Path(package.__path__[0])) for package in (beltarm_env, baselines, agents, eval))
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if not f.filename.startswith(ours) and not {*Path(f.filename).parts} & _INSTALLED]
+    return f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
 
 
 def key_of(method: Method, *others: str | int) -> str:

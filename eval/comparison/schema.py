@@ -6,6 +6,7 @@
   `name`, "development" (controllers and agents may be chosen on it), "test" or "seed N" (drawn afresh), and `sha256`.
   Results that differ in any of them must not be compared or merged.
 - `provenance`: command, commit, seeds and SHA-256 of the splits, content hashes of the policies, packages, machine.
+- `verdict`: sentences, made from these numbers.
 - `rows`, one per method and split: `method`; `kind`, "classical", "learned", "added" (a user's own) or "privileged"
   (sees what no other does, never ranked); `split`; `episodes`; `seeds`; `metrics`, by name an interquartile mean `iqm`
   (of shares: a plain mean) with its 95 % interval, `low` to `high`; `failures`, in how many of all `runs` the tip did
@@ -26,6 +27,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
@@ -47,8 +49,8 @@ AGAINST = ("best classical", "base")
 """What a method is compared with."""
 
 
-def to_json(comparison: Comparison) -> dict[str, Any]:
-    """Content of `results.json`."""
+def to_json(comparison: Comparison, verdict: Sequence[str] = ()) -> dict[str, Any]:
+    """Content of `results.json`, with a verdict in words."""
     best = {name: outcome.method.name for name in comparison.splits() if (outcome := comparison.best_classical(name))}
     base = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
     return {
@@ -56,6 +58,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         "version": splits.VERSION,
         "scenario_set": comparison.scenario_set._asdict(),
         "provenance": comparison.provenance,
+        "verdict": list(verdict),
         "rows": [result_row(outcome) for outcome in comparison.outcomes],
         "paired": [
             *_paired_rows(comparison.against_best, AGAINST[0], lambda split, _: best[split]),
@@ -123,9 +126,9 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def write_results(comparison: Comparison, folder: Path) -> None:
-    """Write `results.json` and `episodes.csv`, each atomically."""
-    content = to_json(comparison)
+def write_results(comparison: Comparison, folder: Path, verdict: Sequence[str] = ()) -> None:
+    """Write `results.json`, with a verdict in words, and `episodes.csv`, each atomically."""
+    content = to_json(comparison, verdict)
     check(content, "results.json")
     write_text(folder / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     episodes = to_episodes(comparison)
@@ -162,6 +165,7 @@ SCHEMA = _object(
         pairs_kept_before=_INTEGER,
         computing_time=_FLAG,
     ),
+    verdict=_list(_TEXT),
     rows=_list(
         _object(
             ("added_latency_us", "sensitivity"),

@@ -9,12 +9,12 @@ from typing import Any, Literal
 import pandas as pd
 
 from beltarm_env.metrics import METRICS, REVERSAL_SWING, TORQUES, heading
-from eval.comparison.estimates import RESAMPLES
-from eval.comparison.pairs import CHANGE, NUDGE
-from eval.comparison.results import PAIRED_METRICS, Comparison
+from eval.comparison.estimates import RESAMPLES, worst_mean
+from eval.comparison.pairs import CHANGE, LEFT, NUDGE
+from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell
+from eval.style.metrics import cell, numbers
 from eval.views.frame import frame_of, lines, part
 from eval.views.terminal import TIE, result
 from eval.views.traces import seed_note, shown_methods
@@ -39,6 +39,7 @@ def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> s
     parts += _failed(comparison)
     found = frame_of(comparison)
     parts += ["## Cost on every split", method_table(part(found, metric=["cost"]), "split")]
+    parts += ["## Mean and tail of the cost", _of_tails(), tail_table(comparison)]
     main = part(found, split=[comparison.main_split], metric=TORQUES)
     parts += ["## Torques", _of_torques(comparison.main_split), method_table(main, "metric")]
     for split in comparison.splits():
@@ -66,6 +67,32 @@ def _failed(comparison: Comparison) -> list[str]:
     return ["**Could not be run to the end:**\n\n" + "\n".join(lines)]
 
 
+def _of_tails() -> str:
+    return (
+        "An interquartile mean leaves out the best and the worst quarter of the runs. Of all of them: the mean / the "
+        "mean of the worst 5 %; and how many arms left their workspace, where any did."
+    )
+
+
+def tail_table(comparison: Comparison) -> str:
+    """Mean cost and that of the worst 5 % of the runs, of each method on each split."""
+    splits = comparison.splits()
+    cells = {(outcome.method.name, outcome.split): _tail(outcome) for outcome in comparison.outcomes}
+    rows = [
+        [
+            _italic(outcome.method.name, outcome.ranked),
+            *(_italic(cells.get((outcome.method.name, split), "failed"), outcome.ranked) for split in splits),
+        ]
+        for outcome in comparison.methods()
+    ]
+    return markdown_table(["method", *splits], rows)
+
+
+def _tail(outcome: MethodOutcome) -> str:
+    costs, left = outcome.metrics["cost"], outcome.failures[LEFT]
+    return f"{costs.mean():.0f} / {worst_mean(costs):.0f}" + (f"; {left} left" if left else "")
+
+
 def _of_torques(split: str) -> str:
     return (
         f"What the motor has to follow on {split}; the other splits have these columns too. Reversals: successive "
@@ -85,16 +112,19 @@ def _how_to_read() -> str:
     )
 
 
-def method_table(found: pd.DataFrame, across: Literal["split", "metric"], with_seeds: bool = False) -> str:
-    """Estimates with their intervals: a row per method, a column per split or metric.
+def method_table(
+    found: pd.DataFrame, across: Literal["split", "metric"], with_seeds: bool = False, intervals: bool = True
+) -> str:
+    """Estimates: a row per method, a column per split or metric.
 
     Args:
         found: Part of the comparison's table, see `eval.views.frame`.
         across: What the columns are.
         with_seeds: Whether the number of training seeds stands beside a learned method's name.
+        intervals: Whether each estimate has its interval.
     """
     rows = []
-    for line in lines(found, across, _cell, "failed"):
+    for line in lines(found, across, _cell if intervals else _point, "failed"):
         plural = "s" if line.seeds > 1 else ""
         seeds = f" ({line.seeds} seed{plural})" if with_seeds and line.kind == "learned" else ""
         rows.append([_italic(line.method + seeds, line.ranked), *line.cells])
@@ -105,6 +135,10 @@ def method_table(found: pd.DataFrame, across: Literal["split", "metric"], with_s
 def _cell(row: Any) -> str:
     point, interval = cell(row.metric, row).split(" ", 1)
     return _italic(f"{_MARKED.get(row.mark, '{}').format(point)} {interval}", row.kind != "privileged")
+
+
+def _point(row: Any) -> str:
+    return _italic(numbers(row.metric, row)[0], row.kind != "privileged")
 
 
 def _italic(text: str, ranked: bool) -> str:

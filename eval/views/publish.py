@@ -16,6 +16,7 @@ from eval.views.plots import save_plots
 from eval.views.report import Recordings, record_scenes, robustness_maps, write_report
 from eval.views.terminal import print_results
 from eval.views.traces import record
+from eval.views.verdict import verdict
 
 
 def publish(
@@ -47,7 +48,7 @@ def publish(
     scenes, unseen = record_scenes(comparison, splits)
     drawn, unmapped = robustness_maps(comparison) if maps else ([], [])
     comparison = comparison.with_failures([*unrecorded, *unseen, *unmapped])
-    write_results(comparison, folder)
+    write_results(comparison, folder, verdict(comparison))
     digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
     pictures = save_plots(comparison, traces, folder, digest)
     write_text(folder / "summary.md", markdown(comparison, [path.name for path in pictures], digest))

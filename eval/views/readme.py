@@ -1,4 +1,4 @@
-"""The comparison's block of the README, and the check that summary and pictures are of the same run."""
+"""The comparison's parts of the README, and the check that summary and pictures are of the same run."""
 
 from __future__ import annotations
 
@@ -6,33 +6,72 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from PIL import Image
 
 from beltarm_env.metrics import TORQUE_QUALITY
 from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
-from eval.views.frame import frame_of_rows, part
+from eval.comparison.splits import main_split
+from eval.style.markdown_table import markdown_table
+from eval.style.metrics import numbers
+from eval.views.frame import frame_of_rows, lines, part
 from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
 
-BEGIN, END = "<!-- results: begin -->", "<!-- results: end -->"
 _SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", *TORQUE_QUALITY)
-_DETAILED = "randomized"
+_ANSWERED = {
+    "cost": "cost",
+    "tip_rms_mm": "error of the arm's end, RMS (mm)",
+    "residual_pp_mm": "vibration after the move, peak to peak (mm)",
+}
+_ROWS = 5  # of the answer's table
 
 
-def block(results: dict[str, Any]) -> str:
-    """Tables of the README, from the content of results.json: cost on every split, more metrics of one split."""
+def blocks(results: dict[str, Any]) -> dict[str, str]:
+    """Parts of the README by the name of their markers, from the content of results.json."""
+    return {"answer": answer(results), "results": tables(results)}
+
+
+def answer(results: dict[str, Any]) -> str:
+    """Verdict, and the methods that it is about on the main split: the best, and the paper's controller."""
+    first, *rest = results["verdict"] or ["There is no verdict."]
     found = frame_of_rows(results["rows"])
-    splits = list(found.split.unique())
-    detailed = _DETAILED if _DETAILED in splits else splits[-1]
+    home = main_split(list(found.split.unique()))
+    on_main = _best_first(part(found, split=[home], metric=list(_ANSWERED)))
+    on_main = on_main.sort_values("metric", key=lambda names: names.map(list(_ANSWERED).index), kind="stable")
+    ranked = list(dict.fromkeys(on_main[on_main.kind != "privileged"].method))
+    reference = results["rows"][0]["method"]
+    best = [name for name in ranked if name != reference][: _ROWS - 1]
+    shown = part(on_main, method=[*best, reference])
+    label = SetLabel(**results["scenario_set"])
+    said = [f"**{first}**", *rest, label.note]
+    rows = [[line.method, *line.cells] for line in lines(shown, "metric", lambda row: numbers(row.metric, row)[0], "–")]
+    table = markdown_table(["method", *_ANSWERED.values()], rows)
+    return "\n\n".join([" ".join(said), f"On `{home}`:", table])
+
+
+def tables(results: dict[str, Any]) -> str:
+    """Cost on every split, and more metrics of the main one; best first, without intervals, which the summary has."""
+    found = frame_of_rows(results["rows"])
+    home = main_split(list(found.split.unique()))
     parts = [
         "Cost on every split:",
-        method_table(part(found, metric=["cost"]), "split", with_seeds=True),
-        f"More of `{detailed}`:",
-        method_table(part(found, split=[detailed], metric=_SHOWN), "metric", with_seeds=True),
+        method_table(_best_first(part(found, metric=["cost"])), "split", with_seeds=True, intervals=False),
+        f"More of `{home}`:",
+        method_table(_best_first(part(found, split=[home], metric=_SHOWN), found), "metric", True, intervals=False),
         _origin(results),
     ]
     return "\n\n".join(parts)
+
+
+def _best_first(found: pd.DataFrame, of: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Rows by the method's cost on the main split; `of` has it where `found` has not."""
+    costs = part(found if of is None else of, metric=["cost"])
+    home = main_split(list(costs.split.unique()))
+    by_cost = part(costs, split=[home]).set_index("method").iqm
+    order = found.method.map(by_cost)
+    return found.assign(order=order).sort_values("order", kind="stable").drop(columns="order")
 
 
 def _origin(results: dict[str, Any]) -> str:
@@ -44,23 +83,26 @@ def _origin(results: dict[str, Any]) -> str:
     timed = f" {TIMED_NOTE}" if provenance.get(COMPUTING_TIME) else ""
     took = f", which took {provenance['seconds']:.0f} s" if fresh else ", part of it from an earlier run"
     return (
-        f"{episodes} scenarios per split of the {label.title}; interquartile means (shares: means) with "
-        f"bootstrap 95 % intervals over scenarios and training seeds.{italics}{timed} From `{provenance['command']}`"
+        f"{episodes} scenarios per split of the {label.title}; interquartile means (shares: means); "
+        f"intervals are in the summary.{italics}{timed} From `{provenance['command']}`"
         f"{took}."
     )
 
 
-def updated(readme: str, table: str) -> str:
-    """README with `table` between its markers.
+def updated(readme: str, parts: dict[str, str]) -> str:
+    """README with each part between its markers.
 
     Raises:
-        ValueError: If the markers are missing.
+        ValueError: If markers are missing.
     """
-    if BEGIN not in readme or END not in readme:
-        raise ValueError(f"README.md has no {BEGIN} and {END} to write between")
-    before, rest = readme.split(BEGIN, 1)
-    _, after = rest.split(END, 1)
-    return f"{before}{BEGIN}\n\n{table}\n\n{END}{after}"
+    for name, text in parts.items():
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        if begin not in readme or end not in readme:
+            raise ValueError(f"README.md has no {begin} and {end} to write between")
+        before, rest = readme.split(begin, 1)
+        _, after = rest.split(end, 1)
+        readme = f"{before}{begin}\n\n{text}\n\n{end}{after}"
+    return readme
 
 
 def of_other_results(results: Path) -> list[Path]:
