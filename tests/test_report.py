@@ -235,7 +235,9 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
     classical = [outcome(name, "classical", cost) for name, cost in {"pid": 100.0, "lqg": 50.0, "bad": 1.0}.items()]
     maps, failures = robustness_maps(made(*classical, outcome("net", "learned", 60.0)))
     assert [(found.classical, found.ratio[0][0]) for found in maps] == [("lqg", 1.5)] * 2 + [("pid", 3.0)] * 2
-    assert failures == [Failure("bad", "maps", "RuntimeError: no such arm")]
+    (failure,) = failures
+    assert (failure.method, failure.split) == ("bad", "maps")
+    assert re.fullmatch(r"RuntimeError: no such arm \(test_report\.py:\d+\)", failure.message)
 
 
 def measured(name: str, split: Split) -> MethodOutcome:
