@@ -87,7 +87,7 @@ steps: $(READY)  ## What each step from the paper's controller to the best class
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
 	$(BIN)/python baselines/tune.py --all $(ARGS)
 
-learning: $(READY)  ## Ablations of the training in docs/learning: half an hour or more; goes on where it was interrupted
+learning: $(READY)  ## Ablations of the training in docs/learning: two hours or more; goes on where it was interrupted
 	$(BIN)/python eval/ablations.py --out docs/learning $(ARGS)
 
 film: $(READY)  ## Regenerate the film on the README's first screen

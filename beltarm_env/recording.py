@@ -56,11 +56,9 @@ class Recording:
         """
         if not 0 <= k < len(self.cost):
             raise IndexError(f"there are arms 0 to {len(self.cost) - 1}, got {k}")
-        per_sample = ("state", "torque", "tip_error", "tip_velocity_error")
-        chosen = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Recording(
-            **{name: a[:, k : k + 1] if name in per_sample else a[k : k + 1] for name, a in chosen.items()}
-        )
+        one = slice(k, k + 1)
+        of_all = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Recording(**{name: of[:, one] if name in _PER_SAMPLE else of[one] for name, of in of_all.items()})
 
     def metrics(self) -> dict[str, Floats]:
         """All metrics of `beltarm_env.metrics.METRICS`, each of shape (n,)."""
@@ -81,7 +79,6 @@ class Recording:
             ImportError: If pandas is not installed.
         """
         pd = _needed("pandas", "to_pandas")
-
         steps, count = self.torque.shape
         columns: dict[str, Any] = {"arm": np.tile(np.arange(count), steps), "time": np.repeat(self.time, count)}
         columns |= {name: self.state[:, :, k].ravel() for k, name in enumerate(_STATES)}

@@ -16,6 +16,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from trainings import StopAfter, weights
 
 import agents.learners.student
 import agents.runs.monitor
@@ -223,11 +224,6 @@ def run(config: StudentConfig, stop: StopRequest | None = None) -> TrainingMonit
     return train(config, Student, Channel(stop=stop or StopRequest()))
 
 
-def weights(folder: Path) -> bytes:
-    (path,) = folder.glob("*.safetensors")
-    return path.read_bytes()
-
-
 SEEDS: list[int] = []
 
 
@@ -244,22 +240,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(agents.learners.student, "rollout", noted)
         run(tiny(folder))
     return folder
-
-
-class StopAfter(StopRequest):
-    """Made once it has been looked at so often."""
-
-    def __init__(self, looks: int) -> None:
-        self.looks = looks
-
-    @property
-    def made(self) -> bool:
-        self.looks -= 1
-        return self.looks < 0
-
-    @made.setter
-    def made(self, value: bool) -> None:
-        pass
 
 
 def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):

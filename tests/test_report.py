@@ -42,17 +42,17 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def test_a_method_that_failed_is_named():
-    assert render(made(outcome("net", "learned", 60.0), outcome("privileged", "privileged", 1.0)), Recordings([]))
+    assert render(made(outcome("net", "learned", 60.0), outcome("privileged", "privileged", 1.0)), [], Recordings([]))
     failed = made(outcome("pid", "classical", 100.0), failures=[Failure("net", "nominal", "it <broke>")])
-    page = render(failed, Recordings([]))
+    page = render(failed, [], Recordings([]))
     assert "<b>net</b> on nominal: it &lt;broke&gt;" in page
 
 
 def test_scenarios_drawn_afresh_are_called_so():
     comparison = made(outcome("pid", "classical", 100.0))
     note = "Scenarios drawn afresh from seed 7, by the rules of the test set, but not the test set."
-    assert f"<strong>{note}</strong>" in render(comparison, Recordings([]))
-    assert markdown(comparison, [], "").splitlines()[2] == f"**{note}**"
+    assert f"<strong>{note}</strong>" in render(comparison, [], Recordings([]))
+    assert markdown(comparison, [], [], "").splitlines()[2] == f"**{note}**"
     assert to_json(comparison)["scenario_set"]["name"] == "seed 7"
 
 
@@ -92,7 +92,7 @@ def test_the_summary_and_the_page_mark_the_same():
         outcome("bad", "classical", 400.0),
         outcome("privileged", "privileged", 1.0),
     )
-    text, page = markdown(comparison, ["a.png"], "0" * 64), render(comparison, Recordings([]))
+    text, page = markdown(comparison, [], ["a.png"], "0" * 64), render(comparison, [], Recordings([]))
     marks = comparison.marks["nominal"]["cost"]
     assert sorted(marks.values()) == ["best", "tie"]
     for line in [line for line in text.splitlines() if line.startswith(("| pid | ", "| net | ", "| bad | "))][:3]:
@@ -292,14 +292,14 @@ def test_the_seed_of_median_cost_stands_for_a_learned_method():
     assert (shown_seed(comparison, "net"), shown_seed(comparison, "pid")) == (2, 0)
     note = "A learned method is shown by the training seed of median cost on nominal: net by seed 2 of 0 to 4."
     assert seed_note(comparison, ["pid", "net"]) == note
-    assert note in markdown(comparison, [], "")
+    assert note in markdown(comparison, [], [], "")
     assert seed_note(comparison, ["pid"]) == ""
 
 
 def test_methods_without_a_colour_are_numbered_and_named():
     names = [f"pid{k}" for k in range(9)]
     methods = [outcome(name, "classical", 100.0 + 10 * k) for k, name in enumerate(names)]
-    page = render(made(*methods, outcome("net", "learned", 60.0)), Recordings([]))
+    page = render(made(*methods, outcome("net", "learned", 60.0)), [], Recordings([]))
     profiles = page.split('<h2 id="profiles">')[1].split("</section>")[0]
     numbers = dict(re.findall(r"<li><b>(\d)</b> (\w+)</li>", profiles))
     assert numbers == {str(k): f"pid{k}" for k in range(1, 9)}
@@ -311,7 +311,7 @@ def test_methods_without_a_colour_are_numbered_and_named():
 def test_maps_are_shown():
     found = Map("stiffness", "payload", [0.5, 1.0], [0.0], [[0.5, 2.0]], "net", "pid", 8, 1)
     comparison = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0))
-    page = render(comparison, Recordings([], [found]))
+    page = render(comparison, [], Recordings([], [found]))
     assert "Robustness maps" in page
     assert "8 arms per cell" in page
     assert "net over pid" in page

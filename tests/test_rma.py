@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from trainings import StopAfter, weights
 
 from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, Told, merged, told_constants
 from agents.policy.actor import ActorShape
@@ -39,11 +40,6 @@ def tiny(out: Path, **options: Any) -> RmaConfig:
 
 def run(config: RmaConfig, stop: StopRequest | None = None) -> None:
     train(config, Rma, Channel(stop=stop or StopRequest()))
-
-
-def weights(folder: Path) -> bytes:
-    (path,) = folder.glob("*.safetensors")
-    return path.read_bytes()
 
 
 def shaken(network: Any) -> Any:
@@ -83,6 +79,21 @@ def test_all_that_varies_is_told():
         if name.endswith("_phase"):
             other[:, column] = rows[:, column] + 2 * np.pi
             np.testing.assert_allclose(told_constants(other), told_constants(rows), atol=1e-6)
+
+
+def test_a_round_is_told_the_very_arms_that_are_moved(tmp_path: Path):
+    learner = Rma(tiny(tmp_path))
+    found: list[Any] = []
+    told = learner._ask
+
+    def noted(policy: Any, pause: Any) -> Any:
+        advice, own = told(policy, pause)
+        found.extend((policy._constants, told_constants(own.params)))
+        return advice, own
+
+    learner._ask = noted
+    learner._asked(lambda _: None)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_array_equal(*found)
 
 
 # Networks
@@ -148,24 +159,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):
     """Bit for bit, in both phases."""
-
-    class AtRound(StopRequest):
-        def __init__(self, looks: int) -> None:
-            self.looks = looks
-
-        @property
-        def made(self) -> bool:
-            self.looks -= 1
-            return self.looks < 0
-
-        @made.setter
-        def made(self, value: bool) -> None:
-            pass
-
     config = tiny(tmp_path)
     for number, looks in enumerate((700, 1800, 1208)):
         with pytest.raises(Interrupted, match=r"interrupted at \d+ steps, saved in"):
-            run(replace(config, resume=number > 0), AtRound(looks))
+            run(replace(config, resume=number > 0), StopAfter(looks))
         torch.manual_seed(9)
     run(replace(config, resume=True))
     for kind in ("best", "last"):

@@ -115,7 +115,7 @@ def test_an_added_controller_stands_in_where_nothing_was_learned():
 
 def printed(comparison: Comparison, *, verbose: bool = False) -> list[str]:
     console = Console(width=80, record=True, file=io.StringIO())
-    print_results(comparison, console, verbose=verbose)
+    print_results(comparison, verdict(comparison), console, verbose=verbose)
     return console.export_text().splitlines()
 
 

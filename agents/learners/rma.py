@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.learners.student import MAX_GRADIENT, Pause, Student, StudentConfig, as_base
+from agents.learners.student import MAX_GRADIENT, Pause, Student, StudentConfig, as_base, note_round
 from agents.learners.teaching import Advice, Noted
 from agents.policy.actor import Actor, ActorShape, standardised
 from agents.policy.network import NetworkPolicy
@@ -99,12 +99,12 @@ class InformedActor(nn.Module):
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Outputs u before they are bounded, shape (T, n, 1), for inputs of shape (T, n, observed + constants)."""
-        features = standardised(inputs, self.mean, self.deviation)
-        observed, constants = features[..., : self.observed], features[..., self.observed :]
-        return self.policy(torch.cat([observed, self.encoder(constants)], dim=-1))
+        own = slice(self.observed)
+        observed = standardised(inputs[..., own], self.mean[own], self.deviation[own])
+        return self.policy(torch.cat([observed, self.latent(inputs[..., self.observed :])], dim=-1))
 
     def latent(self, constants: torch.Tensor) -> torch.Tensor:
-        """Numbers z = mu(e), shape (n, latent)."""
+        """Numbers z = mu(e), shape (..., latent), of constants of shape (..., constants)."""
         mean, deviation = self.mean[self.observed :], self.deviation[self.observed :]
         return self.encoder(standardised(constants, mean, deviation))
 
@@ -214,9 +214,7 @@ class Rma(Student):
         z = informed.latent(torch.from_numpy(told_constants(own.params)))
         self._moves = [*self._moves, (torch.from_numpy(np.stack(noted.inputs)).half(), z)][-self.config.remembered :]
         error = self._fit_memory(informed, pause)
-        monitor.logger.record("student/cost", float(own.cost.mean()))
-        monitor.logger.record("student/left", 1 - float(own.finished.mean()))
-        monitor.logger.record("student/difference", error)
+        note_round(monitor, own, error)
 
     def _fit_memory(self, informed: InformedActor, pause: Callable[[int], None]) -> float:
         """Fit the memory to the last rounds' z, and return the squared error of the last pass."""

@@ -163,9 +163,7 @@ class Student:
         advice, own = self._asked(pause)
         self.advice = [*self.advice, advice][-config.remembered :]
         difference = self._fit(pause)
-        monitor.logger.record("student/cost", float(own.cost.mean()))
-        monitor.logger.record("student/left", 1 - float(own.finished.mean()))
-        monitor.logger.record("student/difference", difference)
+        note_round(monitor, own, difference)
 
     def snapshot(self) -> dict[str, Any]:
         """State that determines the next round."""
@@ -243,6 +241,13 @@ class Student:
         if not np.isfinite(error):
             raise ValueError(f"diverged at {self.steps} steps: begin anew with a smaller --learning-rate")
         return error
+
+
+def note_round(monitor: TrainingMonitor, own: Recording, difference: float) -> None:
+    """Log a round: its moves' mean cost, the share of arms that left, and the error of the fit."""
+    monitor.logger.record("student/cost", float(own.cost.mean()))
+    monitor.logger.record("student/left", 1 - float(own.finished.mean()))
+    monitor.logger.record("student/difference", difference)
 
 
 def as_base(actor: Actor) -> Actor:

@@ -117,7 +117,8 @@ class Observer(nn.Module):
         with torch.no_grad():
             inputs = torch.as_tensor(np.ascontiguousarray(seen[:, self.columns]))
             features = standardised(inputs, self.mean, self.deviation)
-            sequence, following = self.gru(features[None], begun(memory, episode_start, (len(seen), self.width))[None])
+            before = torch.as_tensor(begun(memory, episode_start, (len(seen), self.width)))
+            sequence, following = self.gru(features[None], before[None])
             mean, deviation = self.estimated(inputs, *self._answer(features, sequence[0]))
         return Estimate(mean.numpy().astype(np.float64), deviation.numpy().astype(np.float64)), following[0].numpy()
 

@@ -98,12 +98,12 @@ def standardised(inputs: torch.Tensor, mean: torch.Tensor, deviation: torch.Tens
     return ((inputs - mean) / deviation).clamp(-FARTHEST, FARTHEST)
 
 
-def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> torch.Tensor:
+def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> Singles:
     """Memory of a shape, rows first, which is zero where an episode begins: everywhere if there is none yet."""
     memory = np.zeros(shape, np.float32)
     if state is not None:
         memory = state if start is None else chosen(start, memory, state)
-    return torch.as_tensor(memory)
+    return memory
 
 
 def actor_of(policy: Any, shape: ActorShape) -> Actor:

@@ -18,8 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agents.policy.actor import ACTIVATIONS, FARTHEST, Actor
-from baselines.reading import chosen
+from agents.policy.actor import ACTIVATIONS, FARTHEST, Actor, begun
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import compiled, inlined
 
@@ -39,6 +38,9 @@ class NetworkPolicy:
     def __init__(self, actor: Actor) -> None:
         self.shape = actor.shape
         self._weights, self._widths = _packed(actor)
+        self._activation = list(ACTIVATIONS).index(self.shape.activation)
+        self._kind = _LSTM if self.shape.lstm else _GRU if self.shape.gru else _FEEDFORWARD
+        self._memory = (2, self.shape.lstm) if self.shape.lstm else (self.shape.gru,)  # shape per row
         self._scales: tuple[Singles, Singles] | None = None
         if actor.shape.standardised:
             self._scales = _array(actor.mean), _array(actor.deviation)
@@ -67,17 +69,11 @@ class NetworkPolicy:
         if self._scales is not None:
             mean, deviation = self._scales
             inputs = np.clip((inputs - mean) / deviation, -FARTHEST, FARTHEST)
-        width = 2 * shape.lstm or shape.gru
-        memory = np.zeros((count, width), np.float32)
-        if state is not None:
-            before = np.ascontiguousarray(state, np.float32).reshape(count, width)
-            memory = before if episode_start is None else chosen(episode_start, memory, before)
-        kind = _LSTM if shape.lstm else _GRU if shape.gru else _FEEDFORWARD
-        activation = list(ACTIVATIONS).index(shape.activation)
-        residuals, following = _evaluate(inputs, memory, self._weights, self._widths, kind, activation, shape.squashed)
-        if not width:
-            return residuals, None
-        return residuals, following.reshape(count, 2, shape.lstm) if shape.lstm else following
+        memory = np.ascontiguousarray(begun(state, episode_start, (count, *self._memory)), np.float32)
+        residuals, following = _evaluate(
+            inputs, memory.reshape(count, -1), self._weights, self._widths, self._kind, self._activation, shape.squashed
+        )
+        return residuals, following.reshape(count, *self._memory) if self._kind != _FEEDFORWARD else None
 
 
 def _array(tensor: torch.Tensor) -> Singles:

@@ -151,15 +151,15 @@ class TrainingMonitor:
         if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
             return
         actor = self.learner.actor()
-        base = make_base(self.config.base, self.config.sensors)
-        controller = ResidualController(base, NetworkPolicy(actor), self.spec.residual)
+        policy, base = NetworkPolicy(actor), make_base(self.config.base, self.config.sensors)
+        controller = ResidualController(base, policy, self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
-        theirs = self.base_scores
-        ratios = {name: scores[name] / theirs[name] for name in SCORES}
+        of_base = self.base_scores
+        ratios = {name: scores[name] / of_base[name] for name in SCORES}
         for name in SCORES:
             self.logger.record(f"validation/{name}", scores[name])
             self.logger.record(f"validation/{name}_over_base", ratios[name])
-        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if theirs[name] > _LEAST)
+        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if of_base[name] > _LEAST)
         self.progress["scores"] = f"{words} of the base"
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:

@@ -18,18 +18,17 @@ from eval.style.metrics import cell, numbers
 from eval.views.frame import frame_of, lines, part
 from eval.views.terminal import TIE, result
 from eval.views.traces import seed_note, shown_methods
-from eval.views.verdict import verdict
 
 _MARKED = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
 
-def markdown(comparison: Comparison, pictures: Sequence[str], results: str) -> str:
-    """Content of `summary.md`, with pictures beside it and the SHA-256 of the results.json to which it belongs."""
+def markdown(comparison: Comparison, said: Sequence[str], pictures: Sequence[str], results: str) -> str:
+    """Content of `summary.md`: the verdict, pictures beside it, and the SHA-256 of the results.json it belongs to."""
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     parts = [
         "# Comparison on the belt-driven arm",
         f"**{comparison.note}**",
-        " ".join(verdict(comparison)),
+        " ".join(said),
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
         f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
         f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "

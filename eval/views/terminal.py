@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -17,7 +18,6 @@ from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EPISODES, SPLITS
 from eval.style.metrics import cell, numbers, rounded, with_unit
 from eval.views.frame import frame_of, lines, part
-from eval.views.verdict import verdict
 
 TIE = "not shown to differ from the best, by the paired test with Holm's correction"
 _TERMINAL = ("cost", "residual_pp_mm")
@@ -25,12 +25,12 @@ _STYLES = {"best": "bold", "tie": "underline"}
 _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13
 
 
-def print_results(comparison: Comparison, console: Console, *, verbose: bool = False) -> None:
+def print_results(comparison: Comparison, said: Sequence[str], console: Console, *, verbose: bool = False) -> None:
     """Print the main split, best method first, and the verdict; `verbose` adds all splits with their intervals."""
     if verbose:
         _print_tables(comparison, console)
     console.print(_ranking(comparison))
-    for sentence in verdict(comparison):
+    for sentence in said:
         console.print(escape(sentence), style="bold", highlight=False)
     console.print(escape(comparison.note), highlight=False)
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]

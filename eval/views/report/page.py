@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +23,18 @@ from eval.views.report.scenes import Map, Recordings
 from eval.views.report.svg import Panel, line
 from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables, torque_table
 from eval.views.traces import seed_note
-from eval.views.verdict import verdict
 
 _TEMPLATES = Path(__file__).parent
 LARGEST = 3_000_000
 """Bytes that the page may have."""
 
 
-def write_report(comparison: Comparison, recordings: Recordings, out: Path) -> Path:
+def write_report(comparison: Comparison, said: Sequence[str], recordings: Recordings, out: Path) -> Path:
     """Write `report.html` into the folder `out`.
 
     Args:
         comparison: What was found.
+        said: The verdict, sentence by sentence.
         recordings: Motions of chosen scenarios, and robustness maps if there are any.
         out: Folder of the comparison.
 
@@ -44,22 +45,22 @@ def write_report(comparison: Comparison, recordings: Recordings, out: Path) -> P
         OSError: If it cannot be written.
     """
     path = out / "report.html"
-    write_text(path, render(comparison, recordings))
+    write_text(path, render(comparison, said, recordings))
     return path
 
 
-def render(comparison: Comparison, recordings: Recordings) -> str:
+def render(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> str:
     """Render the page."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined
     )
-    return environment.get_template("report.html").render(**_content(comparison, recordings))
+    return environment.get_template("report.html").render(**_content(comparison, said, recordings))
 
 
-def _content(comparison: Comparison, recordings: Recordings) -> dict[str, Any]:
+def _content(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> dict[str, Any]:
     colours: dict[str, str] = dict(zip(_coloured(comparison, recordings), COLOURS, strict=False))
     return {
-        "verdict": verdict(comparison),
+        "verdict": said,
         "failures": comparison.failures,
         "splits": [(name, SPLITS[name].description) for name in comparison.splits()],
         "episodes": comparison.outcomes[0].metrics["cost"].shape[1],
