@@ -1,8 +1,8 @@
 """Check the comparison's scenarios, and that the arms still move as when they were drawn: `python eval/scenarios.py`.
 
 `--write` keeps seeds, hashes and a few motions of the development set in `eval/comparison/development.json`.
-`--freeze-test` draws the test set into `eval/comparison/scenarios.json`: once, after all controllers and agents are
-frozen.
+`--freeze-test` draws the test set into `eval/comparison/scenarios.json`: once, after all controllers, agents and the
+protocol are frozen. The hash of the last commit of `docs/protocol.md` chooses the seeds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class Config:
     write: bool = False
     """Write eval/comparison/development.json anew: after a change of the physics or of the splits."""
     freeze_test: bool = False
-    """Draw the test set and write eval/comparison/scenarios.json; refused if it is there."""
+    """Draw the test set, from the hash of the last commit of docs/protocol.md, and write
+    eval/comparison/scenarios.json; refused if it is there."""
 
 
 def run(config: Config) -> None:

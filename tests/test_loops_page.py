@@ -23,11 +23,11 @@ from beltarm_env.task.seeds import LOOPS
 from eval import baselines
 from eval.comparison.methods import shipped_policies
 from eval.loops import price as prices
-from eval.loops.budgets import ModelSteps, budgets, model_steps
 from eval.loops.changes import CHANGES, LIMITS
 from eval.loops.costs import blind, built_arms, run_arms
 from eval.loops.identification import worth
 from eval.loops.scan import scan
+from eval.views.budgets import ModelSteps, budgets, model_steps
 
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "student"])
 
@@ -110,7 +110,7 @@ def test_identification_is_beside_the_best_that_does_not():
 class TestBudgets:
     def test_every_controller_states_what_its_model_simulates(self):
         for name in CONTROLLERS:
-            assert model_steps(CONTROLLERS[name]()), f"{name}: add its type to MODEL_STEPS in eval/loops/budgets.py"
+            assert model_steps(CONTROLLERS[name]()), f"{name}: add its type to MODEL_STEPS in eval/views/budgets.py"
 
     @pytest.mark.parametrize("name", ["zv", "lqg", "preview", "adaptive"])
     def test_that_is_what_it_simulates(self, name: str, monkeypatch: pytest.MonkeyPatch):

@@ -36,6 +36,7 @@ from eval.views.report.page import render, without_paths
 from eval.views.report.scenes import Map, Recordings, Scene, record_scenes
 from eval.views.report.tables import effort_table, metric_tables, torque_table
 from eval.views.traces import seed_note, shown_seed
+from eval.views.verdict import verdict
 
 ROOT = Path(__file__).resolve().parent.parent
 # The page
@@ -52,7 +53,7 @@ def test_scenarios_drawn_afresh_are_called_so():
     comparison = made(outcome("pid", "classical", 100.0))
     note = "Scenarios drawn afresh from seed 7, by the rules of the test set, but not the test set."
     assert f"<strong>{note}</strong>" in render(comparison, [], Recordings([]))
-    assert markdown(comparison, [], [], "").splitlines()[2] == f"**{note}**"
+    assert markdown(comparison, verdict(comparison), [], "").splitlines()[2] == f"**{note}**"
     assert to_json(comparison)["scenario_set"]["name"] == "seed 7"
 
 
@@ -92,7 +93,7 @@ def test_the_summary_and_the_page_mark_the_same():
         outcome("bad", "classical", 400.0),
         outcome("privileged", "privileged", 1.0),
     )
-    text, page = markdown(comparison, [], ["a.png"], "0" * 64), render(comparison, [], Recordings([]))
+    text, page = markdown(comparison, verdict(comparison), ["a.png"], "0" * 64), render(comparison, [], Recordings([]))
     marks = comparison.marks["nominal"]["cost"]
     assert sorted(marks.values()) == ["best", "tie"]
     for line in [line for line in text.splitlines() if line.startswith(("| pid | ", "| net | ", "| bad | "))][:3]:
@@ -292,7 +293,7 @@ def test_the_seed_of_median_cost_stands_for_a_learned_method():
     assert (shown_seed(comparison, "net"), shown_seed(comparison, "pid")) == (2, 0)
     note = "A learned method is shown by the training seed of median cost on nominal: net by seed 2 of 0 to 4."
     assert seed_note(comparison, ["pid", "net"]) == note
-    assert note in markdown(comparison, [], [], "")
+    assert note in markdown(comparison, verdict(comparison), [], "")
     assert seed_note(comparison, ["pid"]) == ""
 
 

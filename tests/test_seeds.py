@@ -4,7 +4,10 @@ import re
 from itertools import pairwise
 from pathlib import Path
 
+import pytest
+
 from beltarm_env.task.seeds import (
+    DEVELOPMENT,
     FRESH,
     MAX_FRESH_SEED,
     MAX_TRAINING_SEED,
@@ -12,6 +15,7 @@ from beltarm_env.task.seeds import (
     SEED_SPACING,
     TEST,
     TRAINING,
+    arms_chosen_by,
     fresh_arms,
     training_arms,
 )
@@ -31,11 +35,21 @@ def test_training_seeds_share_no_arm_and_fill_their_range():
     assert training_arms(1).first == first.first + first.size == SEED_SPACING
 
 
-def test_fresh_sets_share_no_arm_and_lie_beyond_all_others():
+def test_fresh_sets_share_no_arm_and_lie_beyond_what_is_used_here():
     first, last = fresh_arms(0), fresh_arms(MAX_FRESH_SEED)
-    assert first.first == FRESH.first == max(of.first for of in RANGES.values())
-    assert fresh_arms(1).first == first.first + first.size and first.size == TEST.size
+    assert first.first == FRESH.first == max(of.first for of in RANGES.values() if of is not TEST)
+    assert fresh_arms(1).first == first.first + first.size and first.size == DEVELOPMENT.size
     assert last.first + last.size == FRESH.first + FRESH.size
+
+
+def test_a_hash_chooses_the_test_scenarios():
+    first, last = arms_chosen_by("0" * 40), arms_chosen_by("f" * 40)
+    assert first.first == TEST.first and last.first + last.size == TEST.first + TEST.size
+    assert arms_chosen_by("00000002" + "a" * 32).first == first.first + 2 * DEVELOPMENT.size
+    assert max(of.first for of in RANGES.values()) == TEST.first
+    for no_hash in ("", "abc1234", "g" * 40, "A" * 40):
+        with pytest.raises(ValueError, match="the hash of a commit has 40 hexadecimal digits, got"):
+            arms_chosen_by(no_hash)
 
 
 def test_no_other_module_has_a_range_of_its_own():

@@ -14,11 +14,12 @@ import pytest
 from commands import mistake, stopped
 
 from baselines.servo.paper import PaperController
+from baselines.tools.provenance import last_commit_of
 from beltarm_env import ArmParams
 from beltarm_env.arm import DRIVE_EFFECTS, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES
-from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, TEST, SeedRange, fresh_arms
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, fresh_arms
 from beltarm_env.timing import MAX_LATENCY
 from eval import compare
 from eval import scenarios as command
@@ -33,7 +34,7 @@ from eval.comparison.scenarios import (
     text_of,
     write_record,
 )
-from eval.comparison.sets import ScenarioSet, development_set, fresh_set, make_set
+from eval.comparison.sets import ScenarioSet, development_set, draw_test_set, fresh_set, make_set
 from eval.comparison.splits import EDITION, EPISODES, SPLITS, VERSION, Split, digest_of, draw
 
 SHIFTED: dict[str, dict[str, tuple[float, float]]] = {
@@ -150,7 +151,7 @@ def test_no_two_splits_of_any_sets_share_an_arm_or_a_move():
         assert abs(one.seed - other.seed) >= EPISODES
         assert not np.intersect1d(one.moves[:, 0], other.moves[:, 0]).size
     ranges = [DEVELOPMENT, fresh_arms(0), fresh_arms(1), fresh_arms(MAX_FRESH_SEED)]
-    assert all(seeds.size == TEST.size for seeds in ranges)
+    assert all(seeds.size == DEVELOPMENT.size for seeds in ranges)
     for one, seeds in zip(sets, ranges, strict=True):
         for split in one.splits.values():
             assert seeds.first <= split.seed <= split.seed + EPISODES <= seeds.first + seeds.size
@@ -194,15 +195,22 @@ def test_a_label_says_what_its_numbers_are_worth():
 # The frozen test set
 
 
+MADE_UP = "00c0ffee" + "0" * 32
+
+
 @pytest.fixture(scope="module")
 def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A test set of a few scenarios of the development seeds: nobody looks at the real one before its time."""
-    few = {name: part_of(split, 4) for name, split in development_set().splits.items()}
+    """A test set of a few scenarios, as another protocol's commit would choose them."""
     path = tmp_path_factory.mktemp("frozen") / "scenarios.json"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(scenarios, "draw_test_set", lambda: make_set("test", few))
+        patched.setattr(scenarios, "draw_test_set", few_drawn)
+        patched.setattr(scenarios, "last_commit_of", lambda _: MADE_UP)
         freeze_test_set(path)
     return path
+
+
+def few_drawn(commit: str) -> ScenarioSet:
+    return make_set("test", {name: part_of(split, 4) for name, split in draw_test_set(commit).splits.items()})
 
 
 def part_of(split: Split, count: int) -> Split:
@@ -220,9 +228,9 @@ def test_the_test_set_is_drawn_once(frozen: Path):
 def test_the_test_set_is_written_as_it_is_read(frozen: Path, monkeypatch: pytest.MonkeyPatch):
     found = load(frozen)
     assert found.label.name == "test"
-    assert text_of(content_of(found)) == frozen.read_text(encoding="utf-8")
-    for name, split in found.splits.items():
-        drawn = development_set().splits[name]
+    assert text_of(content_of(found, MADE_UP)) == frozen.read_text(encoding="utf-8")
+    for name, drawn in draw_test_set(MADE_UP).splits.items():
+        split = found.splits[name]
         for field in ("table", "moves", "delays"):
             assert np.array_equal(getattr(split, field), getattr(drawn, field)[:4])
     monkeypatch.setattr(scenarios, "FILE", frozen)
@@ -240,6 +248,16 @@ def test_the_commands_say_what_is_there(
     assert [line.split()[:2] for line in lines[1 : 1 + len(SPLITS)]] == [[name, "500"] for name in SPLITS]
     assert lines[1 + len(SPLITS)].startswith("test set")
     assert "is there already: the test set is drawn once" in mistake(command.main, ("--freeze-test",), tmp_path)
+
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_the_commit_of_a_file(tmp_path: Path):
+    assert len(last_commit_of(ROOT / "LICENSE")) == 40
+    (tmp_path / "new").touch()
+    with pytest.raises(ValueError, match="git does not tell the last commit of new"):
+        last_commit_of(tmp_path / "new")
 
 
 # Damage
@@ -267,6 +285,8 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "last digit changed": (change_a_number, "SHA-256 does not match"),
     "last digit changed and hashed": (lambda c: rehashed(change_a_number(c)), "SHA-256 of payload does not match"),
     "column missing": (drop_the_moves, "KeyError"),
+    "another protocol": (lambda c: rehashed({**c, "protocol": "1" * 40}), "not the one that the protocol's commit"),
+    "no protocol": (lambda c: rehashed({**c, "protocol": "abc"}), "hash of a commit has 40 hexadecimal digits"),
     "splits missing": (lambda c: rehashed({key: c[key] for key in ("format", "version")}), "KeyError"),
 }
 

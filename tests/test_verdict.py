@@ -9,13 +9,18 @@ import pytest
 from outcomes import made, outcome
 from rich.console import Console
 
+import eval.views.verdict
 from eval.comparison.pairs import LEFT, Failure
-from eval.comparison.results import Comparison, MethodOutcome
+from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.schema import to_json
-from eval.views.markdown import tail_table
+from eval.views.markdown import primary_table, tail_table
 from eval.views.readme import answer, tables, updated
 from eval.views.terminal import print_results
-from eval.views.verdict import duels, verdict
+from eval.views.verdict import duels
+
+
+def verdict(comparison: Comparison) -> tuple[str, ...]:
+    return eval.views.verdict.verdict(comparison).sentences
 
 
 def over(costs: dict[str, tuple[float, float]]) -> Comparison:
@@ -33,12 +38,40 @@ def test_a_learned_method_that_is_better_and_worse():
         "(60 against 100; mean of all runs 60 against 100)."
     )
     assert second == "net costs less on 1 of 2 splits (nominal); net costs more on 1 of 2 splits (payload)."
-    assert "swings by 60.00 mm with net and 100.00 mm with pid (better)" in third
+    assert "swings by 60.00 mm with net and 100.00 mm with pid (better; of 2 splits better on 1, worse on 1)" in third
 
 
 def test_costs_of_several_times_as_much():
     first, *_ = verdict(over({"nominal": (100.0, 350.0)}))
     assert "costs 3.5 times as much as the best classical controller, pid" in first
+
+
+def test_the_protocol_says_who_is_compared():
+    """Whoever is best on these scenarios: choosing on them would favour whom it chooses."""
+    classical = outcome("adaptive", "classical", 100.0), outcome("lucky", "classical", 90.0)
+    found = made(*classical, outcome("student", "learned", 80.0), outcome("net", "learned", 50.0))
+    duel = duels(found)["nominal"]
+    assert (duel.challenger.method.name, duel.classical.method.name) == ("student", "adaptive")
+    first, *_, last = verdict(found)
+    assert "the learned method, student, costs 20% less than the classical controller, adaptive (80" in first
+    assert last == "On nominal, net costs 44% less than lucky (50 against 90; mean of all runs 50 against 90)."
+
+
+def test_an_added_controller_has_a_sentence_of_its_own():
+    known = outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0)
+    assert verdict(made(*known, outcome("Mine", "added", 200.0)))[-1].startswith("On nominal, Mine costs 2.0 times as")
+
+
+def test_the_duels_are_in_the_results_and_in_the_summary():
+    found = eval.views.verdict.verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
+    rows = {(row["metric"], row["split"]): row for row in found.rows()}
+    assert {metric for metric, _ in rows} == set(PAIRED_METRICS) and len(rows) == 6
+    row = rows["cost", "nominal"]
+    assert (row["challenger"], row["classical"], row["result"]) == ("net", "pid", "better")
+    assert row["iqm"] == pytest.approx(-40) and row["relative"] == pytest.approx(-0.4) and row["mean_high"] < 0
+    lines = primary_table(found).splitlines()[2:]
+    assert len(lines) == 6 and lines[0].startswith("| cost | nominal | **better** | -40") and "-40 %" in lines[0]
+    assert "**worse**" in lines[1]
 
 
 def test_the_main_split_decides_who_is_compared():

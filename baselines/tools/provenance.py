@@ -32,6 +32,27 @@ def commit() -> str:
     return described.stdout.strip()
 
 
+def last_commit_of(path: Path) -> str:
+    """Hash of the last commit that changed a file of the checkout.
+
+    Raises:
+        ValueError: If the file is in no commit, differs from its last one, or there is no git.
+    """
+    asked = ("status", "--porcelain", "--"), ("log", "-1", "--format=%H", "--")
+    try:
+        changed, found = (
+            subprocess.run(
+                ["git", *words, str(path)], cwd=_ROOT, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for words in asked
+        )
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise ValueError(f"git does not tell the last commit of {path.name}: {error}") from None
+    if changed or not found:
+        raise ValueError(f"{path.name} is not committed as it is: commit it first")
+    return found
+
+
 def software(*packages: str) -> dict[str, object]:
     """Version and commit of this project, and versions of Python and of packages."""
     versions = {"python": platform.python_version(), **{name: version(name) for name in packages}}

@@ -6,6 +6,7 @@ tested on what it was trained, tuned or chosen on. Arm i of a range has the seed
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 
@@ -58,17 +59,29 @@ FIRST_EDITION = SeedRange(8_000_000, 200_000)
 MAPS = SeedRange(8_500_000, 8)
 """Moves of the robustness maps."""
 DEVELOPMENT = SeedRange(8_600_000, 100_000)
-"""Scenarios of the comparison while controllers and agents are worked on."""
-TEST = SeedRange(9_000_000, 100_000)
-"""The comparison's test scenarios, drawn once, when controllers and agents are frozen."""
+"""Scenarios of the comparison while controllers and agents are worked on; every other set has as many seeds."""
 FRESH = SeedRange(10_000_000, 1_000_000_000_000)
-"""Sets of scenarios that anybody draws afresh, by the test scenarios' rules; beyond all others."""
-MAX_FRESH_SEED = FRESH.size // TEST.size - 1
+"""Sets of scenarios that anybody draws afresh, by the test scenarios' rules."""
+MAX_FRESH_SEED = FRESH.size // DEVELOPMENT.size - 1
+_HASHES = 2**32  # of the first eight digits of a commit's hash
+TEST = SeedRange(FRESH.first + FRESH.size, _HASHES * DEVELOPMENT.size)
+"""Where the comparison's test scenarios are: a commit's hash chooses the place; beyond all others."""
 
 
 def fresh_arms(number: int) -> SeedRange:
     """Return the seeds of one fresh set of scenarios, 0 to `MAX_FRESH_SEED`."""
-    return SeedRange(FRESH.first + TEST.size * number, TEST.size)
+    return SeedRange(FRESH.first + DEVELOPMENT.size * number, DEVELOPMENT.size)
+
+
+def arms_chosen_by(commit: str) -> SeedRange:
+    """Return the seeds of the test scenarios that the hash of a commit chooses, by its first eight digits.
+
+    Raises:
+        ValueError: If it is no hash.
+    """
+    if not re.fullmatch("[0-9a-f]{40}", commit):
+        raise ValueError(f"the hash of a commit has 40 hexadecimal digits, got {commit!r}")
+    return SeedRange(TEST.first + DEVELOPMENT.size * int(commit[:8], 16), DEVELOPMENT.size)
 
 
 RANGES = {name: value for name, value in vars().items() if isinstance(value, SeedRange)}

@@ -21,6 +21,9 @@ from eval.comparison import custom
 
 Kind = Literal["classical", "learned", "privileged", "added"]
 PRIVILEGED = "privileged"
+PRIMARY = ("student", "adaptive")
+"""Learned method and classical controller that the comparison is about first: the best ones on the development set,
+named in docs/protocol.md before the test scenarios were drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +149,13 @@ def _learned(name: str, folders: list[Path]) -> Method:
 def shipped_policies() -> list[Path]:
     """Folders of the shipped policies: `agents/policies/METHOD/SEED`."""
     return sorted(path.parent for path in POLICIES.glob("*/*/policy.json"))
+
+
+def is_shipped(method: Method) -> bool:
+    """Whether a method comes with the project, rather than from its user."""
+    return method.kind != "added" and all(
+        method.kind != "learned" or Path(source).is_relative_to(POLICIES) for source in method.sources
+    )
 
 
 def policies_of(methods: Iterable[Method]) -> list[str]:

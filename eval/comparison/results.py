@@ -16,7 +16,7 @@ from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
-from eval.comparison.methods import Method, policies_of
+from eval.comparison.methods import PRIMARY, Method, policies_of
 from eval.comparison.pairs import LEFT, SENSITIVE, Failure, Metrics
 from eval.comparison.sets import SetLabel
 
@@ -139,6 +139,17 @@ class Comparison:
         wanted = next((kind for kind in ("learned", "added") if kind in kinds), None)
         found = [outcome for outcome in self.on(split) if outcome.method.kind == wanted]
         return sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
+
+    def rivals(self) -> tuple[MethodOutcome, MethodOutcome] | None:
+        """Challenger and classical controller of the primary comparison, on the main split; None without both.
+
+        Those of the protocol where both took part, or else the ones of the lowest cost.
+        """
+        home = {outcome.method.name: outcome for outcome in self.on(self.main_split)}
+        if all(name in home for name in PRIMARY):
+            return home[PRIMARY[0]], home[PRIMARY[1]]
+        challengers, best = self.challengers(self.main_split), self.best_classical(self.main_split)
+        return (challengers[0], best) if challengers and best else None
 
     def best_classical(self, split: str) -> MethodOutcome | None:
         """Classical method of the lowest cost, if there is any."""

@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.tools.files import write_text
+from baselines.tools.provenance import last_commit_of
 from beltarm_env.arm import FIELDS, NOMINAL, params_columns
 from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
+from beltarm_env.task.seeds import arms_chosen_by
 from eval.comparison.sets import (
     DEVELOPMENT_NAME,
     TEST_NAME,
@@ -30,9 +32,10 @@ from eval.comparison.sets import (
     fresh_set,
     make_set,
 )
-from eval.comparison.splits import EDITION, SPLITS, VERSION, Split, digest_of, make_split
+from eval.comparison.splits import EDITION, SPLITS, VERSION, Split, digest_of, first_seed, make_split
 
 FILE = Path(__file__).with_name("scenarios.json")
+PROTOCOL = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
 RECORD = Path(__file__).with_name("development.json")
 FORMATS = {DEVELOPMENT_NAME: "beltarm-development", TEST_NAME: "beltarm-scenarios"}
 COMMAND, FREEZE = "python eval/scenarios.py --write", "python eval/scenarios.py --freeze-test"
@@ -96,8 +99,8 @@ def columns_of(split: Split) -> dict[str, NDArray[Any]]:
     return {**varied, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
 
 
-def content_of(scenarios: ScenarioSet) -> dict[str, Any]:
-    """Content of the file of a set: of the test set with all numbers, of the development set without."""
+def content_of(scenarios: ScenarioSet, protocol: str = "") -> dict[str, Any]:
+    """Content of the file of a set: of the test set with all numbers and the protocol's commit; else without."""
     name = scenarios.label.name
     entries = {}
     for split in scenarios.splits.values():
@@ -111,7 +114,9 @@ def content_of(scenarios: ScenarioSet) -> dict[str, Any]:
             "sha256": split.digest,
         }
     command = FREEZE if name == TEST_NAME else COMMAND
-    content = {"format": FORMATS[name], "edition": EDITION, "version": VERSION, "command": command, "splits": entries}
+    content = {"format": FORMATS[name], "edition": EDITION, "version": VERSION, "command": command}
+    content |= {"protocol": protocol} if protocol else {}
+    content |= {"splits": entries}
     return {**content, "sha256": digest_of(content)}
 
 
@@ -127,27 +132,34 @@ def write_record(path: Path) -> None:
 
 
 def freeze_test_set(path: Path) -> None:
-    """Draw the test set and write its file.
+    """Draw the test set from the hash of the last commit of the protocol, and write its file.
 
     Raises:
-        ValueError: If the file is there already, or the physics is not that of the development set's record.
+        ValueError: If the file is there already, the protocol is not committed, or the physics is not that of the
+            development set's record.
     """
     if path.exists():
         raise ValueError(f"{path} is there already: the test set is drawn once, and not again")
     require_same_physics(development_set())
-    write_text(path, text_of(content_of(draw_test_set())))
+    protocol = last_commit_of(PROTOCOL)
+    write_text(path, text_of(content_of(draw_test_set(protocol), protocol)))
 
 
 def load(path: Path) -> ScenarioSet:
     """Read the test set from its file.
 
     Raises:
-        ValueError: If the file is missing, damaged, changed by hand, or of another version.
+        ValueError: If the file is missing, damaged, changed by hand, of another version, or not of the seeds that its
+            protocol's commit chooses.
     """
     remedy = f"restore {path.name} from the repository"
     content = _read(path, TEST_NAME, remedy)
     try:
-        return make_set(TEST_NAME, {name: _split_of(name, entry) for name, entry in content["splits"].items()})
+        seeds = arms_chosen_by(content["protocol"])
+        found = {name: _split_of(name, entry) for name, entry in content["splits"].items()}
+        if wrong := [name for name, split in found.items() if split.seed != first_seed(name, seeds)]:
+            raise ValueError(f"the seed of {wrong[0]} is not the one that the protocol's commit chooses")
+        return make_set(TEST_NAME, found)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} does not hold what it should ({error!r}): {remedy}") from None
 

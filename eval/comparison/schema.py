@@ -7,6 +7,10 @@
   Results that differ in any of them must not be compared or merged.
 - `provenance`: command, commit, seeds and SHA-256 of the splits, content hashes of the policies, packages, machine.
 - `verdict`: sentences, made from these numbers.
+- `primary`, one per metric and split of the primary comparison: `challenger` and `classical`; the `result`, "better",
+  "worse" or "open" (no difference shown); the difference of interquartile means `iqm`, `low`, `high`, its share
+  `relative` of the classical controller's value, and `p_holm` after Holm's correction over the splits; the `mean`
+  difference, `mean_low` to `mean_high`. Not there in older files.
 - `rows`, one per method and split: `method`; `kind`, "classical", "learned", "added" (a user's own) or "privileged"
   (sees what no other does, never ranked); `split`; `episodes`; `seeds`; `metrics`, by name an interquartile mean `iqm`
   (of shares: a plain mean) with its 95 % interval, `low` to `high`; `failures`, in how many of all `runs` the tip did
@@ -49,8 +53,10 @@ AGAINST = ("best classical", "base")
 """What a method is compared with."""
 
 
-def to_json(comparison: Comparison, verdict: Sequence[str] = ()) -> dict[str, Any]:
-    """Content of `results.json`, with a verdict in words."""
+def to_json(
+    comparison: Comparison, verdict: Sequence[str] = (), primary: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
+    """Content of `results.json`, with a verdict in words, and what it rests on."""
     best = {name: outcome.method.name for name in comparison.splits() if (outcome := comparison.best_classical(name))}
     base = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
     return {
@@ -59,6 +65,7 @@ def to_json(comparison: Comparison, verdict: Sequence[str] = ()) -> dict[str, An
         "scenario_set": comparison.scenario_set._asdict(),
         "provenance": comparison.provenance,
         "verdict": list(verdict),
+        "primary": list(primary),
         "rows": [result_row(outcome) for outcome in comparison.outcomes],
         "paired": [
             *_paired_rows(comparison.against_best, AGAINST[0], lambda split, _: best[split]),
@@ -126,9 +133,11 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def write_results(comparison: Comparison, folder: Path, verdict: Sequence[str] = ()) -> None:
-    """Write `results.json`, with a verdict in words, and `episodes.csv`, each atomically."""
-    content = to_json(comparison, verdict)
+def write_results(
+    comparison: Comparison, folder: Path, verdict: Sequence[str] = (), primary: Sequence[dict[str, Any]] = ()
+) -> None:
+    """Write `results.json`, with a verdict in words and what it rests on, and `episodes.csv`, each atomically."""
+    content = to_json(comparison, verdict, primary)
     check(content, "results.json")
     write_text(folder / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     episodes = to_episodes(comparison)
@@ -152,6 +161,7 @@ _TEXT, _INTEGER, _NUMBER, _FLAG = ({"type": name} for name in ("string", "intege
 _ESTIMATE = dict.fromkeys(("iqm", "low", "high"), _NUMBER)
 _PAIR = dict.fromkeys((*_ESTIMATE, "win_rate", "win_rate_low", "win_rate_high", "p", "p_holm"), _NUMBER)
 SCHEMA = _object(
+    ("primary",),
     edition=_INTEGER,
     version=_INTEGER,
     scenario_set=_object(name=_TEXT, sha256=_TEXT),
@@ -166,6 +176,16 @@ SCHEMA = _object(
         computing_time=_FLAG,
     ),
     verdict=_list(_TEXT),
+    primary=_list(
+        _object(
+            metric=_TEXT,
+            split=_TEXT,
+            challenger=_TEXT,
+            classical=_TEXT,
+            result={"enum": ["better", "worse", "open"]},
+            **dict.fromkeys((*_ESTIMATE, "relative", "p_holm", "mean", "mean_low", "mean_high"), _NUMBER),
+        )
+    ),
     rows=_list(
         _object(
             ("added_latency_us", "sensitivity"),

@@ -1,7 +1,8 @@
 """Sets of scenarios: what controllers are developed on, what they are tested on, and what anybody draws afresh.
 
     development   drawn on the fly; controllers and agents may be chosen on it: its numbers are no test results
-    test          drawn once, after controllers and agents are frozen, and kept in a file (`eval.comparison.scenarios`)
+    test          drawn once, after controllers, agents and protocol are frozen, from seeds that the hash of the
+                  protocol's commit chooses, and kept in a file (`eval.comparison.scenarios`)
     seed N        drawn on the fly by the rules of the test set, from seeds that nothing else uses
 
 All are made alike, each from a range of seeds of its own (`beltarm_env.task.seeds`).
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
-from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, TEST, SeedRange, fresh_arms
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, arms_chosen_by, fresh_arms
 from eval.comparison.splits import EDITION, SPLITS, VERSION, Split, digest_of, draw
 
 DEVELOPMENT_NAME, TEST_NAME = "development", "test"
@@ -37,7 +38,7 @@ class SetLabel(NamedTuple):
         if self.name == DEVELOPMENT_NAME:
             return "Scenarios of the development set, on which controllers and agents may be chosen: no test results."
         if self.name == TEST_NAME:
-            return "Scenarios of the test set, drawn once, after controllers and agents were frozen."
+            return "Scenarios of the test set, drawn once, after controllers, agents and protocol were frozen."
         return f"Scenarios drawn afresh from {self.name}, by the rules of the test set, but not the test set."
 
 
@@ -70,9 +71,13 @@ def development_set() -> ScenarioSet:
     return draw_set(DEVELOPMENT_NAME, DEVELOPMENT)
 
 
-def draw_test_set() -> ScenarioSet:
-    """Draw the test set, for its file alone."""
-    return draw_set(TEST_NAME, TEST)
+def draw_test_set(protocol: str) -> ScenarioSet:
+    """Draw the test set, for its file alone, from the hash of the commit of the protocol.
+
+    Raises:
+        ValueError: If it is no hash.
+    """
+    return draw_set(TEST_NAME, arms_chosen_by(protocol))
 
 
 @cache

@@ -148,14 +148,22 @@ def draw(name: str, of: str, seeds: SeedRange) -> Split:
     Raises:
         ValueError: If the range has no room for it.
     """
-    definition = SPLITS[name]
-    place = _SPACING * list(SPLITS).index(name)
-    if place + _SPACING > seeds.size:
-        raise ValueError(f"split {name} needs {place + _SPACING} seeds, its range has {seeds.size}: enlarge it")
-    first = seeds.first + place
+    definition, first = SPLITS[name], first_seed(name, seeds)
     env = BeltArmVectorEnv(EPISODES, randomization=definition.ranges)
     env.reset(seed=first)
     return make_split(name, of, first, definition.settings, env.params_table, env.moves, _delays(definition, first))
+
+
+def first_seed(name: str, seeds: SeedRange) -> int:
+    """Return the seed of a split's first arm in the range of seeds of a set.
+
+    Raises:
+        ValueError: If the range has no room for it.
+    """
+    place = _SPACING * list(SPLITS).index(name)
+    if place + _SPACING > seeds.size:
+        raise ValueError(f"split {name} needs {place + _SPACING} seeds, its range has {seeds.size}: enlarge it")
+    return seeds.first + place
 
 
 def _delays(definition: Definition, first: int) -> Floats:

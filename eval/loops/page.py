@@ -9,10 +9,10 @@ from baselines import TUNABLE
 from baselines.loops.condition import CORNERS, MarginCondition
 from beltarm_env.task.seeds import LOOPS
 from eval.loops import tables
-from eval.loops.budgets import Budget
 from eval.loops.costs import PRIVILEGED
 from eval.loops.identification import IDENTIFYING, WORSE
 from eval.loops.study import LoopStudy
+from eval.views.budgets import BUDGETS_NOTE, Budget, budgets_table
 
 _ASKED = MarginCondition()
 _LOOPS = (
@@ -28,16 +28,6 @@ _CORNERS = (
     f"The same on the design model and {len(CORNERS) - 1} corners of the training ranges. Gains are tuned under the "
     f"condition that modulus and delay are at least {_ASKED.modulus:g} and {_ASKED.delay:g} sample on all of them "
     "(`baselines/loops/condition.py`); `paper` and `rigid` are not tuned."
-)
-_BUDGETS = (
-    "Classical gains come from one search each: its samples are those of all trials and of the choice among the "
-    "best; *refused* are proposals whose loop fell short of the margins, which cost no samples. Learned methods are "
-    "trained with settings that were found before, on samples of their own ([../training.md](../training.md)); runs "
-    "are training seeds. *Model steps* are those of 1.5 ms that the controller's own model makes for each action: "
-    "simulated with friction, drive and stiction, one after the other or for derivatives, + those of a linear plan, "
-    "backward in time. A plan for the whole move has 1200, spread over the actions between two plans; one pass of an "
-    "active set counts. Agents have the steps of their base and of the filter that tells them about the arm; in "
-    "training, a student's teacher simulates 20 steps more for each sample."
 )
 
 
@@ -110,8 +100,8 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "others. The last column has the environment in it.",
         tables.times_table(study),
         "## Budgets on equal terms",
-        _BUDGETS + _kept(study.budgets),
-        tables.budgets_table(study),
+        BUDGETS_NOTE + _kept(study.budgets),
+        budgets_table(study.budgets),
         "## Gap to the clairvoyant optimum",
         "Cost over that of `baselines/oracle.json`, which knows arm, state and move; a local optimum. The seeds are "
         "among those that tuning may draw arms from.",

@@ -10,11 +10,11 @@ from typing import TypeVar
 from baselines import CONTROLLERS
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.timing import Times, measure_times
-from eval.loops.budgets import Budget, budgets
 from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
 from eval.loops.identification import Beside, worth
 from eval.loops.price import Price, price
 from eval.loops.scan import Scan, scan
+from eval.views.budgets import Budget, budgets
 
 Result = TypeVar("Result")
 

@@ -187,19 +187,6 @@ def times_table(study: LoopStudy) -> str:
     return markdown_table(titles, rows)
 
 
-def budgets_table(study: LoopStudy) -> str:
-    """What each method was given."""
-    titles = ["method", "runs", "samples of one (million)", "trials in them", "refused", "searched before (million)"]
-    rows = []
-    for of in study.budgets:
-        effort = [number(of.samples / 1e6, 1) if of.samples else "–", str(of.trials) if of.kind == "classical" else "–"]
-        effort += [str(of.refused) if of.kind == "classical" else "–"]
-        before = f"{of.searched / 1e6:.0f} in {of.trials} trials" if of.searched else "–"
-        steps = f"{of.steps.simulated} + {of.steps.planned}" if of.steps else "not stated"
-        rows.append([of.name, str(of.runs), *effort, before, number(of.seconds / 60, 1) if of.seconds else "–", steps])
-    return markdown_table([*titles, "minutes of one", "model steps per action"], rows)
-
-
 def gap_table(study: LoopStudy) -> str:
     """Costs over those of the clairvoyant optimum, scenario by scenario and in the mean of each kind."""
     optimum = study.oracle

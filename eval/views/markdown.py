@@ -15,20 +15,22 @@ from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell, numbers
+from eval.views.budgets import BUDGETS_NOTE, budget_of, budgets_table
 from eval.views.frame import frame_of, lines, part
 from eval.views.terminal import TIE, result
 from eval.views.traces import seed_note, shown_methods
+from eval.views.verdict import Verdict
 
 _MARKED = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
 
-def markdown(comparison: Comparison, said: Sequence[str], pictures: Sequence[str], results: str) -> str:
+def markdown(comparison: Comparison, said: Verdict, pictures: Sequence[str], results: str) -> str:
     """Content of `summary.md`: the verdict, pictures beside it, and the SHA-256 of the results.json it belongs to."""
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     parts = [
         "# Comparison on the belt-driven arm",
         f"**{comparison.note}**",
-        " ".join(said),
+        " ".join(said.sentences),
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
         f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
         f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "
@@ -36,6 +38,7 @@ def markdown(comparison: Comparison, said: Sequence[str], pictures: Sequence[str
         "not ranked.",
     ]
     parts += _failed(comparison)
+    parts += ["## The primary comparison", *_primary(said)] if said.duels else []
     found = frame_of(comparison)
     parts += ["## Cost on every split", method_table(part(found, metric=["cost"]), "split")]
     parts += ["## Mean and tail of the cost", _of_tails(), tail_table(comparison)]
@@ -49,6 +52,8 @@ def markdown(comparison: Comparison, said: Sequence[str], pictures: Sequence[str
         parts += [f"### {split}", paired_table(comparison, split)]
     parts += ["## Repeatability", _of_sensitivity(comparison.main_split), sensitivity_table(comparison)]
     parts += ["## What it takes", compute_table(comparison), "The controller's period is 1500 µs."]
+    found_budgets = [budget for outcome in comparison.methods() if (budget := budget_of(outcome.method))]
+    parts += ["## All samples", BUDGETS_NOTE, budgets_table(found_budgets)]
     parts += ["## Where this comes from", _origin(comparison, results), "## Pictures"]
     parts += [seed_note(comparison, shown_methods(comparison)), *(f"![{Path(name).stem}]({name})" for name in pictures)]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -57,6 +62,36 @@ def markdown(comparison: Comparison, said: Sequence[str], pictures: Sequence[str
 def _listed(metrics: Sequence[str]) -> str:
     *first, last = (METRICS[name].title for name in metrics)
     return f"{', '.join(first)} and {last}"
+
+
+def _primary(said: Verdict) -> list[str]:
+    duel = next(iter(said.duels["cost"].values()))
+    one, other = duel.challenger.method.name, duel.classical.method.name
+    how = (
+        f"{one} minus {other}, scenario by scenario: difference of the interquartile means, also as a share of "
+        f"{other}'s value; p value after Holm's correction over all splits; mean difference. *Better* and *worse* take "
+        "both: a corrected p value below 0.05, and a mean difference whose 95 % interval is clear of zero on the same "
+        "side."
+    )
+    return [how, primary_table(said)]
+
+
+def primary_table(said: Verdict) -> str:
+    """Duels of the primary comparison, metric by metric and split by split."""
+    rows = [
+        [
+            METRICS[metric].title,
+            split,
+            f"**{duel.result}**" if duel.result != "open" else "no difference shown",
+            cell(metric, duel.middle.difference),
+            f"{100 * duel.relative:+.0f} %",
+            f"{duel.middle.p_holm:.3f}",
+            cell(metric, duel.mean),
+        ]
+        for metric, of_metric in said.duels.items()
+        for split, duel in of_metric.items()
+    ]
+    return markdown_table(["metric", "split", "result", "difference", "share", "p", "mean difference"], rows, "lllrrrr")
 
 
 def _failed(comparison: Comparison) -> list[str]:

@@ -1,26 +1,29 @@
 """Verdict of a comparison in a few plain sentences, made from the numbers alone.
 
-One question comes first: does the best learned method beat the best classical controller? Both are those of the lowest
-cost on the main split, and they are compared scenario by scenario on every split. "Better" takes both averages: the
-difference of interquartile means outlives Holm's correction over all splits, and the 95 % interval of the mean
-difference is clear of zero. An interquartile mean alone drops the worst quarter of the arms.
+One question comes first: does the best learned method beat the best classical controller? Both were chosen on the
+development set (`eval.comparison.methods.PRIMARY`), and they are compared scenario by scenario on every split, in the
+cost and in what the arm's end does. "Better" takes both averages: the difference of interquartile means outlives Holm's
+correction over all splits, and the 95 % interval of the mean difference is clear of zero. An interquartile mean alone
+drops the worst quarter of the arms. docs/protocol.md fixed this before the test scenarios were drawn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired
-from eval.comparison.results import Comparison, MethodOutcome
+from eval.comparison.methods import is_shipped
+from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.style.metrics import with_unit
 
 Result = Literal["better", "worse", "open"]
 
-_PRACTICALLY_EQUAL = 0.03
+PRACTICALLY_EQUAL = 0.03
 """Share of the cost below which a difference that is shown is called a practical tie."""
 _KINDS = {"learned": "learned method", "added": "added controller"}
-_VIBRATION = {"residual_pp_mm": "After the move the arm's end still swings by {}", "tip_rms_mm": "its error is {}"}
+_TIP = {"residual_pp_mm": "After the move the arm's end still swings by {}", "tip_rms_mm": "its error is {}"}
 _RESULTS: dict[Result, str] = {"better": "better", "worse": "worse", "open": "no difference shown"}
 
 
@@ -47,24 +50,63 @@ class Duel:
         return self.middle.difference.iqm / max(self.classical.estimates[self.metric].iqm, 1e-12)
 
 
-def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
-    """Duels of the best challenger and the best classical controller by split, chosen by cost on the main one.
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a comparison says of its primary question."""
 
-    Empty where there is no challenger, or no classical controller.
-    """
+    sentences: tuple[str, ...]
+    duels: Mapping[str, Mapping[str, Duel]]  # by metric and split; empty where the question is not decided
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The duels as entries of `results.json`."""
+        return [
+            {
+                "metric": metric,
+                "split": split,
+                "challenger": duel.challenger.method.name,
+                "classical": duel.classical.method.name,
+                "result": duel.result,
+                "iqm": duel.middle.difference.iqm,
+                "low": duel.middle.difference.low,
+                "high": duel.middle.difference.high,
+                "p_holm": duel.middle.p_holm,
+                "relative": duel.relative,
+                "mean": duel.mean.iqm,
+                "mean_low": duel.mean.low,
+                "mean_high": duel.mean.high,
+            }
+            for metric, of_metric in self.duels.items()
+            for split, duel in of_metric.items()
+        ]
+
+
+def verdict(comparison: Comparison) -> Verdict:
+    """The answer on the main split and on all splits, what the arm's end does, and how a user's own methods do."""
+    pair = comparison.rivals()
+    if pair is None:
+        return Verdict(_without_rivals(comparison), {})
+    fought = {metric: duels(comparison, metric) for metric in PAIRED_METRICS}
     home = comparison.main_split
-    rivals, best = comparison.challengers(home), comparison.best_classical(home)
-    if not rivals or best is None:
+    sentences = [_answer(fought["cost"][home], comparison)]
+    if len(fought["cost"]) > 1:
+        sentences.append(_everywhere(fought["cost"]))
+    sentences.append(_of_tip(fought, home))
+    own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
+    sentences += [_costs(_duel(one, best), home) for one in own if (best := comparison.best_classical(home))]
+    return Verdict(tuple(sentences), fought)
+
+
+def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
+    """Duels of the primary comparison by split, corrected for the number of splits; empty where it is not decided."""
+    pair = comparison.rivals()
+    if pair is None:
         return {}
     found: dict[str, Duel] = {}
     for split in comparison.splits():
         by_name = {outcome.method.name: outcome for outcome in comparison.on(split)}
-        one, other = by_name.get(rivals[0].method.name), by_name.get(best.method.name)
-        if one is None or other is None:
-            continue
-        values, theirs = one.metrics[metric], other.metrics[metric]
-        mean = estimate(values - theirs.mean(axis=0, keepdims=True), mean=True)
-        found[split] = Duel(one, other, metric, paired(values, theirs), mean)
+        one, other = (by_name.get(rival.method.name) for rival in pair)
+        if one and other:
+            found[split] = _duel(one, other, metric)
     adjusted = holm([duel.middle.p for duel in found.values()])
     return {
         split: replace(duel, middle=replace(duel.middle, p_holm=p))
@@ -72,83 +114,99 @@ def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
     }
 
 
-def verdict(comparison: Comparison) -> list[str]:
-    """Sentences: the answer on the main split, on all splits, and what the arm's end does."""
-    fought = duels(comparison)
-    home = fought.get(comparison.main_split)
-    if home is None:
-        return _without_challenger(comparison)
-    sentences = [_answer(home, comparison.main_split)]
-    if len(fought) > 1:
-        sentences.append(_everywhere(fought))
-    return [*sentences, _vibration(comparison)]
+def _duel(one: MethodOutcome, other: MethodOutcome, metric: str = "cost") -> Duel:
+    values, theirs = one.metrics[metric], other.metrics[metric]
+    mean = estimate(values - theirs.mean(axis=0, keepdims=True), mean=True)
+    found = paired(values, theirs)
+    return Duel(one, other, metric, replace(found, p_holm=found.p), mean)
 
 
-def _answer(duel: Duel, split: str) -> str:
-    one, other = duel.challenger, duel.classical
-    learned = f"the best {_KINDS[one.method.kind]}, {one.method.name},"
-    classical = f"the best classical controller, {other.method.name}"
-    numbers = f"{_cost(one)} against {_cost(other)}; mean of all runs {_mean(one)} against {_mean(other)}"
+def _answer(duel: Duel, comparison: Comparison) -> str:
+    one, other, split = duel.challenger, duel.classical, comparison.main_split
+    of_kind = [o for o in comparison.on(split) if o.method.kind == one.method.kind]
+    first = min(of_kind, key=_of_cost) is one
+    classical = "best " if comparison.best_classical(split) is other else ""
+    learned = f"the {'best ' if first else ''}{_KINDS[one.method.kind]}, {one.method.name},"
+    return _costs(duel, split, learned, f"the {classical}classical controller, {other.method.name}")
+
+
+def _costs(duel: Duel, split: str, one: str = "", other: str = "") -> str:
+    """Sentence about the cost on one split."""
+    one, other = one or duel.challenger.method.name, other or duel.classical.method.name
+    pair = duel.challenger, duel.classical
+    middle, mean = (" against ".join(f"{average(o):.0f}" for o in pair) for average in (_of_cost, _mean))
+    numbers = f"{middle}; mean of all runs {mean}"
     if duel.result == "open":
-        return f"On {split}, no difference in cost is shown between {learned} and {classical} ({numbers})."
+        return f"On {split}, no difference in cost is shown between {one} and {other} ({numbers})."
     size, less = abs(duel.relative), "less than" if duel.result == "better" else "more than"
     shown = f"{size:.0%} {less}" if size < 1 else f"{1 + size:.1f} times as much as"
-    tie = ": a practical tie" if size < _PRACTICALLY_EQUAL else ""
-    return f"On {split}, {learned} costs {shown} {classical} ({numbers}){tie}."
+    tie = ": a practical tie" if size < PRACTICALLY_EQUAL else ""
+    return f"On {split}, {one} costs {shown} {other} ({numbers}){tie}."
 
 
-def _everywhere(fought: dict[str, Duel]) -> str:
+def _everywhere(fought: Mapping[str, Duel]) -> str:
     name = next(iter(fought.values())).challenger.method.name
-    by_result: dict[Result, list[str]] = {
-        result: [split for split, duel in fought.items() if duel.result == result]
-        for result in ("better", "worse", "open")
-    }
     words = {
         "better": "{0} costs less on {1}",
         "worse": "{0} costs more on {1}",
         "open": "no difference is shown on {1}",
     }
-    parts = [words[result].format(name, _listed(splits, len(fought))) for result, splits in by_result.items() if splits]
+    parts = [words[result].format(name, _listed(splits, len(fought))) for result, splits in _by_result(fought).items()]
     return f"{'; '.join(parts)}."
+
+
+def _by_result(fought: Mapping[str, Duel]) -> dict[Result, list[str]]:
+    """Splits by result; only results that there are."""
+    found: dict[Result, list[str]] = {
+        result: [split for split, duel in fought.items() if duel.result == result] for result in _RESULTS
+    }
+    return {result: splits for result, splits in found.items() if splits}
 
 
 def _listed(splits: list[str], total: int) -> str:
     return f"all {total} splits" if len(splits) == total else f"{len(splits)} of {total} splits ({', '.join(splits)})"
 
 
-def _vibration(comparison: Comparison) -> str:
-    """What the arm's end does on the main split: vibration after the move, and error on the way."""
+def _of_tip(fought: Mapping[str, Mapping[str, Duel]], home: str) -> str:
+    """What the arm's end does: vibration after the move, and error on the way."""
     parts = []
-    for metric, words in _VIBRATION.items():
-        duel = duels(comparison, metric)[comparison.main_split]
+    for metric, words in _TIP.items():
+        duel = fought[metric][home]
         pair = (duel.challenger, duel.classical)
         shown = " and ".join(f"{_shown(metric, outcome)} with {outcome.method.name}" for outcome in pair)
-        parts.append(f"{words.format(shown)} ({_RESULTS[duel.result]})")
+        parts.append(f"{words.format(shown)} ({_RESULTS[duel.result]}{_elsewhere(fought[metric])})")
     return f"{'; over the whole episode '.join(parts)}."
+
+
+def _elsewhere(fought: Mapping[str, Duel]) -> str:
+    if len(fought) == 1:
+        return ""
+    counts = [f"{_RESULTS[result]} on {len(splits)}" for result, splits in _by_result(fought).items()]
+    return f"; of {len(fought)} splits {', '.join(counts)}"
 
 
 def _shown(metric: str, outcome: MethodOutcome) -> str:
     return with_unit(metric, f"{outcome.estimates[metric].iqm:.2f}")
 
 
-def _cost(outcome: MethodOutcome) -> str:
-    return f"{outcome.estimates['cost'].iqm:.0f}"
+def _of_cost(outcome: MethodOutcome) -> float:
+    return outcome.estimates["cost"].iqm
 
 
-def _mean(outcome: MethodOutcome) -> str:
-    return f"{outcome.metrics['cost'].mean():.0f}"
+def _mean(outcome: MethodOutcome) -> float:
+    return float(outcome.metrics["cost"].mean())
 
 
-def _without_challenger(comparison: Comparison) -> list[str]:
+def _without_rivals(comparison: Comparison) -> tuple[str, ...]:
     leaders = {split: best for split in comparison.splits() if (best := comparison.best_classical(split))}
     if not leaders:
-        return [
+        return (
             "No classical controller took part, so nothing can be said of learned against classical ones.",
             "Name one with --methods to compare with it.",
-        ]
+        )
     missing = "a learned method could not be run" if comparison.failures else "no learned method took part"
-    names = "; ".join(f"{split}: {best.method.name} ({_cost(best)})" for split, best in leaders.items())
-    return [
+    names = "; ".join(f"{split}: {best.method.name} ({_of_cost(best):.0f})" for split, best in leaders.items())
+    return (
         f"Learned against classical is not decided here: {missing}.",
         f"The lowest cost among the classical controllers, by split: {names}.",
-    ]
+    )
