@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
@@ -251,6 +252,23 @@ def test_the_commands_say_what_is_there(
 
 
 ROOT = Path(__file__).parent.parent
+CHANGES = "## Changes made after the results"
+
+
+def of_git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+def test_the_protocol_is_that_of_the_commit_which_chose_the_seeds():
+    """But for what its last section lists."""
+    commit = json.loads(scenarios.FILE.read_text())["protocol"]
+    try:
+        then = of_git("show", f"{commit}:docs/protocol.md")
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("the history is not here")
+    now = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    assert now.split(CHANGES)[0] == then.split(CHANGES)[0]
+    assert not of_git("ls-tree", commit, "eval/comparison/scenarios.json")
 
 
 def test_the_commit_of_a_file(tmp_path: Path):
