@@ -30,6 +30,7 @@ from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, fuller
 from eval.comparison.scenarios import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
+from eval.leaderboard.sealed import sealed_set
 from eval.views.publish import publish
 
 
@@ -55,9 +56,9 @@ class Config:
     """Scenarios per split, at most 500; 200 by default."""
     quick: bool = False
     """A first look: 24 scenarios per split."""
-    scenarios: Literal["development", "test"] | None = None
-    """Set of scenarios: "development", on which controllers and agents may be chosen, or "test". Default: the test set
-    as soon as it is drawn."""
+    scenarios: Literal["development", "test", "sealed"] | None = None
+    """Set of scenarios: "development", on which controllers and agents may be chosen, "test", or "sealed", once its
+    seed is published (docs/leaderboard.md). Default: the test set as soon as it is drawn."""
     scenario_seed: int | None = None
     """Draw a fresh set of scenarios instead, by the same rules, from seeds that nothing else uses: 0, 1, 2, ..."""
     maps: bool = False
@@ -84,7 +85,10 @@ def run(config: Config) -> None:
     console = Console()
     require_bounds(config, episodes=(4, EPISODES), jobs=(1, 256))
     torch.set_num_threads(1)  # the networks are too small for more
-    known = choose_set(config.scenarios, config.scenario_seed)
+    if config.scenarios == "sealed" and config.scenario_seed is None:
+        known = sealed_set()
+    else:
+        known = choose_set(config.scenarios, config.scenario_seed)
     scenarios = known.only(chosen("split", config.splits, known.splits))
     methods = choose_methods(config.methods, config.policy, config.add, config.out)
     for method in methods:

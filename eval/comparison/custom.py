@@ -73,12 +73,14 @@ def _search(folder: Path) -> None:
 def home(spec: str) -> Path:
     """Folder of everything that belongs to the controller: the whole package, or the folder of a file by itself.
 
+    A file is not imported for it, a package is.
+
     Raises:
-        ValueError: If it cannot be imported.
+        ValueError: If a package cannot be imported.
     """
-    factory(spec)
     where, _, _ = absolute(spec).rpartition(":")
     if not where.endswith(".py"):
+        factory(spec)
         file = Path(sys.modules[where].__file__ or ".").resolve()
         packages = map(Path, getattr(sys.modules[where.partition(".")[0]], "__path__", ()))
         return next((folder for package in packages if file.is_relative_to(folder := package.resolve())), file.parent)
@@ -88,19 +90,19 @@ def home(spec: str) -> Path:
     return folder
 
 
-def identity(folder: Path, results: Path | None = None) -> str | None:
-    """SHA-256 of all files of a controller's folder, but for hidden files and `__pycache__`.
+def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
+    """All files of a controller's folder in their order, but for hidden files and `__pycache__`.
 
     Args:
         folder: See `home`.
         results: A folder below it that is left out, because the comparison itself writes there.
 
     Returns:
-        None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read: whether it is as
-        it was is then unknown.
+        None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read.
     """
     skipped = results.resolve() if results else None
-    total, entries, size = hashlib.sha256(), 0, 0
+    found: list[Path] = []
+    entries, size = 0, 0
     try:
         for root, folders, names in os.walk(folder, onerror=_raise, followlinks=True):
             folders[:] = sorted(name for name in folders if _is_own(name) and Path(root, name).resolve() != skipped)
@@ -109,9 +111,22 @@ def identity(folder: Path, results: Path | None = None) -> str | None:
             size += sum(path.stat().st_size for path in files)
             if entries > MOST_FILES or size > MOST_BYTES:
                 return None
-            for path in files:
-                total.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-                total.update(hashlib.sha256(path.read_bytes()).digest())
+            found += files
+    except OSError:
+        return None
+    return found
+
+
+def identity(folder: Path, results: Path | None = None) -> str | None:
+    """SHA-256 of all files of a controller's folder, see `files_of`; None if whether they are as before is unknown."""
+    files = files_of(folder, results)
+    if files is None:
+        return None
+    total = hashlib.sha256()
+    try:
+        for path in files:
+            total.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+            total.update(hashlib.sha256(path.read_bytes()).digest())
     except OSError:
         return None
     return total.hexdigest()

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
@@ -234,17 +234,19 @@ _Validator = validators.extend(
 )
 
 
-def check(content: object, where: str) -> None:
-    """Check the content of a `results.json`.
+def check(content: object, where: str, schema: Mapping[str, Any] = SCHEMA) -> None:
+    """Check the content of a `results.json`, or what has another schema.
 
     Raises:
         ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
     """
-    for error in _Validator(SCHEMA).iter_errors(content):
+    for error in _Validator(schema).iter_errors(content):
         place = where + "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in error.absolute_path)
         wanted: Any = error.validator_value
         if error.validator == "required":
             raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
+        if error.validator not in ("enum", "type"):
+            raise ValueError(f"{place}: {' '.join(error.message.split())[:200]}")
         words = f"one of {', '.join(wanted)}" if error.validator == "enum" else _TYPES[wanted]
         raise ValueError(f"{place} must be {words}, got {str(error.instance)[:80]!r}")
 
