@@ -105,9 +105,9 @@ def run(config: Config) -> None:
             if wrong := first_difference(submission.scores, found):
                 print(f"eval/submit.py: {config.verify.name} does not come out again: {wrong.words}", file=sys.stderr)
                 sys.exit(1)
-            console.print(
-                f"{config.verify.name} comes out again. Largest: {largest_difference(submission.scores, found).words}"
-            )
+            largest = largest_difference(submission.scores, found)
+            how = f"; closest to the limit: {largest.words}" if largest.size else ", all scores the same"
+            console.print(f"{config.verify.name} comes out again{how}")
         if config.by:
             console.print(
                 f"written to {add_result(config.verify, SEALED if config.sealed else TEST, rules, found, config.by)}"

@@ -47,7 +47,12 @@ _SCHEMA = {
     "type": "object",
     "required": ["archive", "sha256", "test"],
     "additionalProperties": False,
-    "properties": {"archive": _TEXT, "sha256": _TEXT, "test": _RUN, "sealed": _RUN},
+    "properties": {
+        "archive": {"type": "string", "pattern": r"^[A-Za-z0-9_-]+\.zip$"},
+        "sha256": _TEXT,
+        "test": _RUN,
+        "sealed": _RUN,
+    },
 }
 TEST, SEALED = "test", "sealed"
 """Sets that an entry has results on; of the sealed one only after it was revealed."""
@@ -80,12 +85,14 @@ def board_rules() -> Rules:
 
 
 def sealed_rules(archive: Path) -> Rules:
-    """Rules of the sealed set for an archive: that it was there before the set was known.
+    """Rules of the sealed set for an archive: that it was there before the set was known, and verified.
 
     Raises:
-        ValueError: If the sealed set is not revealed yet, or the archive came later.
+        ValueError: If the sealed set is not revealed yet, or the archive came later, or is not verified.
     """
     scenarios = sealed.sealed_set()
+    if not archive.with_suffix(".json").exists():
+        raise ValueError(f"{archive.name} is not verified on the test set yet: do that first, with --by")
     if sha256_of(archive) not in sealed.read()["submissions"]:
         raise ValueError(f"{archive.name} came after the sealed set was revealed: it has no result on it")
     return Rules(scenarios, EPISODES)
@@ -118,16 +125,10 @@ def require_verifier(by: str) -> None:
 
 
 def add_result(archive: Path, of: str, rules: Rules, scores: Scores, by: str) -> Path:
-    """Record what came out beside the archive; see `require_verifier`.
-
-    Raises:
-        ValueError: If it is of the sealed set, and the archive was not verified on the test set.
-    """
+    """Record what came out beside the archive; see `require_verifier` and `sealed_rules`."""
     path = archive.with_suffix(".json")
     record: dict[str, Any] = {"archive": archive.name, "sha256": sha256_of(archive)}
     if of == SEALED:
-        if not path.exists():
-            raise ValueError(f"{archive.name} is not verified on the test set yet: do that first")
         record = json.loads(path.read_text(encoding="utf-8"))
     record[of] = {
         "by": by,
