@@ -95,7 +95,7 @@ film: $(READY)  ## Regenerate the film on the README's first screen
 		--speed 0.5 --out docs/comparison/motion.gif
 
 readme: $(READY)  ## Regenerate the README, docs/comparison, docs/iterative and docs/training
-	$(BIN)/python eval/compare.py --out docs/comparison
+	$(BIN)/python eval/compare.py --episodes 500 --out docs/comparison
 	$(BIN)/python eval/iterative.py --out docs/iterative
 	$(BIN)/python eval/curves.py --out docs/training
 	$(BIN)/python eval/readme.py

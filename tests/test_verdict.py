@@ -202,11 +202,15 @@ def test_the_summary_has_mean_and_tail():
 
 
 def test_the_answer_of_the_readme():
-    """The verdict, and five methods best first: the four best, and the controller that all began with."""
+    """Two sentences, and five methods best first: the four best, and the controller that all began with."""
     comparison = many()
-    said = verdict(comparison)
-    text, table = answer(to_json(comparison, said)).split("\n\nOn `randomized`:\n\n")
-    assert text.startswith(f"**{said[0]}** {said[1]} {said[2]}") and text.endswith(comparison.scenario_set.note)
+    said = eval.views.verdict.verdict(comparison)
+    text, table, note = answer(to_json(comparison, said.sentences, said.rows())).split("\n\n")
+    assert text == (
+        "**The learned correction, `student`, costs 13% less than the best classical controller, `adaptive`.** "
+        "The vibration after the move falls from 300.00 mm to 260.00 mm."
+    )
+    assert comparison.scenario_set.note in note
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     assert lines[0] == [
         "method",
@@ -216,6 +220,22 @@ def test_the_answer_of_the_readme():
     ]
     assert [line[0] for line in lines[2:]] == ["student", "adaptive", "ppo", "mpc", "paper"]
     assert lines[2][1] == "260"
+
+
+@pytest.mark.parametrize(
+    ("costs", "words"),
+    [
+        (
+            (100.0, 150.0),
+            "costs 50% more than the best classical controller, `pid`.** The vibration",
+        ),
+        ((100.0, 100.0), "**No difference in cost is shown between the learned correction, `net`, and the best"),
+    ],
+)
+def test_the_answer_when_learning_loses(costs: tuple[float, float], words: str):
+    found = over({"nominal": costs})
+    said = eval.views.verdict.verdict(found)
+    assert words in answer(to_json(found, said.sentences, said.rows()))
 
 
 def test_the_tables_of_the_readme_are_sorted_by_the_main_split():

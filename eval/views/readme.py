@@ -12,9 +12,9 @@ from PIL import Image
 from beltarm_env.metrics import TORQUE_QUALITY
 from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
-from eval.comparison.splits import main_split
+from eval.comparison.splits import SPLITS, main_split
 from eval.style.markdown_table import markdown_table
-from eval.style.metrics import numbers
+from eval.style.metrics import numbers, with_unit
 from eval.views.frame import frame_of_rows, lines, part
 from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
@@ -34,8 +34,7 @@ def blocks(results: dict[str, Any]) -> dict[str, str]:
 
 
 def answer(results: dict[str, Any]) -> str:
-    """Verdict, and the methods that it is about on the main split: the best, and the paper's controller."""
-    first, *rest = results["verdict"] or ["There is no verdict."]
+    """The answer in two sentences, and methods on the main split: the best, and the paper's controller."""
     found = frame_of_rows(results["rows"])
     home = main_split(list(found.split.unique()))
     on_main = _best_first(part(found, split=[home], metric=list(_ANSWERED)))
@@ -44,11 +43,39 @@ def answer(results: dict[str, Any]) -> str:
     reference = results["rows"][0]["method"]
     best = [name for name in ranked if name != reference][: _ROWS - 1]
     shown = part(on_main, method=[*best, reference])
-    label = SetLabel(**results["scenario_set"])
-    said = [f"**{first}**", *rest, label.note]
     rows = [[line.method, *line.cells] for line in lines(shown, "metric", lambda row: numbers(row.metric, row)[0], "–")]
     table = markdown_table(["method", *_ANSWERED.values()], rows)
-    return "\n\n".join([" ".join(said), f"On `{home}`:", table])
+    note = f"{SPLITS[home].description.capitalize()}, interquartile means. {SetLabel(**results['scenario_set']).note}"
+    return "\n\n".join([in_short(results, home), table, f"*{note}*"])
+
+
+def in_short(results: dict[str, Any], split: str) -> str:
+    """The primary comparison on one split in two sentences; the verdict's first sentence where it was not decided."""
+    duels = {row["metric"]: row for row in results.get("primary", []) if row["split"] == split}
+    if not duels:
+        return f"**{next(iter(results['verdict']), 'There is no verdict.')}**"
+    cost, vibration = duels["cost"], duels["residual_pp_mm"]
+    here = {row["method"]: row for row in results["rows"] if row["split"] == split}
+    classical = [name for name, row in here.items() if row["kind"] == "classical"]
+    best = min(classical, key=lambda name: here[name]["metrics"]["cost"]["iqm"]) == cost["classical"]
+    one = f"the learned correction, `{cost['challenger']}`,"
+    other = f"the {'best ' if best else ''}classical controller, `{cost['classical']}`"
+    less = "less" if cost["relative"] < 0 else "more"
+    costs = {
+        "open": f"No difference in cost is shown between {one} and {other}",
+        "shown": f"{one.capitalize()} costs {abs(cost['relative']):.0%} {less} than {other}",
+    }
+    before, after = (
+        with_unit("residual_pp_mm", f"{here[cost[name]]['metrics']['residual_pp_mm']['iqm']:.2f}")
+        for name in ("classical", "challenger")
+    )
+    swings = {
+        "better": f"falls from {before} to {after}",
+        "worse": f"rises from {before} to {after}",
+        "open": f"is not shown to differ: {after} and {before}",
+    }
+    first = costs["open" if cost["result"] == "open" else "shown"]
+    return f"**{first}.** The vibration after the move {swings[vibration['result']]}."
 
 
 def tables(results: dict[str, Any]) -> str:
@@ -56,13 +83,14 @@ def tables(results: dict[str, Any]) -> str:
     found = frame_of_rows(results["rows"])
     home = main_split(list(found.split.unique()))
     parts = [
+        " ".join(results["verdict"]),
         "Cost on every split:",
         method_table(_best_first(part(found, metric=["cost"])), "split", with_seeds=True, intervals=False),
         f"More of `{home}`:",
         method_table(_best_first(part(found, split=[home], metric=_SHOWN), found), "metric", True, intervals=False),
         _origin(results),
     ]
-    return "\n\n".join(parts)
+    return "\n\n".join(part for part in parts if part)
 
 
 def _best_first(found: pd.DataFrame, of: pd.DataFrame | None = None) -> pd.DataFrame:
