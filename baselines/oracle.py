@@ -1,6 +1,6 @@
-"""The least attainable cost: `python baselines/oracle.py` plans with the true arm and stores the torques.
+"""Compute the least attainable cost: `python baselines/oracle.py` plans with the true arm and stores the torques.
 
-See `baselines.yardsticks.oracle` for what is planned, replayed and stored.
+What is planned, replayed and stored is explained in `baselines.yardsticks.oracle`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class Config:
     scenario: tuple[str, ...] = tuple(
         f"{kind}:{GAIN_SEARCH.first + k}" for kind, count in _SCENARIOS.items() for k in range(count)
     )
-    """Scenarios as KIND:SEED; KIND is nominal, ideal or train (arms of the training ranges, with an ideal drive or with
-    the drive as it is built)."""
+    """Scenarios as KIND:SEED. KIND is nominal, ideal (arms of the training ranges, ideal drive) or train (with the
+    drive as it is built)."""
     out: Path = FILE
     """File to write."""
 

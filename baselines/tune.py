@@ -1,13 +1,13 @@
 """Tune the gains of classical controllers: `python baselines/tune.py NAME`, or `--all` of them.
 
-Every controller gets the same optimiser, arms, objective and budget, see `baselines/tuning/search.py`; a full budget is
-what a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with where they come from. Each search keeps
-a journal, from which `--resume` goes on after an interruption. A new search begins with the untuned gains, never with
-tuned ones: otherwise budgets would add up.
+Every controller gets the same optimiser, arms, objective and budget (see `baselines/tuning/search.py`). A full budget
+is as much as a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with their origin. Each search
+keeps a journal, from which `--resume` continues. A new search begins with untuned gains, never with tuned ones:
+otherwise budgets would add up.
 
-Gains are refused, before anything is simulated, where the linear loop falls short of modulus and delay margins on the
-design model or a corner of the training ranges. `--no-margins` searches without, into another file with `--out`: the
-difference in cost is the price of the margins.
+Gains are refused before anything is simulated if their loop lacks modulus and delay margins, on the design model or at
+a corner of the training ranges. `--no-margins` accepts them, for another file with `--out`: the difference in cost is
+the price of the margins.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -26,6 +27,7 @@ from baselines import TUNABLE
 from baselines.gains import FILE
 from baselines.loops.condition import MarginCondition
 from baselines.tools.command import require_bounds, require_known, run_command
+from baselines.tools.options import Groups
 from baselines.tools.parallel import Interrupted
 from baselines.tuning.race import split_budget
 from baselines.tuning.run import journal_file, tune
@@ -35,24 +37,27 @@ from baselines.tuning.run import journal_file, tune
 class Config:
     """Tune the gains of classical controllers."""
 
-    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    groups: ClassVar[Groups] = {"basic": ("names", "all", "resume", "out", "jobs"), "search": ()}
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")] = ()
     """Controllers to tune."""
     all: bool = False
     """Tune every controller that has gains to tune."""
     budget: int = 48_000_000
-    """Simulated steps for each controller; an RL run of 4 000 000 agent steps, each of 12 samples, takes as many."""
+    """Simulated samples for each controller. As many as 4 000 000 agent steps of 12 samples."""
     seed: int = 0
-    """Seed of the optimiser; the arms are the same with every seed."""
+    """Seed of the optimiser. The arms are the same for every seed."""
     jobs: int = 2
-    """Controllers tuned side by side, each in a process of its own."""
+    """Controllers tuned at the same time, each in its own process."""
     out: Path = FILE
-    """File of gains; entries of other controllers are kept."""
+    """File of gains. Entries of other controllers are kept."""
     journals: Path = Path("results/tune")
     """Folder of the journals."""
     margins: bool = True
-    """Refuse gains whose loop falls short of the margins in `baselines/loops/condition.py`. Without: what they cost."""
+    """Also accept gains whose loop lacks the margins of `baselines/loops/condition.py`, to see what the margins
+    cost."""
     resume: bool = False
-    """Resume the searches that have a journal; those of the other controllers begin."""
+    """Continue the searches that have a journal, and start the others."""
 
     def chosen(self) -> list[str]:
         """Names of the controllers to tune.

@@ -1,8 +1,8 @@
 """Train and score variants of a student, to see what makes learning work on this arm: `python eval/ablations.py`.
 
-Each variant changes one thing of `train/student.py` (`eval/learning/variants.py` has the list), at one shortened
+Each variant changes one thing of `train/student.py` (see `eval/learning/variants.py`). All have the same shortened
 budget of simulated samples, over which the learning rate falls to zero. Finished runs are kept in `--runs` and not
-repeated; an interrupted one goes on where it stopped. Writes ablations.md, ablations.json and curves.png.
+repeated; interrupted ones continue. Writes ablations.md, ablations.json and curves.png.
 """
 
 from __future__ import annotations

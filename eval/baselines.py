@@ -1,7 +1,7 @@
-"""Classical controllers in numbers: `python eval/baselines.py` writes margins, costs, times, limits and budgets.
+"""Show the classical controllers in numbers: `python eval/baselines.py`.
 
-Writes summary.md (closed-loop poles and margins over joint angle and arms; cost, metrics and time; cost with one thing
-changed; price of the margins; budgets beside those of learned methods; gains) and its pictures.
+Writes summary.md and its pictures: poles and margins of the closed loop over joint angle and arms; cost, metrics and
+computing time; cost with one thing changed; the price of the margins; budgets beside those of learned methods; gains.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -36,16 +37,16 @@ except ModuleNotFoundError as error:
 class Config:
     """Show the classical controllers in numbers."""
 
-    names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Controllers to show; all of them by default."""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")] = ()
+    """Controllers to show. Default: all."""
     out: Path = Path("results/baselines")
     """Folder for summary.md and the pictures."""
     arms: int | None = None
-    """Arms as they are built, per cost; 256 by default. A quarter as many moves for each thing that is changed."""
+    """Arms for each cost, 8 to 10000. Default: 256. Where one thing is changed, a quarter of them."""
     batch: int | None = None
-    """Arms of the batch that is timed; 256 by default."""
+    """Arms of the batch that is timed. Default: 256."""
     quick: bool = False
-    """A first look: 16 arms, a batch of 64."""
+    """Take a first look, with 16 arms and a batch of 64."""
 
     def chosen(self) -> list[str]:
         """Names of the controllers to show.

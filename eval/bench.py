@@ -1,7 +1,7 @@
-"""Speed and accuracy, each beside a peer measured in the same run: `python eval/bench.py`.
+"""Measure speed and accuracy: `python eval/bench.py`.
 
-Times are the best of several repetitions, which is what the code can do when the machine leaves it alone; ratios to the
-peer are what to compare between machines.
+Each number stands beside a peer that is measured in the same run. Times are the best of several repetitions: what the
+code can do when nothing else runs. Between machines, compare the ratios to the peer.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ class Config:
     arms: int = 4096
     """Arms of the batch."""
     repetitions: int = 25
-    """Repetitions, of which the best counts."""
+    """Repetitions of each measurement. The best one counts."""
     steps: int = 100
-    """Steps per repetition of a batch; single arms take a hundred times as many."""
+    """Steps per repetition of a batch. Single arms take a hundred times as many."""
     training: bool = False
-    """Also run `train/ppo.py` with its defaults, and see when its policy halves the paper's figures; takes minutes."""
+    """Also run `train/ppo.py` with its defaults, and report when its policy halves the paper's figures. Takes
+    minutes."""
     training_loop: bool = False
-    """Also measure what PPO spends its time on, and its speed beside PPO on single arms; takes a minute."""
+    """Also measure where PPO spends its time, and its speed beside PPO on single arms. Takes a minute."""
 
 
 def run(config: Config) -> None:

@@ -1,6 +1,6 @@
 """Check a controller of your own: `python eval/check_controller.py path/to/file.py:Class`.
 
-`eval/compare.py --add` runs the same checks first.
+The comparison relies on these checks: `eval/compare.py --add` runs them first.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from eval.comparison.protocol import findings
 class Config:
     """Check that a controller keeps the protocol of the comparison."""
 
-    controller: Annotated[str, tyro.conf.Positional]
-    """package.module:Class or path/to/file.py:Class."""
+    controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.py:CLASS")]
+    """Your controller."""
 
 
 def run(config: Config) -> None:

@@ -1,8 +1,8 @@
 """Compare controllers on the same scenarios: `python eval/compare.py`.
 
-Runs the classical controllers, the shipped policies and a yardstick that knows its arm on every split, prints a table,
-and writes report.html, results.json, episodes.csv, summary.md and pictures. What is done is kept in the folder, and not
-done again.
+Runs the classical controllers, the shipped policies, and a yardstick that knows its arm. Prints a table and a verdict,
+and writes report.html, results.json, episodes.csv, summary.md and pictures. Results are kept in the folder and used
+again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process per core; read as numpy is imported, in all of them
@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from baselines.tools.command import require_bounds, run_command
+from baselines.tools.options import Groups
 from baselines.tools.parallel import default_jobs
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
@@ -38,41 +39,48 @@ from eval.views.publish import publish
 class Config:
     """Compare controllers on the belt-driven arm."""
 
+    groups: ClassVar[Groups] = {
+        "method": ("methods", "policy", "add"),
+        "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
+        "output": ("out", "verbose", "maps"),
+        "run": (),
+    }
+
     methods: tuple[str, ...] = ()
-    """Methods to run, by name. Default: all classical controllers but those that a simpler one beats everywhere
-    (docs/baselines.md), all policies, the yardstick and what --add names."""
+    """Methods to run, by name. Default: all policies, the yardstick, all controllers from --add, and the classical
+    controllers, without those that a simpler one beats everywhere (docs/baselines.md)."""
     splits: tuple[str, ...] = ()
-    """Splits to run them on. Default: all."""
+    """Splits to run. Default: all."""
     policy: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A policy of your own beside the shipped ones: its folder, such as runs/ppo/best, or NAME=FOLDER. Repeat it for
-    more training seeds, under the same name, or for more methods."""
+    """A policy of your own, beside the shipped ones: its folder, such as runs/ppo/best, or NAME=FOLDER. Repeat the
+    option for more methods, or for more training seeds under the same name."""
     add: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A controller of your own, as package.module:Class or path/to/file.py:Class; repeat it for several. What is
-    kept of it is used again until any file changes in its folder or below (of a package: in the whole package); if it
-    depends on files elsewhere, use --fresh."""
+    """A controller of your own, as package.module:Class or path/to/file.py:Class. Repeat the option for more. Its
+    results are kept until a file changes in its folder or below (for a package: in the whole package). If it depends on
+    files elsewhere, use --fresh."""
     out: Path = Path("results/compare")
-    """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and what is kept of each pair."""
+    """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept."""
     episodes: int | None = None
-    """Scenarios per split, at most 500; 200 by default."""
+    """Scenarios per split, 4 to 500. Default: 200."""
     quick: bool = False
-    """A first look: 24 scenarios per split."""
+    """Take a first look, with 24 scenarios per split."""
     scenarios: Literal["development", "test", "sealed"] | None = None
     """Set of scenarios: "development", on which controllers and agents may be chosen, "test", or "sealed", once its
-    seed is published (docs/leaderboard.md). Default: the test set as soon as it is drawn."""
+    seed is published (docs/leaderboard.md). Default: the test set."""
     scenario_seed: int | None = None
-    """Draw a fresh set of scenarios instead, by the same rules, from seeds that nothing else uses: 0, 1, 2, ..."""
+    """Draw a fresh set of scenarios by the same rules instead. Seeds 0, 1, 2, ... are used by nothing else."""
     maps: bool = False
-    """Also sweep stiffness by payload and friction by delay for the report: the best learned method against every
-    classical controller that runs, which --methods chooses. Takes about a minute for all of them."""
+    """Also map the best learned method against each classical controller of --methods, for the report: over stiffness
+    and payload, and over friction and delay. Takes about a minute with all controllers."""
     fresh: bool = False
-    """Run everything again, whatever is kept of earlier runs."""
+    """Run everything again, and use no kept results."""
     computing_time: bool = False
-    """Computing time counts: each method's commands act later by its own time per action, the 99th percentile for one
-    arm. It is measured once and kept in computing_time.json; needs a folder of its own."""
+    """Let computing time count: the commands of a method act later by its own time per action (99th percentile, one
+    arm). Times are measured once and kept in computing_time.json. Needs its own --out."""
     jobs: int | None = None
-    """Number of processes; by default one per core."""
+    """Number of processes. Default: one per core."""
     verbose: bool = False
-    """Print all splits too, with intervals and differences."""
+    """Also print all splits, with intervals and differences."""
 
     @property
     def count(self) -> int:

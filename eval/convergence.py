@@ -1,8 +1,8 @@
-"""Observed order of convergence of the integrator: `python eval/convergence.py`.
+"""Measure the integrator's order of convergence: `python eval/convergence.py`.
 
-Integrates the same torques with 1, 2, 4 and 8 steps per control period and compares the tip with SciPy's DOP853 between
-events that are located: without Coulomb friction, on a motion that sticks and breaks away again and again, and on one
-like it behind a drive with every effect at its upper end in training.
+Integrates the same torques with 1, 2, 4 and 8 steps per control period, and compares the tip with a solution by SciPy's
+DOP853 that locates all events. There are three motions: without Coulomb friction; with a motor that sticks and breaks
+away again and again; and the same behind a drive with every effect at its upper end in training.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The full arm in two engines: `python eval/crosscheck.py`.
+"""Compare the full arm in two engines: `python eval/crosscheck.py`.
 
 Arms of the ideal ranges are moved by the paper's controller, and back and forth so that the motor sticks and breaks
-away, also behind what MuJoCo can express of a drive as it is built. The same torques then go into this package's kernel
-and into MuJoCo, both from the same state and without feedback. Prints the largest distance of the two tips over 1.8 s
+away; also with those effects of a drive that MuJoCo can express. The same torques then go into this package's kernel
+and into MuJoCo, from the same state and without feedback. Prints the largest distance between the two tips over 1.8 s,
 and writes summary.md with a picture.
 """
 
@@ -33,9 +33,9 @@ class Config:
     out: Path = Path("results/crosscheck")
     """Folder for summary.md and the picture."""
     arms: int = 8
-    """Arms of each regime, 1 to 1000."""
+    """Arms of each kind of motion, 1 to 1000."""
     seed: int = CROSSCHECK.first
-    """Of the first arm; arm i has seed + i."""
+    """Seed of the first arm. Arm i has seed + i."""
 
 
 def report(config: Config) -> None:

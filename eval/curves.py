@@ -1,9 +1,8 @@
 """Draw learning curves: `python eval/curves.py`, or those of your own runs with `--runs FOLDER ...`.
 
-A folder is that of a run, of a policy bundle, or of several of them (seed0, seed1, ...). By default it is the shipped
-policies, whose bundles hold the curve of the run that they come from. Every run is a thin line; the band is the
-interquartile range of a method's runs, the thick line their median. Dashed lines are what controllers that do not learn
-reach on the same arms.
+A folder is that of a run, of a policy, or of several of them (seed0, seed1, ...). Every run is a thin line. The thick
+line is the median of a method's runs, and the band their interquartile range. Dashed lines show what controllers that
+do not learn reach on the same arms.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Controllers on a drive that is not ideal: `python eval/drive.py` measures them over the size of each effect.
+"""Measure controllers on a drive that is not ideal: `python eval/drive.py`.
 
-One effect at a time, and all together, from none to twice the upper end of the training range. Writes summary.md,
-results.json and pictures of cost, tip error and residual vibration.
+Each effect of the drive is varied alone, then all together, from none to twice the upper end of the training range.
+Writes summary.md, results.json and pictures of cost, tip error and residual vibration.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -36,16 +37,17 @@ except ModuleNotFoundError as error:
 class Config:
     """Measure controllers over the size of each effect of the drive."""
 
-    names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Controllers to measure; all shipped ones by default."""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")] = ()
+    """Controllers to measure. Default: all shipped ones."""
     out: Path = Path("results/drive")
     """Folder for summary.md, results.json and the pictures."""
     arms: int = 64
-    """Arms, 4 to 1000."""
+    """Number of arms, 4 to 1000."""
     sizes: tuple[float, ...] = SIZES
-    """Sizes of the effects over the upper ends of their training ranges: above 0, at most 2, 1 among them."""
+    """Sizes of the effects, above 0 and at most 2, where 1 is the upper end of the training range. 1 must be among
+    them."""
     jobs: int | None = None
-    """Number of processes; by default one per core."""
+    """Number of processes. Default: one per core."""
 
 
 def report(config: Config) -> None:

@@ -1,4 +1,4 @@
-"""From the paper's controller to the best classical one, step by step: `python eval/from_1991.py`.
+"""Show the steps from the paper's controller to the best classical one: `python eval/from_1991.py`.
 
 Writes summary.md, with a table, and a waterfall of the cost.
 """
@@ -31,7 +31,7 @@ class Config:
     out: Path = Path("results/from_1991")
     """Folder for summary.md and the picture."""
     arms: int = 256
-    """Arms, 4 to 10000."""
+    """Number of arms, 4 to 10000."""
 
 
 def report(config: Config) -> None:

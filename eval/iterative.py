@@ -1,9 +1,8 @@
-"""Iterative learning: `python eval/iterative.py` repeats the same moves on the same arms.
+"""Repeat the same moves on the same arms, and learn from them: `python eval/iterative.py`.
 
-Each arm makes its move again and again, and three ways of learning from one repetition to the next are compared: the
-arm and the torque (`baselines.iterative.controller`), the arm alone, and what a textbook does with the motor's error
-(`baselines.iterative.motor_learning`). Beside them are controllers that learn nothing. Writes summary.md, results.json
-and a picture.
+Three ways of learning from one repetition to the next are compared: arm and torque (`baselines.iterative.controller`),
+the arm alone, and the textbook's use of the motor's error (`baselines.iterative.motor_learning`). Controllers that
+learn nothing stand beside them. Writes summary.md, results.json and a picture.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ class Config:
     arms: int = 100
     """Arms of each kind, 4 to 1000."""
     repetitions: int = 10
-    """How often each move is made, 2 to 100."""
+    """How often each arm makes its move, 2 to 100."""
     seed: int = REPETITION.first
-    """Of the first arm and its move; arm i has seed + i."""
+    """Seed of the first arm and its move. Arm i has seed + i."""
 
 
 def report(config: Config) -> None:

@@ -1,6 +1,6 @@
-"""How well a filter and learned observers see what the encoder does not show: `python eval/observers.py`.
+"""Show how well a filter and learned observers see what the encoder does not show: `python eval/observers.py`.
 
-Lets them watch the same controllers on the development set, and writes summary.md, with tables and a picture.
+All watch the same controllers on the development set. Writes summary.md, with tables and a picture.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Config:
     """Show how well a filter and learned observers see what the encoder does not show."""
 
     splits: tuple[str, ...] = ()
-    """Splits to watch on. Default: all."""
+    """Splits to run. Default: all."""
     out: Path = Path("results/observers")
     """Folder for summary.md and the picture."""
     episodes: int = 100

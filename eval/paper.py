@@ -1,8 +1,8 @@
-"""Is this really the paper? `python eval/paper.py` regenerates what it shows.
+"""Regenerate what the paper shows: `python eval/paper.py`.
 
-Writes the motor's and the tip's motion with and without vibration feedback (Figs. 4b and 8b), root loci (Fig. 6), a map
-of the damping over K4 and M2, and tables.md: ringing before and after, poles, and the alternatives to everything that
-the paper does not print. docs/paper.md says what follows from them. drive.md and its pictures show what becomes of the
+Writes the motion of motor and tip with and without vibration feedback (Figs. 4b and 8b), root loci (Fig. 6), a map of
+the damping over K4 and M2, and tables.md: ringing before and after, poles, and alternatives to everything that the
+paper does not print. docs/paper.md draws conclusions. drive.md and its pictures show what becomes of the paper's
 conclusion on a drive that is not ideal.
 """
 
@@ -13,6 +13,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -20,6 +21,7 @@ from baselines.tools.command import run_command, stop_without
 
 try:
     from baselines.tools.files import require_writable, write_text
+    from baselines.tools.options import Groups
     from beltarm_env.task.reference import MoveShape
     from eval.reproduction.assumptions import USUAL_MOVE
     from eval.reproduction.drive_page import drive_markdown
@@ -40,22 +42,28 @@ _TABLE_2 = ServoGains()
 class Config:
     """Regenerate the paper's figures and conclusion."""
 
+    groups: ClassVar[Groups] = {
+        "basic": ("out",),
+        "gain": ("k4", "natural_frequency", "damping"),
+        "move": (),
+    }
+
     out: Path = Path("results/paper")
     """Folder for tables.md, drive.md and the pictures."""
     k4: float = _TABLE_2.k4
-    """Gain K4 of the torsional velocity [N m s/rad], 0 to 1; Table 2 has 0.15."""
+    """Gain K4 of the torsional velocity [N m s/rad], 0 to 1. Table 2 of the paper has 0.15."""
     natural_frequency: float = _TABLE_2.natural_frequency
-    """omega_n of the position loop [rad/s], 0.1 to 100; Table 2 has 5."""
+    """Natural frequency omega_n of the position loop [rad/s], 0.1 to 100. Table 2 has 5."""
     damping: float = _TABLE_2.damping
-    """xi of the position loop, 0.05 to 20; Table 2 has 2."""
+    """Damping ratio xi of the position loop, 0.05 to 20. Table 2 has 2."""
     start_deg: float = math.degrees(USUAL_MOVE.start)
-    """Joint angle at which the standard move starts, 0 to 90."""
+    """Joint angle at which the move starts [degrees], 0 to 90."""
     goal_deg: float = math.degrees(USUAL_MOVE.goal)
-    """Joint angle at which it ends, 0 to 90; the paper places its poles at 90."""
+    """Joint angle at which the move ends [degrees], 0 to 90. The paper places its poles at 90."""
     duration: float = USUAL_MOVE.duration
-    """Its duration [s]."""
+    """Duration of the move [s]."""
     ramp_time: float = USUAL_MOVE.ramp_time
-    """Duration of each of its ramps [s]."""
+    """Duration of each ramp of the move [s]."""
 
     @property
     def gains(self) -> ServoGains:

@@ -1,8 +1,8 @@
-"""Does presliding matter? `python eval/presliding.py` runs shipped controllers on arms with LuGre friction.
+"""Test whether presliding matters: `python eval/presliding.py` runs shipped controllers on arms with LuGre friction.
 
-The plant's motor sticks without moving at all and breaks away at once. Here it has bristles instead, of the same steady
-friction, that give way by 0.3 to 10 mrad of the motor before it breaks away. Everything else is the environment's own.
-Writes summary.md with a picture.
+In the plant, a stuck motor does not move at all, and breaks away at once. Here it has bristles with the same steady
+friction, which give way by 0.3 to 10 mrad before the motor breaks away. Everything else is the same. Writes summary.md
+with a picture.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class Config:
     arms: int = 48
     """Arms of the training ranges, 4 to 1000."""
     checked: int = 8
-    """Arms of the check that the located friction is the limit of a stiff bristle, 1 to 1000."""
+    """Arms of the check that a stiff bristle behaves like the plant's own friction, 1 to 1000."""
     seed: int = PRESLIDING.first
-    """Of the first arm and its move; arm i has seed + i."""
+    """Seed of the first arm and its move. Arm i has seed + i."""
     jobs: int = field(default_factory=default_jobs)
-    """Processes."""
+    """Number of processes."""
 
 
 def report(config: Config) -> None:

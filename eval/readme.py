@@ -1,7 +1,7 @@
 """Write the comparison's numbers into the README: `python eval/readme.py`, or `make readme` to measure first.
 
-Everything between markers comes from `docs/comparison/results.json`; `--check` fails where the README differs,
-and where the summary or a picture beside that file was not written with it.
+Everything between the README's markers comes from `docs/comparison/results.json`. `--check` fails where the README
+differs, and where the summary or a picture beside that file does not belong to it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Config:
     """Write the comparison's numbers into the README."""
 
     check: bool = False
-    """Change nothing; exit with 1 if README, summary or pictures are not of the committed results."""
+    """Change nothing. Exit with 1 if README, summary or pictures do not belong to the committed results."""
 
 
 def run(config: Config) -> None:

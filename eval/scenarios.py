@@ -1,8 +1,9 @@
-"""Check the comparison's scenarios, and that the arms still move as when they were drawn: `python eval/scenarios.py`.
+"""Check the comparison's scenarios, and that arms still move as when they were drawn: `python eval/scenarios.py`.
 
-`--write` keeps seeds, hashes and a few motions of the development set in `eval/comparison/development.json`.
-`--freeze-test` draws the test set into `eval/comparison/scenarios.json`: once, after all controllers, agents and the
-protocol are frozen. The hash of the last commit of `docs/protocol.md` chooses the seeds.
+With `--write`, seeds, hashes and a few motions of the development set are written to
+`eval/comparison/development.json`. With `--freeze-test`, the test set is drawn into `eval/comparison/scenarios.json`:
+once, after all controllers, agents and the protocol are frozen. The hash of the last commit of `docs/protocol.md` chooses
+the seeds.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ class Config:
     """Check the comparison's scenarios, or write what is kept of them."""
 
     write: bool = False
-    """Write eval/comparison/development.json anew: after a change of the physics or of the splits."""
+    """Write eval/comparison/development.json again, after a change of the physics or of the splits."""
     freeze_test: bool = False
     """Draw the test set, from the hash of the last commit of docs/protocol.md, and write
-    eval/comparison/scenarios.json; refused if it is there."""
+    eval/comparison/scenarios.json. Refused if that file exists."""
 
 
 def run(config: Config) -> None:

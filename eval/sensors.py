@@ -1,7 +1,7 @@
-"""What an accelerometer on the arm's end buys: `python eval/sensors.py`.
+"""Show what an accelerometer on the arm's end brings: `python eval/sensors.py`.
 
-Runs the best controllers and a student with and without it on the development set, and writes summary.md, with tables
-and a picture.
+Runs the best controllers and a student with and without it on the development set. Writes summary.md, with tables and a
+picture.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Config:
     """Show what an accelerometer on the arm's end buys the best controllers and a student."""
 
     splits: tuple[str, ...] = ()
-    """Splits to run them on. Default: all."""
+    """Splits to run. Default: all."""
     out: Path = Path("results/sensors")
     """Folder for summary.md and the picture."""
     episodes: int = 100

@@ -1,8 +1,8 @@
 """Watch arms side by side: `python eval/watch.py --controller paper --controller adaptive --policy runs/ppo/best`.
 
-All of them run the same scenario, of the set that the comparison runs by default. Each has its picture, and below it
-the size of the tip's error and the torque over time. Shows a window until it is closed, or writes a film:
-`--out motion.gif`, or `--out motion.mp4`, which needs the extra `video`.
+All arms run the same scenario, from the set that the comparison uses by default. Below each picture are the tip's error
+and the torque over time. Shows a window until it is closed, or writes a film: `--out motion.gif`, or `--out
+motion.mp4`, which needs the extra `video`.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ class Config:
     """Watch arms side by side."""
 
     controller: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A classical controller by name, or one of your own as path/to/file.py:Class; repeat it for several."""
+    """A classical controller by name, or one of your own as path/to/file.py:Class. Repeat the option for more."""
     policy: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
-    """Folder of a policy bundle, such as runs/ppo/best; repeat it for several. With neither: paper, adaptive and the
-    first shipped policy."""
+    """Folder of a policy, such as runs/ppo/best. Repeat the option for more. Without --controller and --policy: paper,
+    adaptive and the first shipped policy."""
     split: str = "randomized"
-    """Split of the scenario."""
+    """Split that the scenario is taken from."""
     scenario: int = 0
     """Number of the scenario in its split."""
     speed: float = 0.25
-    """Seconds of the arm's time per second."""
+    """Seconds of the arm's time per second of film."""
     out: Path | None = None
-    """Write this film, .gif or .mp4, instead of showing a window."""
+    """Film to write, .gif or .mp4. Default: show a window."""
 
     def check(self) -> None:
         """Check the values.

@@ -10,7 +10,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 
-def stopped(main: Callable[[], None], arguments: tuple[str, ...], folder: Path) -> tuple[int, str]:
+def stopped(main: Callable[[], object], arguments: tuple[str, ...], folder: Path) -> tuple[int, str]:
     """Exit code and errors of a command that stops, run in a folder as its script's `main` with these arguments."""
     errors = io.StringIO()
     with (
@@ -25,7 +25,7 @@ def stopped(main: Callable[[], None], arguments: tuple[str, ...], folder: Path) 
     return 0, errors.getvalue()
 
 
-def mistake(main: Callable[[], None], arguments: tuple[str, ...], folder: Path) -> str:
+def mistake(main: Callable[[], object], arguments: tuple[str, ...], folder: Path) -> str:
     """The one line with which a command refuses these arguments, as `stopped` runs it, exiting with 2."""
     code, errors = stopped(main, arguments, folder)
     assert code == 2, errors

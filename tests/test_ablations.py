@@ -14,7 +14,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-import tyro
 from commands import mistake
 from matplotlib.axes import Axes
 
@@ -22,6 +21,7 @@ from agents.learners import ppo
 from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import make_env
 from baselines import PaperController
+from baselines.tools.options import parse
 from baselines.tools.parallel import StopRequest
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.task.seeds import training_arms
@@ -64,7 +64,7 @@ def test_names_factors_and_folders_are_unique_and_known():
 def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
     """Its options are the script's own, allowed, and none of them is what the default has anyway."""
     kind = ALGORITHMS[variant.script].config
-    config, default = tyro.cli(kind, args=list(variant.options)), tyro.cli(kind, args=[])
+    config, default = parse(kind, arguments=list(variant.options)), parse(kind, arguments=[])
     config.check()
     changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
     assert len(changed) == len([word for word in variant.options if word.startswith("--")])
@@ -83,7 +83,7 @@ def test_of_some_variants_one_seed_is_enough():
 def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
     run = AblationRun(next(v for v in VARIANTS if v.name == name), 0, 2_000_000, tmp_path)
     script, *options = run.words
-    config = tyro.cli(ALGORITHMS[Path(script).stem].config, args=options)
+    config = parse(ALGORITHMS[Path(script).stem].config, arguments=options)
     assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01)
 
 

@@ -407,8 +407,3 @@ def test_start_up_does_not_load_torch(tmp_path: Path):
         "print([name for name in ('torch', 'stable_baselines3', 'pandas') if name in sys.modules])\n"
     )
     assert run(script, tmp_path).stdout == "[]\n"
-
-
-def test_help_explains_the_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert stopped(paper.main, ("--help",), tmp_path) == (0, "")
-    assert "--natural-frequency" in capsys.readouterr().out

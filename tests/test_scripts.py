@@ -18,7 +18,7 @@ from PIL import Image
 
 from agents.learners import ppo
 from agents.runs.command_line import main
-from eval import bench, check_controller, compare, readme, scenarios
+from eval import readme
 
 ROOT = Path(__file__).resolve().parent.parent
 TINY = (
@@ -114,19 +114,6 @@ def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Sign
 )
 def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
     assert message in mistake(train_ppo, arguments, tmp_path)
-
-
-HELPED = {
-    **{"train/ppo.py": train_ppo, "eval/compare.py": compare.main, "eval/bench.py": bench.main},
-    **{"eval/readme.py": readme.main, "eval/scenarios.py": scenarios.main},
-    "eval/check_controller.py": check_controller.main,
-}
-
-
-@pytest.mark.parametrize("script", HELPED)
-def test_help_explains_the_options(script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert stopped(HELPED[script], ("--help",), tmp_path) == (0, "")
-    assert "--" in capsys.readouterr().out
 
 
 def test_scenarios_are_checked(tmp_path: Path) -> None:

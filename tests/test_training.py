@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import tyro
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 import agents.residual.bases
@@ -566,16 +565,6 @@ OWN_BAD: list[tuple[str, dict[str, Any], str]] = [
 def test_bad_options_of_an_algorithm(name: str, options: dict[str, Any], message: str, tmp_path: Path):
     with pytest.raises(ValueError, match=message):
         run(tiny(name, tmp_path, **options))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_scripts_explain_their_options(name: str, capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit) as end:
-        tyro.cli(ALGORITHMS[name].config, args=["--help"])
-    assert end.value.code == 0
-    shown = capsys.readouterr().out
-    for option in ("--base", "--knowledge", "--seeds", "--resume", "--overwrite", "--device"):
-        assert option in shown
 
 
 def test_a_folder_not_begun_is_no_run(tmp_path: Path):

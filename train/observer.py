@@ -1,9 +1,9 @@
 """Fit a learned observer: `python train/observer.py`.
 
-A virtual sensor: from what an agent sees it estimates torsion, the tip's errors and the constants of the arm, and how
-far each estimate may be off (`agents/observer/network.py` has the equations). It is fitted to episodes of arms of the
-training ranges under several controllers (`agents/observer/episodes.py`), which are simulated first. An interrupted
-run goes on with the episodes that it has.
+An observer is a virtual sensor. From what an agent sees, it estimates torsion, the tip's errors and the constants of
+the arm, and how far off each estimate may be (`agents/observer/network.py` has the equations). It is fitted to episodes
+of several controllers on arms of the training ranges. They are simulated first (`agents/observer/episodes.py`); after
+an interruption, the same command continues with the episodes that it has.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Train a residual policy with PPO, proximal policy optimisation: `python train/ppo.py`.
 
-Everything a run writes goes to one folder: `best/` (the policy bundle with the lowest validation cost), `last/`,
-`checkpoint.pkl` (to go on with `--resume`), `config.json`, `validation.csv`, and the training log as CSV and for
-TensorBoard. The checkpoint is a pickle, for this machine only; pass on `best/`, which is numbers and text.
+A run writes one folder: `best/` (the policy with the lowest validation cost), `last/`, `validation.csv`, `config.json`,
+the training log (CSV and TensorBoard), and `checkpoint.pkl`, from which `--resume` continues. The checkpoint is a
+pickle, for this machine only. Share `best/`, which holds only numbers and text.
 
-Options and model are in `agents/learners/ppo.py`.
+The model is in `agents/learners/ppo.py`.
 
 J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017.
 """

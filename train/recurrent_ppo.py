@@ -1,7 +1,7 @@
 """Train a residual policy with recurrent PPO: `python train/recurrent_ppo.py`.
 
-An LSTM remembers what the encoder has shown, in place of the identification that other agents are told: does a network
-learn by itself to tell arms apart? What a run writes is as in `train/ppo.py`.
+An LSTM remembers what the encoder has shown. Other agents are told the identified arm instead: can a network learn by
+itself to tell arms apart? A run writes the same files as `train/ppo.py`.
 
 J. Schulman et al.: Proximal Policy Optimization Algorithms, 2017; S. Hochreiter, J. Schmidhuber: Long Short-Term
 Memory, 1997.

@@ -1,8 +1,8 @@
 """Train a residual policy by rapid motor adaptation (RMA): `python train/rma.py`.
 
-A policy is trained that is told arm and drive; then a memory that guesses, from what the encoder shows, what the policy
-was told of them. How is said in `agents/learners/rma.py`. What a run writes is as in `train/ppo.py`; it validates, and
-saves a checkpoint, after every round: in the first ones, in which there is no memory, as if all arms were alike.
+First a policy is trained that is told about its arm and drive. Then a memory is trained that guesses the same from the
+encoder. The method is explained in `agents/learners/rma.py`. A run writes the same files as `train/ppo.py`. It is
+validated and saved after each round; until the memory is trained, all arms are taken to be alike.
 
 A. Kumar, Z. Fu, D. Pathak, J. Malik: RMA: Rapid Motor Adaptation for Legged Robots, RSS 2021.
 """

@@ -1,6 +1,6 @@
 """Train a residual policy with SAC, soft actor-critic: `python train/sac.py`.
 
-What a run writes is as in `train/ppo.py`; how it differs from the textbook's is said in
+A run writes the same files as `train/ppo.py`. What differs from the textbook's SAC is explained in
 `agents/learners/sac.py`.
 
 T. Haarnoja et al.: Soft Actor-Critic Algorithms and Applications, 2018.

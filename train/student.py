@@ -1,9 +1,9 @@
 """Train a residual policy by a teacher's advice: `python train/student.py`.
 
-A student with a memory makes moves on arms that it meets for the first time; a teacher who knows them says after each
-episode how every torque should have been. How, and why it works, is said in `agents/learners/student.py` and
-`agents/learners/teaching.py`. What a run writes is as in `train/ppo.py`; it validates, and saves a checkpoint, after
-every round.
+A student with a memory moves arms that it meets for the first time. After each episode, a teacher who knows the arm
+says how every torque should have been. How this works, and why, is explained in `agents/learners/student.py` and
+`agents/learners/teaching.py`. A run writes the same files as `train/ppo.py`. It is validated and saved after each
+round.
 
 S. Ross, G. J. Gordon, J. A. Bagnell: A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
 Learning, 2011.

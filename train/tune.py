@@ -1,8 +1,9 @@
 """Tune the hyper-parameters of a training script: `python train/tune.py ppo`.
 
-Trials are training runs with other settings, pruned where they are worse than most, see `agents/learners/tuning.py`.
-Validation arms are those of all runs, never the comparison's. Trials are kept in an SQLite file, from which `--resume`
-goes on; a trial's own run is not kept. At the end, the command is printed that trains with the settings found.
+Each trial is a training run with other settings, and is stopped early if it is worse than most
+(`agents/learners/tuning.py`). Trials are validated on the same arms as all trainings, never on those of the comparison.
+They are kept in an SQLite file, from which `--resume` continues; their policies are not kept. At the end, the command
+prints how to train with the best settings.
 """
 
 from __future__ import annotations

@@ -16,17 +16,17 @@ class OnPolicyConfig(ReinforcementConfig):
     rollout_steps: int = 64
     """Agent steps per arm between two updates."""
     batch_size: int = 2048
-    """Samples per gradient step."""
+    """Agent steps in each gradient step."""
     epochs: int = 3
     """Passes over each rollout."""
     gae_lambda: float = 0.95
-    """Bias against variance of the advantage estimate."""
+    """Lambda of the advantage estimate. A lower value has less variance and more bias."""
     clip_range: float = 0.2
-    """PPO's clipping range."""
+    """Clipping range of PPO."""
     entropy: float = 0.008
     """Weight of the entropy bonus, which keeps exploration from dying early."""
     initial_log_std: float = -1.0
-    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
+    """Logarithm of the exploration noise at the start. Residuals lie between -1 and 1."""
 
     def check(self) -> None:
         """Check the options, see `RunConfig.check`."""

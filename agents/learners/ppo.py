@@ -25,23 +25,23 @@ class PpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "ppo"
 
     out: Path = Path("runs/ppo")
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     total_steps: int = 6_000_000
-    """Agent steps, each of `hold` samples; the learning rate falls to zero over them."""
+    """Agent steps of the whole run, each of --hold samples. The learning rate falls to zero over the run."""
     learning_rate: float = 3.5e-4
-    """Learning rate of the optimiser at first."""
+    """Learning rate at the start."""
     gamma: float = 0.988
-    """Discount per agent step: 0.5 s."""
+    """Discount per agent step. 0.988 looks about 0.5 s ahead."""
     reward_scale: float = 0.036
-    """Factor on the mean reward over a hold, so that values are of order 1."""
+    """Factor on the mean reward of a hold. It brings values to order 1."""
     hidden: tuple[int, ...] = (256, 256)
-    """Hidden layers of policy and critic."""
+    """Widths of the hidden layers of policy and critic."""
     hold: int = 4
-    """Samples for which a residual is held: 6 ms."""
+    """Samples for which a residual is held. 4 samples are 6 ms."""
     gae_lambda: float = 0.962
-    """Bias against variance of the advantage estimate."""
+    """Lambda of the advantage estimate. A lower value has less variance and more bias."""
     initial_log_std: float = -0.66
-    """Logarithm of the initial exploration noise; the residual's range is -1 to 1."""
+    """Logarithm of the exploration noise at the start. Residuals lie between -1 and 1."""
 
     @property
     def worst_reward(self) -> float:

@@ -21,17 +21,18 @@ class RecurrentPpoConfig(OnPolicyConfig):
     algorithm: ClassVar[str] = "recurrent_ppo"
 
     out: Path = Path("runs/recurrent_ppo")
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     knowledge: Knowledge = "none"
-    """Inputs of the agent besides the observation: none, as the LSTM is to identify the arm, or the belief."""
+    """What the agent sees besides the observation: nothing ("none"), because the LSTM is to identify the arm, or what
+    the identification believes of the arm ("belief")."""
     hidden: tuple[int, ...] = (64,)
-    """Hidden layers after the LSTM."""
+    """Widths of the hidden layers after the LSTM."""
     lstm_width: int = 64
     """Width of the LSTMs of policy and value."""
     rollout_steps: int = 50
-    """Agent steps per arm between two updates: half an episode, through which gradients go back."""
+    """Agent steps per arm between two updates. Gradients go back through all of them; 50 are half an episode."""
     batch_size: int = 5120
-    """Samples per gradient step."""
+    """Agent steps in each gradient step."""
     epochs: int = 4
     """Passes over each rollout."""
     entropy: float = 0.001

@@ -28,15 +28,15 @@ class ReinforcementConfig(RunConfig):
     log_interval: ClassVar[int] = 10  # iterations, or episodes off-policy, between rows of the training log
 
     total_steps: int = 4_000_000
-    """Agent steps, each of `hold` samples. A learning rate that falls does so over all of them."""
+    """Agent steps of the whole run, each of --hold samples. A learning rate that falls reaches zero at the end."""
     gamma: float = 0.97
     """Discount per agent step."""
     reward_scale: float = 0.08
-    """Factor on the mean reward over a hold, so that values are of order 1."""
+    """Factor on the mean reward of a hold. It brings values to order 1."""
     torque_price: float = 25.0
-    """What a change of the torque costs the agent, over what the task charges; validation has the task's price."""
+    """Price of a torque change in training, as a multiple of the task's price. Validation uses the task's price."""
     validation_every: int = 500_000
-    """Agent steps between validations, each of which saves a checkpoint."""
+    """Agent steps between validations. Each validation saves a checkpoint."""
 
     @property
     def length(self) -> int:

@@ -48,11 +48,11 @@ class RmaConfig(StudentConfig):
     algorithm: ClassVar[str] = "rma"
 
     out: Path = Path("runs/rma")
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     latent: int = 8
-    """Numbers z that the policy is told of the arm."""
+    """Numbers that tell the policy about its arm."""
     told: float = 0.5
-    """Share of the rounds in which the policy is fitted, told the arm; in the others the memory is."""
+    """Share of the rounds that train the policy, which is told about its arm. The other rounds train the memory."""
 
     @property
     def told_rounds(self) -> int:

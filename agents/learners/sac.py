@@ -36,39 +36,39 @@ class SacConfig(ReinforcementConfig):
     log_interval: ClassVar[int] = 1000
 
     out: Path = Path("runs/sac")
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     total_steps: int = 2_000_000
-    """Agent steps, each of `hold` samples."""
+    """Agent steps of the whole run, each of --hold samples."""
     residual_limit: float = 0.5
     """Largest residual, as a share of the torque limit."""
     gamma: float = 0.9
-    """Discount per agent step: a horizon of 180 ms."""
+    """Discount per agent step. 0.9 looks about 180 ms ahead."""
     reward_scale: float = 0.1
-    """Factor on the mean reward over a hold, so that values are of order 1."""
+    """Factor on the mean reward of a hold. It brings values to order 1."""
     validation_every: int = 250_000
-    """Agent steps between validations, each of which saves a checkpoint."""
+    """Agent steps between validations. Each validation saves a checkpoint."""
     learning_rate: float = 3e-4
     """Learning rate of the optimisers."""
     hidden: tuple[int, ...] = (128, 128)
-    """Hidden layers of all networks."""
+    """Widths of the hidden layers of all networks."""
     buffer_size: int = 400_000
-    """Transitions in the replay buffer."""
+    """Agent steps that the replay buffer holds."""
     batch_size: int = 1024
-    """Transitions per gradient step."""
+    """Agent steps in each gradient step."""
     gradient_steps: int = 4
     """Gradient steps after each agent step of all arms."""
     learning_starts: int = 25_000
-    """Agent steps before the first gradient step, one episode of most arms."""
+    """Agent steps before the first gradient step. 25000 are one episode of most arms."""
     noise: float = 0.0
-    """Standard deviation of noise added to actions, beside the policy's own exploration."""
+    """Standard deviation of noise on the actions, on top of the policy's own exploration."""
     exploration: float = 0.4
-    """Standard deviation of the policy at first; the residual's range is -1 to 1."""
+    """Standard deviation of the policy at the start. Residuals lie between -1 and 1."""
     initial_entropy_weight: float = 0.01
-    """Weight of the entropy at first; it is learnt from there on."""
+    """Weight of the entropy at the start. It is learned from then on."""
     target_entropy: float = -2.0
-    """Entropy of the policy that its weight is learnt for; -2 is a standard deviation of 0.03 within -1 to 1."""
+    """Entropy that the learned weight aims at. -2 is a standard deviation of 0.03."""
     tau: float = 0.01
-    """Share by which target networks follow, per gradient step."""
+    """How far target networks follow in each gradient step, from 0 to 1."""
 
     @property
     def worst_reward(self) -> float:

@@ -61,31 +61,31 @@ class StudentConfig(RunConfig):
     algorithm: ClassVar[str] = "student"
 
     out: Path = Path("runs/student")
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     base: str = "adaptive"
-    """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
+    """Controller that the agent corrects: any classical one, or "none" to learn torques from scratch."""
     learning_rate: float = 3e-3
-    """Learning rate of the optimiser at first; it falls to zero over the rounds."""
+    """Learning rate at the start. It falls to zero over the rounds."""
     hidden: tuple[int, ...] = (96,)
-    """Hidden layers after the GRU."""
+    """Widths of the hidden layers after the GRU."""
     gru_width: int = 96
-    """Width of the GRU; 0 for a student without a memory."""
+    """Width of the GRU. With 0 the student has no memory."""
     residual_limit: float = 0.5
     """Largest residual, as a share of the torque limit."""
     hold: int = 4
-    """Samples for which a residual is held: 6 ms."""
+    """Samples for which a residual is held. 4 samples are 6 ms."""
     arms: int = 1024
-    """Arms of a round, and so episodes."""
+    """Arms of a round. Each makes one episode."""
     rounds: int = 24
-    """Rounds of acting, asking and fitting; a run that is resumed may have more."""
+    """Rounds of acting, asking the teacher and fitting. A run that is resumed may have more."""
     remembered: int = 6
-    """Rounds whose advice is fitted: the last ones."""
+    """Number of the last rounds whose advice is fitted."""
     epochs: int = 1
     """Passes over that advice in each round."""
     torque_price: float = 5.0
-    """Price of the torque's changes in the teacher's objective, over that in the task's cost."""
+    """Price of a torque change in the teacher's objective, as a multiple of the task's price."""
     batch_size: int = 32
-    """Episodes per gradient step."""
+    """Episodes in each gradient step."""
     huber: float = 0.2
     """Threshold of the Huber loss, as a share of the torque limit."""
 

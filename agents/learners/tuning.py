@@ -17,7 +17,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import optuna
 import tyro
@@ -29,6 +29,7 @@ from agents.learners.spaces import SPACES, Searched
 from agents.runs.monitor import News
 from agents.runs.training import train
 from baselines.tools.files import require_writable
+from baselines.tools.options import Groups
 from baselines.tools.parallel import Channel, Failure, Interrupted, StopRequest, run_side_by_side
 
 _FIRST_SEED, _SEEDS = 50, 50  # training seeds of trials; a run to be reported has one below
@@ -40,26 +41,28 @@ _VALIDATIONS = 10  # per trial
 class TuningConfig:
     """Options of `train/tune.py`."""
 
+    groups: ClassVar[Groups] = {"basic": ("algorithm", "trials", "jobs", "seed", "out", "resume"), "trial": ()}
+
     algorithm: tyro.conf.Positional[Searched]
     """Algorithm to tune."""
     trials: int = 40
-    """Trials, those before an interruption included."""
+    """Trials in all, with those from before an interruption."""
     jobs: int = 2
-    """Trials side by side, each in a process of its own."""
+    """Trials at the same time, each in its own process."""
     samples: int = 6_000_000
-    """Simulated samples of a trial, `hold` to an agent step; validated ten times."""
+    """Simulated samples per trial. An agent step takes `hold` of them. Each trial is validated ten times."""
     seed: int = 0
-    """Seed of the search; trial k trains with seed 50 + k modulo 50."""
+    """Seed of the search. Trial k trains with seed 50 + k modulo 50."""
     base: str = "paper"
-    """Controller that the residual corrects."""
+    """Controller that the agent corrects."""
     arms: int = 512
-    """Arms simulated side by side in a trial."""
+    """Arms that a trial simulates at the same time."""
     validation_arms: int = 128
-    """Arms per validation."""
+    """Arms in each validation."""
     out: Path = Path("results/train-tune")
-    """Folder of the SQLite files, ALGORITHM.db, and of the tables made of them, ALGORITHM.csv."""
+    """Folder of the studies, ALGORITHM.db in SQLite, and of their tables, ALGORITHM.csv."""
     resume: bool = False
-    """Resume the study in the folder."""
+    """Continue the study in --out."""
 
     @property
     def file(self) -> Path:

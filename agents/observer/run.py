@@ -12,6 +12,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from agents.runs.checkpoint import written_by
 from baselines.gains import FILE as GAINS
 from baselines.tools.command import require_bounds
 from baselines.tools.files import require_writable, write_atomically
+from baselines.tools.options import Groups
 from baselines.tools.parallel import Channel, Failure, run_side_by_side
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line
@@ -43,26 +45,29 @@ _BLOCK = 512  # episodes that are simulated side by side, and kept in one file
 class ObserverConfig:
     """Fit a learned observer."""
 
+    groups: ClassVar[Groups] = {"basic": ("out", "knowledge", "episodes", "seed", "jobs"), "algorithm": ()}
+
     out: Path | None = None
-    """The file to write. Default: runs/observer/KNOWLEDGE.safetensors."""
+    """File to write. Default: runs/observer/KNOWLEDGE.safetensors."""
     knowledge: Knowledge = "belief"
-    """Correct the belief of the filter, or see the measurements alone: "none"."""
+    """What the observer starts from: the belief of the filter ("belief"), which it corrects, or the measurements alone
+    ("none")."""
     hold: int = 4
-    """Samples from one estimate to the next."""
+    """Samples between two estimates."""
     width: int = 32
     """Width of the GRU."""
     episodes: int = 12_288
-    """Episodes to simulate, each on an arm of its own."""
+    """Episodes to simulate, each on its own arm."""
     epochs: int = 4
-    """Passes over them."""
+    """Passes over all episodes."""
     learning_rate: float = 3e-3
-    """Learning rate at first; it falls to zero."""
+    """Learning rate at the start. It falls to zero."""
     batch_size: int = 32
-    """Episodes per gradient step."""
+    """Episodes in each gradient step."""
     seed: int = 0
-    """Seed of weights and of the order of episodes; arms are the same for all."""
+    """Seed of the weights and of the order of episodes. The arms are always the same."""
     jobs: int = 2
-    """Processes that simulate."""
+    """Processes for the simulation."""
 
     def check(self) -> Observer:
         """Check the options, and make an untrained observer.

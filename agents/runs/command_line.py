@@ -13,13 +13,13 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import tyro
 from rich.console import Console
 
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import Maker, News
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
+from baselines.tools.options import parse
 from baselines.tools.parallel import (
     Channel,
     Failure,
@@ -40,7 +40,7 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
         make_learner: Makes the script's learner.
         description: What `--help` says.
     """
-    config: RunConfig = tyro.cli(kind, description=description)
+    config: RunConfig = parse(kind, description)
     script = f"train/{config.algorithm}.py"
     try:
         config.check()

@@ -13,6 +13,7 @@ from agents.policy.bundle import BundleSpec
 from agents.residual.bases import base_settings, make_base, settings_hash
 from agents.residual.controller import ResidualSettings
 from agents.residual.knowledge import Knowledge
+from baselines.tools.options import Groups
 from beltarm_env.observation import LAYOUT, Sensors
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING
 
@@ -28,46 +29,53 @@ class RunConfig:
     """Options of all training scripts; each script adds its algorithm's own."""
 
     algorithm: ClassVar[str]
+    groups: ClassVar[Groups] = {
+        "basic": ("out", "base", "total_steps", "rounds", "seed", "seeds", "resume", "overwrite"),
+        "algorithm": (),
+        "run": ("jobs", "validation_every", "validation_arms", "threads", "device"),
+    }
 
     out: Path
-    """Folder of the run; of several seeds' runs, the folder of their folders seed0, seed1, ..."""
+    """Folder of the run. With --seeds, each run has its own folder there: seed0, seed1, ..."""
     seed: int = 0
-    """Seed of everything: arms, moves, weights, exploration. At most 99."""
+    """Random seed, 0 to 99. It determines arms, moves, weights and exploration."""
     seeds: int = 1
-    """Number of runs, with this and the following seeds, each in a process of its own."""
+    """Number of runs, with this seed and the next ones. Each run has its own process."""
     jobs: int = 2
-    """Runs side by side, with --seeds."""
+    """Runs at the same time, with --seeds."""
     base: str = "paper"
-    """Controller that the residual corrects, any classical one; "none" to learn torques from scratch."""
+    """Controller that the agent corrects: any classical one, or "none" to learn torques from scratch."""
     knowledge: Knowledge = "belief"
-    """Inputs of the agent besides the observation: the belief of the identification, or none."""
+    """What the agent sees besides the observation: what the identification believes of the arm ("belief"), or nothing
+    ("none")."""
     sensors: Sensors = "encoder"
-    """Sensors of the arm. With "accelerometer" the filter of `adaptive` and `preview` has it too; "full" measures the
-    true torsion: an upper bound, not comparable with the others."""
+    """Sensors of the arm. "accelerometer" is read by the filters of `adaptive` and `preview` too. "full" measures the
+    true torsion: its results are an upper bound, and do not compare with others."""
     randomization: Literal["train", "ideal"] = "train"
-    """Arms that are trained on: of the training ranges, or with an ideal drive. Validation has the training ranges."""
+    """Arms for training: from the training ranges ("train"), or the same with an ideal drive ("ideal"). Validation
+    always uses the training ranges."""
     arms: int = 512
-    """Arms simulated side by side."""
+    """Arms simulated at the same time."""
     learning_rate: float = 5e-4
     """Learning rate of the optimiser."""
     hidden: tuple[int, ...] = (64, 64)
-    """Hidden layers of all networks."""
+    """Widths of the hidden layers of all networks."""
     activation: Literal["relu", "tanh", "elu"] = "relu"
-    """Activation function; tanh takes twice as long."""
+    """Activation function. tanh takes twice as long."""
     residual_limit: float = 1.0
     """Largest residual, as a share of the torque limit."""
     hold: int = 12
-    """Samples for which a residual is held: 18 ms, a slow enough exploration to move the arm."""
+    """Samples for which a residual is held. 12 samples are 18 ms, long enough for exploration to move the arm."""
     validation_arms: int = 128
-    """Arms per validation."""
+    """Arms in each validation."""
     threads: int = 1
-    """Threads of PyTorch; more than one slows networks of this size down."""
+    """Threads of PyTorch. More than one makes networks of this size slower."""
     device: str = "cpu"
     """Device of the networks: cpu, cuda, cuda:1, ..."""
     resume: bool = False
-    """Resume the run in `out` from its last checkpoint."""
+    """Continue the run in --out from its last checkpoint."""
     overwrite: bool = False
-    """Delete the run that is in `out` and begin anew."""
+    """Delete the run in --out and start again."""
 
     @property
     def length(self) -> int:

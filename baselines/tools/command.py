@@ -25,11 +25,11 @@ def run_command(file: str, kind: type[Config], work: Callable[[Config], object],
     """
     script = f"{Path(file).parent.name}/{Path(file).name}"
     try:
-        import tyro
+        from baselines.tools.options import parse
     except ModuleNotFoundError as error:
         stop_without(script, error)
     with one_line_errors(script):
-        work(tyro.cli(kind, description=description))
+        work(parse(kind, description))
 
 
 def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
@@ -23,6 +22,7 @@ from agents.runs.monitor import SCORES
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.tools.files import write_text
+from baselines.tools.options import parse
 from baselines.tools.parallel import Channel
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.rollout import Controller, rollout
@@ -52,7 +52,7 @@ class AblationRun:
     @property
     def words(self) -> list[str]:
         """Script and options, as on a command line."""
-        budget = self._budget(tyro.cli(ALGORITHMS[self.variant.script].config, args=list(self.variant.options)))
+        budget = self._budget(parse(ALGORITHMS[self.variant.script].config, arguments=list(self.variant.options)))
         script, quick = f"train/{self.variant.script}.py", _QUICK if self.quick else ()
         return [str(word) for word in (script, *budget, *quick, *self.variant.options, "--seed", self.seed)]
 
@@ -126,7 +126,7 @@ class AblationRun:
         resume = ["--resume"] if RunFolder(self.folder).checkpoint.exists() else []
         arguments = [*options, "--out", str(self.folder), *resume]
         algorithm = ALGORITHMS[self.variant.script]
-        config = tyro.cli(algorithm.config, args=arguments)
+        config = parse(algorithm.config, arguments=arguments)
         try:
             train(config, algorithm.make_learner, channel, shlex.join(["python", script, *arguments]))
         except ValueError as error:

@@ -27,19 +27,19 @@ class AblationConfig:
     out: Path = Path("results/learning")
     """Folder for ablations.md, ablations.json and curves.png."""
     runs: Path = Path("runs/ablations")
-    """Folder of the runs; finished ones are kept and not repeated."""
+    """Folder of the runs. Finished runs are kept and not repeated."""
     only: tuple[str, ...] = ()
-    """Factors or variants, such as told or gru-0; all by default. Runs that they are compared with are among them."""
+    """Factors or variants to run, such as told or gru-0, with the runs that they are compared with. Default: all."""
     samples: int = 8_000_000
-    """Samples that every run simulates."""
+    """Samples that each run simulates."""
     seeds: int = 3
-    """Runs of each variant, with training seeds 0, 1, ...; of some, one is enough."""
+    """Runs of each variant, with training seeds 0, 1, ... Some variants need only one."""
     jobs: int = 2
-    """Runs side by side, each on one core."""
+    """Runs at the same time, each on one core."""
     arms: int = 256
     """Arms on which the last policy is scored."""
     quick: bool = False
-    """Trial of the command: a few episodes."""
+    """Only try the command, with a few episodes."""
 
     def check(self) -> None:
         """Check the options.

@@ -1,0 +1,129 @@
+"""Options of a command, a dataclass, from its command line: tyro reads them and writes `--help`.
+
+The docstring under a field says what the option does. A dataclass may sort its options into groups for `--help`:
+
+    groups: ClassVar[Groups] = {"basic": ("out", "seed"), "algorithm": (), "run": ("jobs",)}
+
+A group holds the options that it names, and an empty one all that no group names. To tyro a group is a dataclass within
+a dataclass; such dataclasses are made here, so that commands work with one flat dataclass.
+"""
+
+from __future__ import annotations
+
+import codecs
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import Field, field, fields, make_dataclass
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import docstring_parser
+import tyro
+
+Groups = Mapping[str, tuple[str, ...]]
+"""Names of options, by the name of their group."""
+WIDTH = 80
+"""Most columns of `--help`."""
+_Config = TypeVar("_Config")
+_MARKERS = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
+_SAID_OTHERWISE = ("", "None", "True", "False")  # defaults that the option's text says, or its being a flag
+
+
+def parse(kind: type[_Config], description: str | None = None, arguments: Sequence[str] | None = None) -> _Config:
+    """Read options from the command line.
+
+    Args:
+        kind: The options, a dataclass.
+        description: What `--help` begins with; by default the docstring of `kind`.
+        arguments: Words to read instead of the command line's.
+
+    Raises:
+        SystemExit: After `--help`, and for words that are no options.
+    """
+    groups = _groups_of(kind)
+    with _at_most(WIDTH):
+        read: Any = tyro.cli(
+            _shaped(kind, groups), description=_paragraphs(description or kind.__doc__), args=arguments, config=_MARKERS
+        )
+    parts = [getattr(read, group) for group in groups] or [read]
+    return kind(**{each.name: getattr(part, each.name) for part in parts for each in fields(part)})
+
+
+def _groups_of(kind: type[Any]) -> dict[str, list[Field[Any]]]:
+    """Fields of each group that has any, as the group orders them."""
+    groups: Groups = getattr(kind, "groups", {})
+    known: dict[str, Field[Any]] = {each.name: each for each in fields(kind)}
+    others = [name for name in known if not any(name in names for names in groups.values())]
+    chosen = {group: [known[name] for name in names or others if name in known] for group, names in groups.items()}
+    return {group: members for group, members in chosen.items() if members}
+
+
+def _shaped(kind: type[Any], groups: Mapping[str, Iterable[Field[Any]]]) -> type[Any]:
+    """Dataclass of the same options as tyro is to show them, in a dataclass of its own for each group."""
+    hints, texts = get_type_hints(kind, include_extras=True), _texts(kind)
+
+    def part(name: str, members: Iterable[Field[Any]]) -> type[Any]:
+        shown = [
+            (each.name, _shown(hints[each.name], texts.get(each.name, "")), _same_default(each)) for each in members
+        ]
+        return make_dataclass(name, shown, kw_only=True)
+
+    if not groups:
+        return part(kind.__name__, fields(kind))
+    return make_dataclass(kind.__name__, [(name, part(name, members)) for name, members in groups.items()])
+
+
+def _same_default(option: Field[Any]) -> Any:
+    return field(default=option.default, default_factory=option.default_factory)  # pyright: ignore[reportCallIssue]
+
+
+def _texts(kind: type[Any]) -> dict[str, str]:
+    """Docstrings of the fields, those of base classes included."""
+    found = [docstring_parser.parse_from_object(base).params for base in reversed(kind.__mro__[:-1])]
+    return {param.arg_name: _joined(param.description or "") for params in found for param in params}
+
+
+def _shown(hint: Any, text: str) -> Any:
+    """Type of an option with its text, a plain default and a plain word for its values; its own marks come after."""
+    inner, *marks = get_args(hint) if get_origin(hint) is Annotated else [hint]
+    several = get_origin(inner) is tuple and tyro.conf.UseAppendAction not in marks
+    values = f"{get_args(inner)[0].__name__.upper()} ..." if several else None
+    plain = tyro.conf.arg(help=text, metavar=values, help_behavior_hint=_default_text)
+    return Annotated[tuple([inner, plain, *marks])]  # pyright: ignore[reportInvalidTypeForm]
+
+
+def _default_text(default: str) -> str:
+    return "" if default in _SAID_OTHERWISE else f"(default: {default.removeprefix(f'{Path.cwd()}{os.sep}')})"
+
+
+def _joined(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _paragraphs(text: str | None) -> str:
+    return "\n\n".join(_joined(paragraph) for paragraph in (text or "").split("\n\n"))
+
+
+@contextmanager
+def _at_most(columns: int) -> Iterator[None]:
+    """Have tyro fill at most so many columns, and wrap what it leaves long: usage and description."""
+    encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # by the name that tyro knows it by
+    before, shown = os.environ.get("COLUMNS"), TextIOWrapper(BytesIO(), encoding)
+    columns = min(columns, shutil.get_terminal_size().columns)
+    os.environ["COLUMNS"] = str(columns)
+    try:
+        with redirect_stdout(shown):
+            yield
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
+        shown.seek(0)
+        for line in shown:
+            print(textwrap.fill(line.rstrip("\n"), columns, break_long_words=False, break_on_hyphens=False))
