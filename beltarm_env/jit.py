@@ -11,12 +11,14 @@ No `fastmath`: strict IEEE arithmetic is what makes one arm and arm *i* of a bat
 **Cache.** numba keeps compiled kernels on disk, and takes one for fresh as long as the file that defines it is
 unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256
 of all sources that a kernel can be made of: those of this package and of the kernel's own. An edited equation is thus
-never run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`).
+never run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`). Where the cache lacks a kernel, a
+line on stderr says why the first call takes so long.
 """
 
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -26,6 +28,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
@@ -66,6 +69,20 @@ class _ContentKeyedCache(FunctionCache):
         # The whole name changes, not just the stamp inside: another process may read the old files meanwhile.
         self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}-{digest}", digest)
         _drop_outdated(Path(self._cache_path), digest)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Look a kernel up; numba compiles one that is not found."""
+        found = super().load_overload(sig, target_context)
+        if found is None:
+            _announce()
+        return found
+
+
+@cache
+def _announce() -> None:
+    """Say once that kernels are compiled, unless this process works for another one, which says it."""
+    if multiprocessing.parent_process() is None:
+        print(ANNOUNCEMENT, file=sys.stderr, flush=True)
 
 
 @cache

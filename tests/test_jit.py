@@ -29,17 +29,21 @@ def toy(tmp_path: Path) -> Path:
     return folder
 
 
-def run(toy: Path, **environment: str) -> list[str]:
-    """What the kernel returns, and how often its compiled form was found in the cache, in a process of its own."""
+def done(toy: Path, code: str = RUN, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Some code after it was run in a process of its own."""
     known = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
-    done = subprocess.run(
-        [sys.executable, "-c", RUN],
+    return subprocess.run(
+        [sys.executable, "-c", code],
         env={**known, "PYTHONPATH": str(toy.parent), **environment},
         capture_output=True,
         text=True,
         check=True,
     )
-    return done.stdout.split()
+
+
+def run(toy: Path, **environment: str) -> list[str]:
+    """What the kernel returns, and how often its compiled form was found in the cache."""
+    return done(toy, **environment).stdout.split()
 
 
 @pytest.mark.parametrize("elsewhere", [False, True], ids=["pycache", "cache-dir"])
@@ -54,6 +58,26 @@ def test_an_edited_equation_is_never_run_in_its_old_form(elsewhere: bool, toy: P
     assert run(toy, **environment) == ["6.0", "0"]
     digests = {path.name.split(".")[2] for path in tmp_path.rglob("*.nbc")}
     assert len(digests) == 1, digests  # kernels of the old sources are gone
+
+
+TWICE = "from toy.kernel import torque; torque(2.0); torque(2)"  # two types, two compilations
+PLAIN = "from toy.kernel import torque; print(torque(2.0))"
+WORKER = """
+import multiprocessing, sys
+from toy.kernel import torque
+if __name__ == "__main__":
+    worker = multiprocessing.get_context("fork").Process(target=torque, args=(2.0,))
+    worker.start()
+    worker.join()
+    sys.exit(worker.exitcode)
+"""
+
+
+def test_compilation_is_announced_once_and_by_no_worker(toy: Path):
+    assert done(toy, PLAIN, NUMBA_DISABLE_JIT="1").stderr == ""
+    assert done(toy, WORKER, NUMBA_CACHE_DIR=str(toy / "other")).stderr == ""
+    assert done(toy, TWICE).stderr == f"{jit.ANNOUNCEMENT}\n"
+    assert done(toy, TWICE).stderr == ""
 
 
 def test_the_digest_sees_contents_names_and_sub_folders(tmp_path: Path):
