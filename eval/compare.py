@@ -21,11 +21,11 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import Progress
 
 from baselines.tools.command import require_bounds, run_command
 from baselines.tools.options import Groups
 from baselines.tools.parallel import default_jobs
+from baselines.tools.progress import progress_count
 from eval.comparison.custom import home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, fuller
@@ -105,8 +105,7 @@ def run(config: Config) -> None:
             console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
     if lost := fuller(config.out, [method.name for method in methods], list(scenarios.splits), config.count):
         console.print(lost, soft_wrap=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("pairs of method and split", total=None)
+    with progress_count("pairs of method and split", console) as done:
         comparison = compare(
             methods,
             scenarios,
@@ -115,7 +114,7 @@ def run(config: Config) -> None:
             config.jobs or default_jobs(),
             fresh=config.fresh,
             computing_time=config.computing_time,
-            done=lambda done, total: progress.update(task, completed=done, total=total),
+            done=done,
         )
     shown = publish(comparison, scenarios.splits, config.out, console, maps=config.maps, verbose=config.verbose)
     for failure in shown.failures:

@@ -20,10 +20,10 @@ try:
     import torch
     import tyro
     from rich.console import Console
-    from rich.progress import Progress
 
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.parallel import default_jobs
+    from baselines.tools.progress import progress_count
     from baselines.tools.provenance import command_line, software
     from beltarm_env.task.seeds import DRIVE_SIZES
     from eval.drives.page import as_json, costs_table, markdown
@@ -64,16 +64,8 @@ def report(config: Config) -> None:
     require_writable(config.out)
     torch.set_num_threads(1)  # the networks are too small for more
     provenance = {"command": command_line(), **software("numpy", "numba", "torch"), "seed": DRIVE_SIZES.first}
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("controllers and effects", total=None)
-        study = run_study(
-            methods,
-            config.arms,
-            config.sizes,
-            config.jobs or default_jobs(),
-            lambda done, total: progress.update(task, completed=done, total=total),
-        )
+    with progress_count("controllers and effects", Console(stderr=True)) as done:
+        study = run_study(methods, config.arms, config.sizes, config.jobs or default_jobs(), done)
     pictures = save_pictures(study, config.out)
     origin = f"`{provenance['command']}`, beltarm {provenance['version']} ({provenance['commit']})"
     write_text(config.out / "results.json", as_json(study, provenance))

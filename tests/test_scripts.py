@@ -62,7 +62,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_training_leaves_a_policy_a_checkpoint_and_logs(trained: Path) -> None:
     files = {path.name for path in trained.iterdir()}
     assert {"best", "last", "checkpoint.pkl", "config.json", "validation.csv"} <= files
-    assert "progress.csv" in files
+    first = read_csv(trained / "progress.csv")[0]
+    assert first["time/total_timesteps"] == "0" and float(first["validation/cost"]) > 0
     assert any(name.startswith("events.out.tfevents") for name in files)
     assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256"]
     assert not list(trained.rglob(".*"))  # no temporary files
@@ -78,6 +79,13 @@ def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None
     assert stopped(train_ppo, ("--out", "again", "--total-steps", "256", *TINY), tmp_path) == (0, "")
     first, second = (read_csv(folder / "validation.csv")[2] for folder in (trained, tmp_path / "again"))
     assert first["cost"] == second["cost"]
+
+
+def test_a_folder_with_a_run_is_refused_before_progress_is_shown(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "holds a run already" in mistake(train_ppo, ("--out", str(trained), *TINY), trained)
+    assert capsys.readouterr().out == ""
 
 
 def test_resume_from_nothing_is_refused(tmp_path: Path) -> None:

@@ -520,6 +520,9 @@ def test_an_arm_without_a_base_does_not_ring_to_be_compared_with(tmp_path: Path)
     told: list[News] = []
     train(tiny("ppo", tmp_path, total_steps=64, base="none"), MODULES["ppo"].make_learner, Channel(told.append))
     assert "cost" in told[-1].scores and "ringing" not in told[-1].scores
+    names = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert "validation/cost_over_base" in names and "validation/residual_pp_mm" in names
+    assert "validation/residual_pp_mm_over_base" not in names
 
 
 # Options

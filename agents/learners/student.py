@@ -154,8 +154,7 @@ class Student:
             self.learn_round(monitor)
             self.rounds += 1
             monitor.evaluate()
-            monitor.logger.record("time/total_timesteps", self.steps)
-            monitor.logger.dump(self.steps)
+            monitor.log()
 
     def learn_round(self, monitor: TrainingMonitor) -> None:
         """Act, ask and fit."""

@@ -104,6 +104,7 @@ def _simulated(config: ObserverConfig, observer: Observer) -> Episodes:
         closing(run_side_by_side(tasks, config.jobs)) as outcomes,
         progress_rows(["episodes"], len(blocks), Console(stderr=True)) as rows,
     ):
+        rows.show("episodes", len(blocks) - len(left))
         for done, (_, outcome) in enumerate(outcomes, len(blocks) - len(left) + 1):
             if isinstance(outcome, Failure):
                 raise outcome.error

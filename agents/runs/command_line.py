@@ -28,7 +28,7 @@ from baselines.tools.parallel import (
     run_side_by_side,
     stop_on_signals,
 )
-from baselines.tools.progress import progress_rows
+from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
 
 
@@ -71,11 +71,18 @@ def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
     """Run one training, in this process."""
     stop, name = StopRequest(), config.algorithm
     with _stop_on_signals(stop, console), progress_rows([name], config.length, console) as rows:
-        channel = Channel(lambda news: rows.show(name, news.steps, news.scores), stop)
+        channel = Channel(lambda news: _show(rows, console, name, news), stop)
         monitor = train(config, make_learner, channel)
     steps, seconds, _ = monitor.curve[-1]
     print(f"{steps} steps in {seconds:.0f} s; best policy: {config.out / 'best'}")
     print(f"compare it: python eval/compare.py --policy {config.out / 'best'}")
+
+
+def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
+    """Show how far a run is; where nobody watches a terminal, as a line for each validation."""
+    rows.show(name, news.steps, news.scores)
+    if news.cost is not None and not console.is_terminal:
+        console.print(f"{name}: {news.steps} steps, {news.scores}", soft_wrap=True)
 
 
 def runs_of(config: RunConfig) -> dict[str, RunConfig]:
@@ -105,10 +112,7 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
             runs[name] = replace(run, overwrite=False)
     tasks = {name: partial(run_task, run, make_learner, command_line()) for name, run in runs.items()}
     with _stop_on_signals(stop, console), progress_rows(runs, config.length, console) as rows:
-
-        def tell(name: str, news: News) -> None:
-            rows.show(name, news.steps, news.scores)
-
+        tell = partial(_show, rows, console)
         with closing(run_side_by_side(tasks, config.jobs, threads=config.threads, stop=stop, tell=tell)) as outcomes:
             for name, end in outcomes:
                 if isinstance(end, Failure):

@@ -106,9 +106,9 @@ class TrainingMonitor:
         self.spec = spec
         self.logger = logger
         self.channel = channel
-        base = validate(make_base(config.base, config.sensors), config.validation_arms, config.sensors)
         self.progress: dict[str, Any] = progress or {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
-        self.base_scores = base
+        channel.report(News(learner.steps, self.progress["scores"] or "validating the base and the untrained policy"))
+        self.base_scores = validate(make_base(config.base, config.sensors), config.validation_arms, config.sensors)
         self._before = self.progress["seconds"]
         self._began = self._told = time.perf_counter()
 
@@ -123,9 +123,15 @@ class TrainingMonitor:
         return [(row["steps"], row["seconds"], row["cost"]) for row in self.progress["curve"]]
 
     def begin(self) -> None:
-        """Validate the untrained policy and save the first checkpoint."""
+        """Validate the untrained policy, save the first checkpoint and write the first row of the log."""
         if not self.folder.checkpoint.exists():
             self.evaluate()
+            self.log()
+
+    def log(self) -> None:
+        """Write a row of the training log."""
+        self.logger.record("time/total_timesteps", self.learner.steps)
+        self.logger.dump(self.learner.steps)
 
     def stop_if_asked(self, save: bool = True) -> None:
         """Raise Interrupted on a request to stop, after saving a checkpoint if `save`.
@@ -155,11 +161,12 @@ class TrainingMonitor:
         controller = ResidualController(base, policy, self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
         of_base = self.base_scores
-        ratios = {name: scores[name] / of_base[name] for name in SCORES}
+        ratios = {name: scores[name] / of_base[name] for name in SCORES if of_base[name] > _LEAST}
         for name in SCORES:
             self.logger.record(f"validation/{name}", scores[name])
-            self.logger.record(f"validation/{name}_over_base", ratios[name])
-        words = ", ".join(f"{word} {ratios[name]:.2f}x" for name, word in _WORDS.items() if of_base[name] > _LEAST)
+        for name, ratio in ratios.items():
+            self.logger.record(f"validation/{name}_over_base", ratio)
+        words = ", ".join(f"{_WORDS[name]} {ratio:.2f}x" for name, ratio in ratios.items())
         self.progress["scores"] = f"{words} of the base"
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:

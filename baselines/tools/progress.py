@@ -1,8 +1,8 @@
-"""Progress of tasks side by side, a row each, as all commands that run some show it."""
+"""Progress of commands, as all of them show it. A display appears with its first news: a refusal comes without one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -20,11 +20,37 @@ class ProgressRows:
         """Show how far a task has come, and its state in words."""
         self._display.start_task(self._rows[name])
         self._display.update(self._rows[name], completed=completed, state=state)
+        self._display.start()
 
 
 @contextmanager
 def progress_rows(names: Iterable[str], total: float, console: Console | None = None) -> Iterator[ProgressRows]:
     """Show a row for each name, which is full at `total`."""
     columns = (TextColumn("{task.description}"), TextColumn("{task.percentage:3.0f} %"), BarColumn(bar_width=16))
-    with Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[state]}"), console=console) as display:
+    display = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[state]}"), console=console)
+    with _stopped_if_begun(display):
         yield ProgressRows(display, names, total)
+
+
+@contextmanager
+def progress_count(name: str, console: Console) -> Iterator[Callable[[int, int], None]]:
+    """Show how many of some things are done, on a terminal and until all are: call with their number and the total."""
+    display = Progress(console=console, transient=True, disable=not console.is_terminal)
+    row = display.add_task(name, total=None)
+
+    def show(done: int, total: int) -> None:
+        display.update(row, completed=done, total=total)
+        display.start()
+
+    with _stopped_if_begun(display):
+        yield show
+
+
+@contextmanager
+def _stopped_if_begun(display: Progress) -> Iterator[None]:
+    """Stop a display that has begun; one that has not would leave an empty line."""
+    try:
+        yield
+    finally:
+        if display.live.is_started:
+            display.stop()

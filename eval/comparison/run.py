@@ -181,6 +181,7 @@ def _outcomes(
         finished.append(pair)
         done(len(finished), len(pairs))
 
+    done(0, len(pairs))
     try:
         results = iter(run_pairs(pairs, folder, jobs, one_more))
     except KeyboardInterrupt:

@@ -120,6 +120,7 @@ def run_study(
         for method, effect in pairs
     }
     results: dict[str, Outcome] = {}
+    done(0, len(tasks))
     with closing(run_side_by_side(tasks, jobs)) as outcomes:
         for name, outcome in outcomes:
             if isinstance(outcome, Failure):

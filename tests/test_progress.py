@@ -1,0 +1,37 @@
+"""Progress on a terminal."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from baselines.tools.progress import progress_count, progress_rows
+
+
+@pytest.fixture
+def terminal() -> Console:
+    return Console(file=io.StringIO(), force_terminal=True, width=80)
+
+
+def written(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_a_refusal_comes_without_a_display(terminal: Console):
+    with pytest.raises(ValueError, match="no"), progress_rows(["a"], 2, terminal), progress_count("pairs", terminal):
+        raise ValueError("no")
+    assert written(terminal) == ""
+
+
+def test_displays_begin_with_the_first_news(terminal: Console):
+    with progress_rows(["a", "b"], 2, terminal) as rows:
+        rows.show("a", 1, "half")
+        assert " 50 %" in written(terminal) and "half" in written(terminal)
+    with progress_count("pairs", terminal) as show:
+        assert "pairs" not in written(terminal)
+        show(0, 3)
+        assert "pairs" in written(terminal)
+    assert written(terminal).endswith("\x1b[2K")  # it is taken away
