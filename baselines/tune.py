@@ -93,7 +93,7 @@ def run(config: Config) -> None:
     except (Interrupted, KeyboardInterrupt):
         arguments = [argument for argument in sys.argv[1:] if argument != "--resume"]
         command = shlex.join(["python", "baselines/tune.py", *arguments, "--resume"])
-        print(f"interrupted; trials are kept in {config.journals}; to go on:\n  {command}")
+        print(f"interrupted; trials are kept in {config.journals}; to continue:\n  {command}")
         sys.exit(130)
 
 

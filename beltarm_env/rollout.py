@@ -6,6 +6,7 @@ it sees the observation and nothing else, and keeps its memory in the state that
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -102,11 +103,24 @@ def rollout(
             torque limit, or it returns another shape or NaN.
         TypeError: If the controller has no `predict`.
     """
-    if not callable(getattr(controller, "predict", None)):
-        found = f"the name {controller!r}: make it first" if isinstance(controller, str) else repr(controller)
-        raise TypeError(f"a controller is an object with a method predict, got {found}")
+    _require_controller(controller)
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
     return record(controller, env, seed=seed, options=options)
+
+
+def _require_controller(controller: object) -> None:
+    """Raise TypeError, saying how to make one, unless it is a controller."""
+    if isinstance(controller, str):
+        found = f"the name {controller!r}: baselines.CONTROLLERS[{controller!r}]() makes a classical one of that name"
+    elif isinstance(controller, type):
+        found = f"the class {controller.__name__}: {controller.__name__}() makes one"
+    elif callable(getattr(controller, "predict", None)):
+        return
+    else:
+        found = reprlib.repr(controller)
+    raise TypeError(
+        f"a controller is an object with a method predict (see beltarm_env.rollout.Controller), got {found}"
+    )
 
 
 def record(

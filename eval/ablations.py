@@ -32,7 +32,7 @@ def report(config: AblationConfig) -> None:
     config.check()
     require_writable(config.out)
     require_writable(config.runs)
-    with stop_on_signals(stop, lambda: tell("stopping after these updates; once more to stop at once")):
+    with stop_on_signals(stop, lambda: tell("stopping after these updates; press Ctrl-C again to stop at once")):
         found = study(config, tell, stop)
     data, page = as_json(found), markdown(found, time.perf_counter() - began)  # before a file of the commit changes
     draw(found, config.out / "curves.png")

@@ -25,6 +25,8 @@ class Config:
 
     controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.py:CLASS")]
     """Your controller."""
+    traceback: bool = False
+    """Print the whole traceback of each failure, to stderr."""
 
 
 def run(config: Config) -> None:
@@ -32,7 +34,9 @@ def run(config: Config) -> None:
     custom.make(config.controller)
     failed = 0
     for finding in findings(custom.factory(config.controller)):
-        print(f"{'ok    ' if finding.passed else 'FAILED'}  {finding.check}: {finding.detail}")
+        print(f"{'ok    ' if finding.passed else 'FAILED'}  {finding.check}: {finding.detail}", flush=True)
+        if config.traceback and finding.trace:
+            print(finding.trace, file=sys.stderr)
         failed += not finding.passed
     sys.exit(1 if failed else 0)
 

@@ -42,7 +42,7 @@ class Config:
     groups: ClassVar[Groups] = {
         "method": ("methods", "policy", "add"),
         "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
-        "output": ("out", "verbose", "maps"),
+        "output": ("out", "verbose", "traceback", "maps"),
         "run": (),
     }
 
@@ -79,6 +79,8 @@ class Config:
     arm). Times are measured once and kept in computing_time.json. Needs its own --out."""
     jobs: int | None = None
     """Number of processes. Default: one per core."""
+    traceback: bool = False
+    """Print the whole traceback of each failure, to stderr."""
     verbose: bool = False
     """Also print all splits, with intervals and differences."""
 
@@ -119,6 +121,8 @@ def run(config: Config) -> None:
     shown = publish(comparison, scenarios.splits, config.out, console, maps=config.maps, verbose=config.verbose)
     for failure in shown.failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
+        if config.traceback:
+            print(failure.trace, file=sys.stderr)
     sys.exit(1 if shown.failures else 0)
 
 

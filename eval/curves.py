@@ -38,7 +38,9 @@ def run(config: Config) -> None:
     curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
     numbers = {curve.arms for curve in curves}
     if len(numbers) > 1:
-        raise ValueError(f"the runs were validated on {sorted(numbers)} arms, not all on as many: draw them apart")
+        raise ValueError(
+            f"the runs were validated on different numbers of arms, {sorted(numbers)}: draw them separately"
+        )
     draw(curves, classical_cost(numbers.pop()), config.out / "curves.png")
     print(f"{len(curves)} runs; written to {config.out / 'curves.png'}")
 

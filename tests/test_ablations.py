@@ -140,7 +140,7 @@ def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
 def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
     config, stop = AblationConfig(runs=tmp_path, only=("default",), quick=True, arms=4), StopRequest()
     stop.made = True
-    with pytest.raises(KeyboardInterrupt, match="what was begun is saved, the same command goes on"):
+    with pytest.raises(KeyboardInterrupt, match="saved, and the same command continues"):
         run_all(config, lambda _: None, stop)
 
 

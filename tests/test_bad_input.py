@@ -444,7 +444,18 @@ def test_controllers_that_return_something_else(action: Any, words: tuple[str, .
     refused(ValueError, words, lambda: rollout(Constant(action), 2, seed=0))
 
 
-@pytest.mark.parametrize(("controller", "got"), [("paper", "got the name 'paper': make it first"), (None, "got None")])
+@pytest.mark.parametrize(
+    ("controller", "got"),
+    [
+        ("paper", "the name 'paper': baselines.CONTROLLERS['paper']() makes a classical one of that name"),
+        (Constant, "the class Constant: Constant() makes one"),
+        (None, "None"),
+        (tuple(range(1000)), "(0, 1, 2, 3, 4, 5, ...)"),
+    ],
+    ids=["name", "class", "None", "long"],
+)
 def test_a_rollout_wants_a_controller(controller: Any, got: str):
-    with pytest.raises(TypeError, match=got):
+    wanted = "a controller is an object with a method predict (see beltarm_env.rollout.Controller), got "
+    with pytest.raises(TypeError) as caught:
         rollout(controller, 5)
+    assert str(caught.value) == wanted + got

@@ -178,6 +178,18 @@ def test_a_controller_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "got int" in output
 
 
+def test_the_place_of_a_failure_is_named_and_its_traceback_shown_if_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        raise KeyError('gain')\n")
+    (tmp_path / "worse.py").write_text("import json\nraise RuntimeError('not today')\n")
+    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
+    assert "KeyError: 'gain' (bad.py:3)\n" in capsys.readouterr().out
+    for spec, status, line in (("bad.py:Bad", 1, 'bad.py", line 3'), ("worse.py:Bad", 2, 'worse.py", line 2')):
+        code, errors = stopped(main, (spec, "--traceback"), tmp_path)
+        assert code == status and errors.startswith("Traceback (most recent call last):") and line in errors
+
+
 @pytest.mark.parametrize(
     ("spec", "message"),
     [

@@ -137,9 +137,9 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     words = training_command(config, study).split()
     assert words[:2] == ["python", "train/sac.py"]
     assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
-    with pytest.raises(ValueError, match=r"holds a study already.*--resume"):
+    with pytest.raises(ValueError, match=r"already holds a study.*--resume"):
         tune(config)
-    with pytest.raises(ValueError, match=r"was begun with .*'arms': 4"):
+    with pytest.raises(ValueError, match=r"was started with .*'arms': 4"):
         tune(few(tmp_path, resume=True, arms=8))
     study.ask()  # left running by an interruption
     again = tune(few(tmp_path, resume=True, trials=3))

@@ -330,7 +330,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "GRU of negative width": ({"gru_width": -1}, "--gru-width must be at least 0, got -1"),
     "no passes": ({"epochs": 0}, "--epochs must be at least 1, got 0"),
     "Huber": ({"huber": 0.0}, "--huber must be finite and above 0, got 0.0"),
-    "diverging": ({"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps: begin anew with a smaller --learning"),
+    "diverging": ({"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps: start again with a smaller --learning"),
 }
 
 

@@ -269,7 +269,7 @@ class TestTuner:
         assert condition.shortfall(Watched(TwoGains(**found.gains))) == 0
         assert search(kind, 2 * MIN_BUDGET, 0, journal, condition=condition) == found
         for other in (None, MarginCondition(modulus=0.3)):
-            with pytest.raises(ValueError, match="begun with another seed, other margins or other ranges"):
+            with pytest.raises(ValueError, match="started with another seed, other margins or other ranges"):
                 search(kind, 2 * MIN_BUDGET, 0, journal, condition=other)
 
     def test_the_number_of_refusals_is_bounded(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

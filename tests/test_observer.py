@@ -302,7 +302,7 @@ class TestRun:
         config = self.config(tmp_path)
         with monkeypatch.context() as patch:
             patch.setattr(running, "fit", stop)
-            with pytest.raises(KeyboardInterrupt, match="the same command goes on"):
+            with pytest.raises(KeyboardInterrupt, match="the same command continues"):
                 running.run(config)
         assert len(list(tmp_path.glob(".o-episodes/*.npz"))) == 1 and not config.file.exists()
         monkeypatch.setattr(running, "simulate_block", None)

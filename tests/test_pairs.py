@@ -350,6 +350,19 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
     assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]
     assert [failure["method"] for failure in results["failures"]] == ["Fails", "Nan", "Alone"]
     assert "- Fails on nominal: RuntimeError" in (tmp_path / "out" / "summary.md").read_text()
+    assert {*results["failures"][0]} == {"method", "split", "message"}
+
+
+def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
+    """Also where it is the only method's, and nothing is left to compare."""
+    (tmp_path / "mine.py").write_text(FAILING)
+    options = ("--add", "mine.py:Fails", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--traceback")
+    for methods, status in ((("paper", "Fails"), 1), (("Fails",), 2)):
+        code, errors = stopped(compare.main, ("--methods", *methods, *options, "--out", methods[0]), tmp_path)
+        assert code == status
+        assert "Traceback (most recent call last):" in errors
+        assert f'File "{tmp_path}/mine.py", line 7, in predict\n    raise RuntimeError' in errors
+    assert errors.splitlines()[-1].startswith("eval/compare.py: no method could be run: Fails on nominal")
     assert "<b>Alone</b> on nominal: on scenario" in (tmp_path / "out" / "report.html").read_text()
     assert not list(tmp_path.glob("out/pairs/*Fails*"))  # tried again next time
 

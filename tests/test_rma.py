@@ -194,7 +194,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no rounds left": ({"told": 0.9}, "--rounds must leave one for the memory, with --rounds 3 and --told 0.9"),
     "no latent": ({"latent": 0}, "--latent must be at least 1, got 0"),
     "no memory": ({"gru_width": 0}, "--gru-width must be at least 1, got 0"),
-    "diverging": ({"learning_rate": 1e30}, "diverged at 0 steps: begin anew with a smaller --learning-rate"),
+    "diverging": ({"learning_rate": 1e30}, "diverged at 0 steps: start again with a smaller --learning-rate"),
 }
 
 

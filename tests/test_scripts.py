@@ -84,7 +84,7 @@ def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None
 def test_a_folder_with_a_run_is_refused_before_progress_is_shown(
     trained: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "holds a run already" in mistake(train_ppo, ("--out", str(trained), *TINY), trained)
+    assert "already holds a run" in mistake(train_ppo, ("--out", str(trained), *TINY), trained)
     assert capsys.readouterr().out == ""
 
 

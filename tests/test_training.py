@@ -206,7 +206,7 @@ def resumed(folder: Path, **options: Any) -> ReinforcementConfig:
 
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "used folder": ({"resume": False}, "holds a run already.*--resume.*--out.*--overwrite"),
+    "used folder": ({"resume": False}, "already holds a run.*--resume.*--overwrite.*--out"),
     "another seed": ({"seed": 1}, "has --seed 0, not 1"),
     "other arms": ({"arms": 16}, "has --arms 8, not 16"),
     "another base": ({"base": "rigid"}, "has --base paper, not rigid"),
@@ -476,7 +476,7 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     assert "seed5: cannot write to" in told[0] and "1 other runs" in told[1]
     run(as_script(tmp_path / "alone", seed=4))
     assert bundle_weights(many / "seed4/last") == bundle_weights(tmp_path / "alone/last")
-    with pytest.raises(ValueError, match="seed4 holds a run already"):
+    with pytest.raises(ValueError, match="seed4 already holds a run"):
         runs_of(as_script(many, seed=4, seeds=2))
 
 

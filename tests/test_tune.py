@@ -102,7 +102,7 @@ def test_interrupted_search_goes_on(tmp_path: Path):
     assert Counting.steps == 0
     with pytest.raises(ValueError, match=r"holds more steps than --budget"):
         search(kind, MIN_BUDGET, 0, journal)
-    with pytest.raises(ValueError, match=r"begun with another seed"):
+    with pytest.raises(ValueError, match=r"started with another seed"):
         search(kind, 4 * MIN_BUDGET, 1, journal)
     journal.write_text("not a journal\n" * 2)
     with pytest.raises(ValueError, match=r"journal is damaged"):
@@ -311,7 +311,7 @@ def test_margins_need_not_be_asked_for(tmp_path: Path, command: list[str], capsy
     with pytest.raises(SystemExit):
         command.append("--resume")
         main()
-    assert "begun with another seed, other margins or other ranges of gains: tune anew" in capsys.readouterr().err
+    assert "started with another seed, other margins or other ranges of gains: tune anew" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])

@@ -24,7 +24,7 @@ def run(config: TuningConfig) -> None:
     """Tune, and print the command that trains with the settings found; an interruption says how to go on."""
     stop = StopRequest()
     try:
-        with stop_on_signals(stop, lambda: print("stopping soon; once more to stop at once", flush=True)):
+        with stop_on_signals(stop, lambda: print("stopping soon; press Ctrl-C again to stop at once", flush=True)):
             study = tune(config, stop, lambda line: print(line, flush=True))
         if stop.made:
             raise KeyboardInterrupt
@@ -34,7 +34,7 @@ def run(config: TuningConfig) -> None:
         print(f"to train with it:\n  {found}")
     except KeyboardInterrupt:
         again = shlex.join(["python", "train/tune.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"])
-        print(f"interrupted; trials are kept in {config.file}; to go on:\n  {again}")
+        print(f"interrupted; trials are kept in {config.file}; to continue:\n  {again}")
         sys.exit(130)
 
 

@@ -104,7 +104,7 @@ class ModelLearner:
             model.learn(remaining, _Pauses(monitor), config.log_interval, reset_num_timesteps=not config.resume)
         except ValueError:
             if _diverged(model):
-                message = f"diverged at {model.num_timesteps} steps: begin anew with a smaller --learning-rate"
+                message = f"diverged at {model.num_timesteps} steps: start again with a smaller --learning-rate"
                 raise ValueError(message) from None
             raise
 

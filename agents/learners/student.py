@@ -238,7 +238,7 @@ class Student:
         """
         error = float(np.mean(errors[-(len(errors) // self.config.epochs) :])) if errors else 0.0
         if not np.isfinite(error):
-            raise ValueError(f"diverged at {self.steps} steps: begin anew with a smaller --learning-rate")
+            raise ValueError(f"diverged at {self.steps} steps: start again with a smaller --learning-rate")
         return error
 
 

@@ -90,7 +90,7 @@ class TuningConfig:
         if self.resume and not self.file.exists():
             raise FileNotFoundError(f"nothing to resume: {self.file} is missing; run once without --resume")
         if self.file.exists() and not self.resume:
-            raise ValueError(f"{self.file} holds a study already: go on with it by --resume, or choose another --out")
+            raise ValueError(f"{self.file} already holds a study: continue it with --resume, or choose another --out")
 
     def run(self, settings: dict[str, Any], number: int) -> ReinforcementConfig:
         """Options of the training run of a trial."""
@@ -139,7 +139,9 @@ def open_study(config: TuningConfig, worker: int = 0) -> optuna.Study:
         raise ValueError(f"{config.file} cannot be read ({type(error).__name__}): choose another --out") from None
     begun = {name: getattr(config, name) for name in ("samples", "base", "arms", "validation_arms", "seed")}
     if study.user_attrs.get("begun", begun) != begun:
-        raise ValueError(f"{config.file} was begun with {study.user_attrs['begun']}: give the same, or another --out")
+        raise ValueError(
+            f"{config.file} was started with {study.user_attrs['begun']}: give the same options, or another --out"
+        )
     study.set_user_attr("begun", begun)
     return study
 

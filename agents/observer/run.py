@@ -142,7 +142,7 @@ def run(config: ObserverConfig) -> None:
     try:
         _fit_and_save(config, observer)
     except KeyboardInterrupt:
-        kept = "interrupted; simulated episodes are kept, the same command goes on with them"
+        kept = "interrupted; simulated episodes are kept, and the same command continues with them"
         raise KeyboardInterrupt(kept) from None
 
 

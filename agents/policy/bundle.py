@@ -181,7 +181,9 @@ def _read_manifest(manifest: Path) -> dict[str, Any]:
     try:
         content = json.loads(_read(manifest).decode("utf-8"))
     except FileNotFoundError:
-        raise BundleError(f"no policy bundle at {manifest.parent}: {MANIFEST} is missing") from None
+        raise BundleError(
+            f"no policy bundle at {manifest.parent}: {MANIFEST} is missing; a bundle is a folder such as runs/ppo/best"
+        ) from None
     except (OSError, ValueError, RecursionError) as error:
         raise BundleError(f"{manifest} cannot be read ({error}); save the policy again") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:

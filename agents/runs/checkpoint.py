@@ -82,8 +82,8 @@ class RunFolder:
             raise ValueError(f"{self.folder} is not the folder of a run, so nothing is deleted: choose another --out")
         elif not config.overwrite and any(path.exists() for path in (self.checkpoint, self.best, self.last)):
             raise ValueError(
-                f"{self.folder} holds a run already: go on with it by --resume, choose another --out, "
-                "or delete it by --overwrite"
+                f"{self.folder} already holds a run: continue it with --resume, delete it with "
+                "--overwrite, or choose another --out"
             )
 
     def _require_same(self, config: RunConfig) -> None:
@@ -132,7 +132,7 @@ class RunFolder:
             write_atomically(self.checkpoint, lambda path: path.write_bytes(pickled))
             write_text(self.curve, pandas.DataFrame(progress["curve"]).to_csv(index=False))
         except OSError as error:
-            kept = "the last good checkpoint stays, to go on from with --resume" if self.checkpoint.exists() else ""
+            kept = "the last good checkpoint stays, and --resume continues from it" if self.checkpoint.exists() else ""
             message = f"cannot save to {self.folder}: {error.strerror or error}; {kept or 'free some space'}"
             raise OSError(message) from None
 
@@ -193,7 +193,7 @@ def _remedy(origin: Any) -> str:
     """Advice on a run of another version that keeps the run."""
     known = isinstance(origin, dict) and {"version", "commit"} <= set(origin)
     writer = f"beltarm {origin['version']} at commit {origin['commit']}" if known else "the version that wrote it"
-    return f"go on with it by {writer}, or choose another --out"
+    return f"continue it with {writer}, or choose another --out"
 
 
 def _generators() -> tuple[Any, ...]:

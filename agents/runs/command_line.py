@@ -47,10 +47,10 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
         run = _run_one if config.seeds == 1 else _run_seeds
         run(config, make_learner, Console())
     except Interrupted as interruption:
-        print(f"{interruption}; to go on:\n  {_resume_command(script)}")
+        print(f"{interruption}; to continue:\n  {_resume_command(script)}")
         sys.exit(130)
     except KeyboardInterrupt:
-        print(f"stopped at once; to go on from the last checkpoint:\n  {_resume_command(script)}")
+        print(f"stopped at once; to continue from the last checkpoint:\n  {_resume_command(script)}")
         sys.exit(130)
     except (OSError, ValueError) as error:
         for line in str(error).splitlines():
@@ -64,7 +64,9 @@ def _resume_command(script: str) -> str:
 
 
 def _stop_on_signals(stop: StopRequest, console: Console) -> Any:
-    return stop_on_signals(stop, lambda: console.print("stopping after this update; once more to stop at once"))
+    return stop_on_signals(
+        stop, lambda: console.print("stopping after this update; press Ctrl-C again to stop at once")
+    )
 
 
 def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
@@ -124,7 +126,7 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
     if failed:
         raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))
     if stop.made:
-        raise Interrupted(f"interrupted; what was begun is saved in {config.out}")
+        raise Interrupted(f"interrupted; all runs that had started are saved in {config.out}")
     print(f"{len(runs)} runs in {config.out}; learning curves: python eval/curves.py --runs {config.out}")
     policies = " ".join(f"--policy {run.out / 'best'}" for run in runs.values())
     print(f"compare them: python eval/compare.py {policies}")

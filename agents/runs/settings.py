@@ -121,7 +121,7 @@ class RunConfig:
         if self.arms > SEED_SPACING:
             raise ValueError(f"--arms must be at most {SEED_SPACING}, got {self.arms}")
         if self.resume and self.overwrite:
-            raise ValueError("--resume goes on with a run, --overwrite deletes it: give one of them")
+            raise ValueError("--resume continues a run and --overwrite deletes it: give only one of them")
         make_base(self.base)
         self.spec().shape()
         _check_device(self.device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+import traceback
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ def run_command(file: str, kind: type[Config], work: Callable[[Config], object],
 
     Args:
         file: The command's `__file__`.
-        kind: Its options, a dataclass.
+        kind: Its options, a dataclass; where it has an option `traceback`, errors come with theirs.
         work: What it does with them.
         description: What `--help` says.
     """
@@ -29,7 +30,9 @@ def run_command(file: str, kind: type[Config], work: Callable[[Config], object],
     except ModuleNotFoundError as error:
         stop_without(script, error)
     with one_line_errors(script):
-        work(parse(kind, description))
+        config = parse(kind, description)
+    with one_line_errors(script, whole=getattr(config, "traceback", False)):
+        work(config)
 
 
 def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
@@ -41,13 +44,20 @@ def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:
 
 
 @contextmanager
-def one_line_errors(script: str) -> Iterator[None]:
-    """Exit with status 2 on a user's mistake, and with 130 on Ctrl-C, with one line for each error."""
+def one_line_errors(script: str, *, whole: bool = False) -> Iterator[None]:
+    """Exit with status 2 on a user's mistake, and with 130 on Ctrl-C, with one line for each error.
+
+    Args:
+        script: Its name, before each line.
+        whole: Whether the traceback of a mistake comes first.
+    """
     try:
         yield
     except BrokenPipeError:  # the reader of the output has seen enough
         sys.exit(0)
     except (OSError, ValueError, DependencyNotInstalled) as error:
+        if whole:
+            traceback.print_exc()
         for line in str(error).splitlines():
             print(f"{script}: {line}", file=sys.stderr)
         sys.exit(2)

@@ -56,7 +56,7 @@ class Failure:
     @property
     def resumable_message(self) -> str:
         """The message, with a remedy for a task that saves its work and whose process died."""
-        return f"{self.message}; to go on, use --resume" if isinstance(self.error, BrokenOff) else self.message
+        return f"{self.message}; to continue, use --resume" if isinstance(self.error, BrokenOff) else self.message
 
 
 def attempt(task: Task[Result], channel: Channel) -> Result | Failure:

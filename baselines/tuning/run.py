@@ -72,7 +72,7 @@ def tune(
         for name in names
     }
     with (
-        stop_on_signals(stop, lambda: console.print("stopping soon; once more to stop at once")),
+        stop_on_signals(stop, lambda: console.print("stopping soon; press Ctrl-C again to stop at once")),
         progress_rows(names, budget, console) as rows,
     ):
 

@@ -77,7 +77,7 @@ def open_study(kind: type[Gains], seed: int, journal: Path, condition: MarginCon
         "margins": None if condition is None else {**asdict(condition), "arms": list(condition.arms)},
     }
     if study.user_attrs.get("begun", begun) != begun:
-        raise ValueError(f"{journal} was begun with another seed, other margins or other ranges of gains: {remedy}")
+        raise ValueError(f"{journal} was started with another seed, other margins or other ranges of gains: {remedy}")
     study.set_user_attr("begun", begun)
     for trial in trials:
         if trial.state is TrialState.RUNNING:  # when it was interrupted

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 _NAMED = "a controller is named package.module:Class or path/to/file.py:Class"
+_EXAMPLE = "an example is docs/examples/my_controller.py"
 MOST_FILES, MOST_BYTES = 2000, 200_000_000
 """Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
 
@@ -25,9 +26,9 @@ def absolute(spec: str) -> str:
     """
     where, colon, name = spec.rpartition(":")
     if not colon or not where or not name.isidentifier():
-        raise ValueError(f"{_NAMED}, got {spec!r}")
+        raise ValueError(f"{_NAMED}, got {spec!r}; {_EXAMPLE}")
     if not where.endswith(".py") and Path(where).is_file():
-        raise ValueError(f"{_NAMED}, got {spec!r}: {where} is no Python file")
+        raise ValueError(f"{_NAMED}, got {spec!r}: {where} is no Python file; {_EXAMPLE}")
     return f"{Path(where).resolve()}:{name}" if where.endswith(".py") else spec
 
 
@@ -45,7 +46,7 @@ def factory(spec: str) -> Callable[[], Any]:
             _search(Path.cwd())
             module = importlib.import_module(where)
     except Exception as error:  # whatever a user's module does when it is imported
-        raise ValueError(f"{spec} cannot be imported: {type(error).__name__}: {error}") from None
+        raise ValueError(f"{spec} cannot be imported: {type(error).__name__}: {error}") from error
     found = getattr(module, name, None)
     if not callable(found):
         public = ", ".join(sorted(key for key, value in vars(module).items() if isinstance(value, type)))
@@ -150,7 +151,7 @@ def make(spec: str) -> Any:
     try:
         controller = build()
     except Exception as error:
-        raise ValueError(f"{spec} cannot be made without arguments: {type(error).__name__}: {error}") from None
+        raise ValueError(f"{spec} cannot be made without arguments: {type(error).__name__}: {error}") from error
     if not callable(getattr(controller, "predict", None)):
         raise ValueError(f"{spec} has no method predict(observation, state, episode_start, deterministic)")
     return controller

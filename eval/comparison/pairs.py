@@ -88,6 +88,7 @@ class Failure:
     method: str
     split: str
     message: str
+    trace: str = ""  # the whole traceback
 
 
 def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
@@ -96,10 +97,15 @@ def attempt(method: str, split: str, run: Callable[[], _Result], where: str = ""
         return run()
     except Exception as error:
         message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
-        return Failure(method, split, message[:_LONGEST_MESSAGE] + _place(error))
+        return Failure(method, split, message[:_LONGEST_MESSAGE] + place(error), trace(error))
 
 
-def _place(error: Exception) -> str:
+def trace(error: Exception) -> str:
+    """The whole traceback of an exception."""
+    return "".join(traceback.format_exception(error))
+
+
+def place(error: Exception) -> str:
     """File and line of a user's own code in which an exception was raised, in brackets; empty if it was in none."""
     ours = tuple(str(Path(package.__path__[0])) for package in (beltarm_env, baselines, agents, eval))
     frames = traceback.extract_tb(error.__traceback__)

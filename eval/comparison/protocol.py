@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
+from eval.comparison.pairs import place, trace
 from eval.comparison.timing import PERIOD_US, action_times, drive
 
 Singles = NDArray[np.float32]
@@ -33,6 +34,7 @@ class Finding:
     check: str
     passed: bool
     detail: str = ""
+    trace: str = ""  # of a failed one: the whole traceback
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,18 +167,19 @@ def findings(make: Callable[[], Controller]) -> Iterator[Finding]:
     try:
         known = record(make())
     except Exception as error:
-        yield Finding(first, False, _words(error))
+        yield _failed(first, error)
         return
     yield Finding(first, True, f"{_STEPS} samples")
     for name, check in _CHECKS.items():
         try:
             yield Finding(name, True, check(make, known))
         except Exception as error:
-            yield Finding(name, False, _words(error))
+            yield _failed(name, error)
 
 
-def _words(error: Exception) -> str:
-    return " ".join((str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}").split())
+def _failed(check: str, error: Exception) -> Finding:
+    words = " ".join((str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}").split())
+    return Finding(check, False, words + place(error), trace(error))
 
 
 def first_failure(spec: str) -> str | None:

@@ -135,7 +135,10 @@ def compare(
     kept = _kept(pairs, folder)
     outcomes, failures = _outcomes(runs, folder, jobs, done)
     if not any(outcome.ranked for outcome in outcomes):
-        raise ValueError(f"no method could be run: {failures[0].method} on {failures[0].split}: {failures[0].message}")
+        first = failures[0]
+        error = ValueError(f"no method could be run: {first.method} on {first.split}: {first.message}")
+        error.add_note(first.trace)
+        raise error
     origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
     origin |= {"pairs_kept_before": kept, COMPUTING_TIME: computing_time}
     return make_comparison(outcomes, failures, scenarios.label, origin)
@@ -187,7 +190,7 @@ def _outcomes(
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"interrupted: {_kept(pairs, folder)} of {len(pairs)} pairs of method and split are kept in {folder}; the "
-            "same command goes on from there"
+            "same command continues from there"
         ) from None
     outcomes, failures = [], []
     for run in runs:

@@ -75,7 +75,7 @@ def to_json(
         "profiles": [
             _profile_row(comparison, split, metric) for split in comparison.splits() for metric in PAIRED_METRICS
         ],
-        "failures": [asdict(failure) for failure in comparison.failures],
+        "failures": [{"method": f.method, "split": f.split, "message": f.message} for f in comparison.failures],
     }
 
 

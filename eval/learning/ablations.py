@@ -108,7 +108,7 @@ def run_all(
     if failures:
         raise ValueError("; ".join(failures))
     if stop.made:
-        raise KeyboardInterrupt("interrupted; what was begun is saved, the same command goes on")
+        raise KeyboardInterrupt("interrupted; all runs that had started are saved, and the same command continues")
     return [
         VariantResult(variant, [found[str(run.folder)] for run in plan if run.variant == variant])
         for variant in config.chosen()
