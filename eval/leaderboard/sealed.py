@@ -5,9 +5,9 @@ The secret is one line of text,
     beltarm sealed EDITION SEED SALT
 
 of which `sealed.json` has the SHA-256 while the edition lasts. The salt, 128 random bits, keeps the seed from being
-found by trying. The seed is a number beyond all that `eval/compare.py --scenario-seed` takes. As the edition closes,
-the line itself is written beside its hash, with the SHA-256 of all archives that are on the leaderboard by then:
-whoever submits later may know the set, and has no result on it.
+found by trying. The seed chooses a range of seeds beyond all others. As the edition closes, the line itself is written
+beside its hash, with the SHA-256 of all archives that are on the leaderboard by then: whoever submits later may know
+the set, and has no result on it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.tools.files import write_text
-from beltarm_env.task.seeds import MAX_FRESH_SEED, fresh_arms
+from beltarm_env.task.seeds import DEVELOPMENT, TEST, SeedRange
 from eval.comparison.schema import check
 from eval.comparison.sets import ScenarioSet, draw_set
 from eval.comparison.splits import EDITION
@@ -28,8 +28,8 @@ from eval.comparison.splits import EDITION
 FILE = Path(__file__).with_name("sealed.json")
 SEALED = "the sealed seed"
 """Name of the set in results."""
-SEEDS = range(MAX_FRESH_SEED + 1, 10**13)
-"""Numbers from which the seed is drawn."""
+SEEDS = 10**13
+"""Number of ranges of seeds among which the secret chooses."""
 _LINE = re.compile(r"beltarm sealed (\d{1,4}) (\d{1,13}) ([0-9a-f]{32})")
 _TEXT = {"type": "string"}
 _PROPERTIES = {
@@ -44,7 +44,7 @@ _SCHEMA = {"type": "object", "required": list(_PROPERTIES), "properties": _PROPE
 
 def draw_secret() -> str:
     """Draw a secret for this edition."""
-    return f"beltarm sealed {EDITION} {SEEDS[secrets.randbelow(len(SEEDS))]} {secrets.token_hex(16)}"
+    return f"beltarm sealed {EDITION} {secrets.randbelow(SEEDS)} {secrets.token_hex(16)}"
 
 
 def seal(secret: Path, path: Path = FILE) -> None:
@@ -107,8 +107,8 @@ def seed_of(line: str, published: dict[str, Any]) -> int:
             "it is not the one that was sealed"
         )
     match = _LINE.fullmatch(line)
-    if match is None or int(match[1]) != EDITION or int(match[2]) not in SEEDS:
-        raise ValueError(f"the secret must be 'beltarm sealed {EDITION} SEED SALT', with a seed beyond all fresh sets")
+    if match is None or int(match[1]) != EDITION or int(match[2]) >= SEEDS:
+        raise ValueError(f"the secret must be 'beltarm sealed {EDITION} SEED SALT', with a seed below {SEEDS}")
     return int(match[2])
 
 
@@ -124,7 +124,8 @@ def sealed_set(path: Path = FILE) -> ScenarioSet:
             f"the sealed set of edition {published['edition']} is not revealed yet: its seed is published as "
             "the edition closes; draw a set of your own with --scenario-seed 1"
         )
-    return draw_set(SEALED, fresh_arms(seed_of(published["revealed"], published)))
+    place = DEVELOPMENT.size * seed_of(published["revealed"], published)
+    return draw_set(SEALED, SeedRange(TEST.first + TEST.size + place, DEVELOPMENT.size))
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from agents.policy.bundle import MANIFEST as POLICY_MANIFEST
 from baselines import CONTROLLERS
 from eval.comparison import schema, splits
-from eval.comparison.methods import PRIVILEGED, shipped_policies
+from eval.comparison.methods import PRIMARY, PRIVILEGED, shipped_policies
 from eval.comparison.results import COMPUTING_TIME
 from eval.comparison.sets import DEVELOPMENT_NAME, ScenarioSet
 from eval.leaderboard.archive import read_archive
@@ -31,8 +31,8 @@ from eval.leaderboard.scores import QUANTITIES, Scores
 
 FORMAT, FORMAT_VERSION = "beltarm-submission", 1
 MANIFEST, RESULTS = "submission.json", "results.json"
-REFERENCES = ("adaptive", "student")
-"""The project's own methods that every submission is measured beside: the best classical one, and the best learned."""
+REFERENCES = (PRIMARY[1], PRIMARY[0])
+"""The project's own methods that run beside every submission: the classical one of the primary comparison first."""
 CONTROLLER, POLICIES = "controller", "policies"
 _COMMIT = re.compile(r"(?!unknown$|.*-dirty$)[\w.-]{1,60}")
 _HASH = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
