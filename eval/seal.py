@@ -23,11 +23,11 @@ class Config:
     """Seal the scenarios of this edition, or open them."""
 
     draw: Path | None = None
-    """Draw the secret of this edition into a new file outside the repository, and publish its hash: once, as the
-    edition begins."""
+    """New file for the secret of this edition, outside the repository. It is drawn once, as the edition begins, and its
+    hash is published."""
     reveal: Path | None = None
-    """Publish the secret that this file has, as the edition closes. All archives on the leaderboard take part; those
-    that come later do not."""
+    """File of the secret, which is published as the edition closes. Archives that are on the leaderboard by then take
+    part; later ones do not."""
 
 
 def run(config: Config) -> None:

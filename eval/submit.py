@@ -10,7 +10,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process per core; read as numpy is imported, in all of them
@@ -20,11 +20,12 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import Progress
 
 from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import write_text
+from baselines.tools.options import Groups
 from baselines.tools.parallel import default_jobs
+from baselines.tools.progress import progress_count
 from eval.leaderboard.entries import (
     SEALED,
     TEST,
@@ -51,22 +52,28 @@ FOLDER = PAGE.with_suffix("")
 class Config:
     """Submit a controller or policy to the leaderboard, or verify a submission."""
 
-    results: Annotated[Path | None, tyro.conf.Positional] = None
-    """Folder that eval/compare.py has written, with one method of your own on the full test set: it is packed."""
-    author: str = ""
-    """Your name, as it is to stand on the leaderboard."""
+    groups: ClassVar[Groups] = {
+        "submit": ("results", "author"),
+        "verify": ("verify", "trust", "by", "sealed", "jobs"),
+        "table": ("table",),
+    }
+
+    results: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER]")] = None
+    """Folder that eval/compare.py wrote, with one method of your own on the full test set. It is packed."""
+    author: str | None = None
+    """Your name, as the leaderboard shows it."""
     verify: Path | None = None
-    """Archive to verify: its hashes are checked, then it is run again, and has to score as it was said to."""
+    """Archive to verify. Its hashes are checked. Then it is run again, and must score as submitted."""
     trust: bool = False
-    """Run a controller, which is its author's Python code, with all your rights. Policies need no trust."""
-    by: str = ""
-    """Your name, to record a verification that succeeds, and write the table anew."""
+    """Run a controller: Python code of its author, with all your rights. Policies need no trust."""
+    by: str | None = None
+    """Your name. Records a verification that succeeds, and writes the table again."""
     sealed: bool = False
-    """With --verify: run it on the sealed set instead, once that is revealed."""
+    """Run it on the sealed set, once that is revealed."""
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
     table: bool = False
     """Write the table in docs/leaderboard.md from the entries in docs/leaderboard."""
-    jobs: int | None = None
-    """Number of processes; by default one per core."""
 
     def check(self) -> None:
         """Check that one thing is asked for.
@@ -87,7 +94,7 @@ def run(config: Config) -> None:
     console = Console(soft_wrap=True, markup=False, highlight=False)
     torch.set_num_threads(1)  # as in the comparison
     if config.results is not None:
-        submission = pack(config.results, config.author, board_rules())
+        submission = pack(config.results, config.author or "", board_rules())
         path = add_archive(submission, FOLDER)
         console.print(f"{path.name} holds {', '.join(submission.files)}")
         console.print(f"written to {path}, SHA-256 {sha256_of(path)}: offer it by a pull request that adds this file")
@@ -97,10 +104,8 @@ def run(config: Config) -> None:
         require_trust(submission, config.trust, config.verify.name)
         if config.by:
             require_verifier(config.by)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("pairs of method and split", total=None)
-            jobs = config.jobs or default_jobs()
-            found = rerun(submission, rules, jobs, lambda done, of: progress.update(task, completed=done, total=of))
+        with progress_count("pairs of method and split", console) as done:
+            found = rerun(submission, rules, config.jobs or default_jobs(), done)
         if not config.sealed:
             if wrong := first_difference(submission.scores, found):
                 print(f"eval/submit.py: {config.verify.name} does not come out again: {wrong.words}", file=sys.stderr)
