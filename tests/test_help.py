@@ -41,7 +41,7 @@ def test_help_is_plain_and_narrow(
     assert len(longest) <= min(80, int(columns)), longest
     usage, purpose, *_ = shown.split("\n\n")
     assert usage.startswith(f"usage: {command}") and len(purpose.split()) > 3
-    for clutter in ("None", "(default: )", "True", "False", "]]", str(ROOT)):
+    for clutter in ("None", "(default: )", "''", "True", "False", "]]", str(ROOT)):
         assert clutter not in shown, clutter
 
 

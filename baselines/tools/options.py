@@ -31,7 +31,7 @@ WIDTH = 80
 """Most columns of `--help`."""
 _Config = TypeVar("_Config")
 _MARKERS = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-_SAID_OTHERWISE = ("", "None", "True", "False")  # defaults that the option's text says, or its being a flag
+_SAID_OTHERWISE = ("", "''", "None", "True", "False")  # defaults that the option's text says, or its being a flag
 
 
 def parse(kind: type[_Config], description: str | None = None, arguments: Sequence[str] | None = None) -> _Config:
