@@ -2,6 +2,7 @@
 
 Everything between the README's markers comes from `docs/comparison/results.json`. `--check` fails where the README
 differs, and where the summary or a picture beside that file does not belong to it.
+The drawing of the arm, `docs/arm.svg`, is the report's.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from baselines.tools.command import run_command
 from baselines.tools.files import write_text
 from eval.comparison.schema import read_results
 from eval.views.readme import blocks, of_other_results, updated
+from eval.views.report.arm import arm_drawing
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "comparison" / "results.json"
 README = ROOT / "README.md"
+ARM = ROOT / "docs" / "arm.svg"
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Config:
     """Write the comparison's numbers into the README."""
 
     check: bool = False
-    """Change nothing. Exit with 1 if README, summary or pictures do not belong to the committed results."""
+    """Change nothing. Exit with 1 if README, summary or pictures do not belong to the committed results, or if the drawing
+    of the arm is not the report's."""
 
 
 def run(config: Config) -> None:
@@ -36,8 +40,10 @@ def run(config: Config) -> None:
     fresh = updated(readme, blocks(read_results(RESULTS)))
     if not config.check:
         write_text(README, fresh)
+        write_text(ARM, arm_drawing())
         return
     stale = [README] if fresh != readme else []
+    stale += [ARM] if ARM.read_text(encoding="utf-8") != arm_drawing() else []
     stale += of_other_results(RESULTS)
     if stale:
         names = ", ".join(str(path.relative_to(ROOT)) for path in stale)

@@ -74,7 +74,7 @@ class Renderer:
         joint_angle, torsion = float(state[0]) / params.gear_ratio, float(state[2])
         if not (math.isfinite(joint_angle) and math.isfinite(torsion)):
             joint_angle, torsion = 0.0, 0.0
-        arm, reference = _posture(params, joint_angle, torsion), _posture(params, reference_angle, 0.0)
+        arm, reference = posture(params, joint_angle, torsion), posture(params, reference_angle, 0.0)
         error = 1e3 * (arm[3][0] - reference[3][0]), 1e3 * (arm[3][1] - reference[3][1])
         self._trace = [past for past in self._trace if time - TRACE_SECONDS <= past[0] < time]
         self._trace.append((time, error))
@@ -152,7 +152,7 @@ def _fine(point: Point) -> Point:
     return x, y
 
 
-def _posture(params: ArmParams, joint_angle: float, torsion: float) -> list[Point]:
+def posture(params: ArmParams, joint_angle: float, torsion: float) -> list[Point]:
     """Return joints 1, 2, 3 and tip [m] at motor-side joint angle and belt torsion [rad]."""
     length, along, across = params.link_length, math.cos(torsion), math.sin(torsion)
     joint_3 = 2 * length * math.cos(joint_angle - torsion)
