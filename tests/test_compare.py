@@ -260,11 +260,11 @@ def test_the_page_is_one_small_file_without_machine_paths(report: Path):
     assert "@import" not in text
     identifiers = re.findall(r'\bid="([^"]+)"', text)
     assert len(identifiers) == len(set(identifiers))
-    assert text.count('role="img" aria-label="') == text.count("<figure>")
+    assert text.count('role="img" aria-label="') == len(re.findall("<figure[ >]", text))
 
 
 @pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("width", [390, 768, 1400])
 def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width: int, dark: bool):
     page.complaints.clear()
     page.requests.clear()
@@ -276,6 +276,38 @@ def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width
     assert page.run(outside) == []
     assert page.complaints == []
     assert all(address.startswith(("file:", "data:")) for address in page.requests)
+
+
+def test_without_javascript_all_but_animation_and_sorting_is_there(report: Path, page: Page):
+    shown = "[...document.querySelectorAll('h2')].filter((e) => e.checkVisibility()).map((e) => e.id)"
+    said = "document.body.innerText.includes('JavaScript is off')"
+    page.open(report)
+    with_script = page.run(shown)
+    assert not page.run(said)
+    page.call("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        page.open(report)
+        without = page.run(shown)
+        assert page.run(said)
+        assert page.run("getComputedStyle(document.querySelector('thead button'), '::after').content") == "none"
+    finally:
+        page.call("Emulation.setScriptExecutionDisabled", value=False)
+    assert [name for name in with_script if name not in without] == ["animation"]
+    assert {"words", "tables", "differences", "profiles", "motions", "maps", "effort"} <= set(without)
+
+
+def test_paper_shows_every_table_and_no_controls(report: Path, page: Page):
+    page.open(report)
+    page.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        tables = "[...document.querySelectorAll('table')].map((e) => e.getBoundingClientRect().height > 0)"
+        assert page.run("(dispatchEvent(new Event('beforeprint')), true)")
+        assert all(page.run(tables))
+        assert not page.run("document.getElementById('play').checkVisibility()")
+        maps = "[...document.querySelectorAll('.maps details')].map((e) => e.checkVisibility())"
+        assert page.run(maps) == [True, False]
+    finally:
+        page.call("Emulation.setEmulatedMedia", media="")
 
 
 def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
@@ -290,7 +322,7 @@ def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
     assert orders[1] == sorted(orders[0], reverse=True)
     assert len(orders[0]) == 4
     states = "[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)"
-    assert page.run(states) == ["none", "none", "descending"]
+    assert page.run(states) == ["none", "none", "descending", *["none"] * 5]
     last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
     assert "privileged" in page.run(last)
 

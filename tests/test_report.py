@@ -22,19 +22,23 @@ from beltarm_env.arm import FIELDS
 from beltarm_env.metrics import SHOWN, TORQUES, heading
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Method, classical_methods
-from eval.comparison.pairs import Failure, Pair, measure
-from eval.comparison.results import MethodOutcome, make_outcome
+from eval.comparison.pairs import LEFT, Failure, Pair, measure
+from eval.comparison.results import Comparison, MethodOutcome, make_outcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set
-from eval.comparison.splits import Split
-from eval.views.frame import frame_of, frame_of_rows, lines, part
+from eval.comparison.splits import SPLITS, Split
+from eval.style.colours import COLOURS
+from eval.views.frame import best_first, frame_of, frame_of_rows, lines, part
 from eval.views.markdown import markdown
+from eval.views.report import svg
 from eval.views.report.animation import EVERY, animation, encode
+from eval.views.report.arm import arm_drawing
+from eval.views.report.figures import forests, profile_panels
 from eval.views.report.maps import robustness_maps
-from eval.views.report.motions import spectrum
-from eval.views.report.page import render, without_paths
+from eval.views.report.motions import scene_panels, spectrum
+from eval.views.report.page import LARGEST, render, without_paths
 from eval.views.report.scenes import Map, Recordings, Scene, record_scenes
-from eval.views.report.tables import effort_table, metric_tables, torque_table
+from eval.views.report.tables import effort_table, main_table, metric_tables, torque_table
 from eval.views.traces import seed_note, shown_seed
 from eval.views.verdict import verdict
 
@@ -55,6 +59,117 @@ def test_scenarios_drawn_afresh_are_called_so():
     assert f"<strong>{note}</strong>" in render(comparison, [], Recordings([]))
     assert markdown(comparison, verdict(comparison), [], "").splitlines()[2] == f"**{note}**"
     assert to_json(comparison)["scenario_set"]["name"] == "seed 7"
+
+
+WORDS = (
+    "cost",
+    "scenario, split",
+    "residual vibration",
+    "residual",
+    "training seed",
+    "belief",
+    "fail, left",
+    "privileged",
+)
+
+
+def test_the_page_begins_with_the_arm_and_the_words_that_it_uses():
+    page = render(made(outcome("pid", "classical", 100.0)), ["It is so."], Recordings([]))
+    places = [page.index(part) for part in ('<figure class="arm">', "It is so.", '<h2 id="words">', "<table>")]
+    assert places == sorted(places)
+    words = page.split('<h2 id="words">')[1].split("</dl>")[0]
+    assert tuple(re.findall("<dt>(.*?)</dt>", words)) == WORDS
+    assert all(len(re.sub("<.*?>", "", text).split()) < 45 for text in words.split("<dt>")[1:])
+    assert heading("residual_pp_mm") in words
+
+
+def mixed() -> Comparison:
+    """Methods in no order, on two splits that disagree about it."""
+    costs = {"pid": (100.0, 900.0), "lqg": (300.0, 500.0), "flat": (200.0, 700.0)}
+    of_splits = list(enumerate(("nominal", "randomized")))
+    classical = [outcome(name, "classical", of[k], split) for k, split in of_splits for name, of in costs.items()]
+    net = [outcome("net", "learned", 600.0, split, seeds=3) for _, split in of_splits]
+    ideal = [outcome("privileged", "privileged", 1.0, split) for _, split in of_splits]
+    return made(*ideal, *classical, *net)
+
+
+def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
+    page = render(mixed(), [], Recordings([]))
+    tables = page.split("<table>")[1:]
+    assert len(tables) == 6
+    for table in tables:
+        assert re.findall('<th scope="row" data-value="(.*?)"', table) == ["lqg", "net", "flat", "pid", "privileged"]
+    forest = page.split('<h2 id="differences">')[1].split("</section>")[0]
+    labels = [re.findall(r">(lqg|net|flat|pid)</text>", picture) for picture in forest.split("<svg")[1:]]
+    assert labels == [["net", "flat", "pid"], ["lqg", "net", "flat"]]
+
+
+def test_mean_tail_and_failures_stand_beside_the_interquartile_mean():
+    costs = np.full((1, 24), 100.0)
+    costs[0, 3] = 1300.0
+    found = outcome("pid", "classical", costs / np.linspace(0.9, 1.1, 24))
+    found.metrics["failure_share"][0, 3:6] = found.metrics[LEFT][0, 3] = 1.0
+    comparison = made(found, outcome("calm", "classical", 90.0))
+    cells = {line.method: line.cells for line in metric_tables(comparison)[0].ranked}
+    assert cells["pid"][0].text == "100"
+    assert cells["pid"][0].details == ("[100, 100]", "150 / 1300", "12% fail, 1 left")
+    assert len(cells["calm"][0].details) == 2
+    table = main_table(comparison)
+    assert table.columns[:5] == ["cost", "mean", "worst 5 %", "fail", "left"]
+    assert [cell.text for cell in table.ranked[0].cells[:5]] == ["100", "150", "1300", "12%", "1"]
+    shown = render(comparison, [], Recordings([]))
+    assert "<small>150 / 1300</small>" in shown and "<small>12% fail, 1 left</small>" in shown
+
+
+def test_a_colour_is_one_method_and_so_is_a_line_style():
+    names = ["net", "pid", "lqg", "flat", "adrc", "zvd"]
+    comparison = best_first(made(*(outcome(name, "classical", 100.0 + k) for k, name in enumerate(names))))
+    colours: dict[str, str] = dict(zip(names, COLOURS, strict=True))
+    assert len({str(svg.line(colours, name)["ls"]) for name in names}) == len({colours[name] for name in names}) == 6
+    of_method: dict[str, set[str]] = {}
+    for picture in [*profile_panels(comparison, colours), *forests(comparison, colours)]:
+        for name, drawn in re.findall(r"<title>(\w+)</title>.*?stroke: (var\(--c\d\))", picture.svg, re.S):
+            of_method.setdefault(name, set()).add(drawn)
+    assert of_method == {name: {f"var(--c{k})"} for k, name in enumerate(names)}
+
+
+def test_the_page_itself_has_no_colour_that_a_method_has():
+    css = (ROOT / "eval/views/report/report.css").read_text()
+    greys = re.findall(r"--(?!c\d)\w+: #(..)(..)(..)", css)
+    assert len(greys) >= 12
+    assert all(max(int(part, 16) for part in grey) - min(int(part, 16) for part in grey) <= 8 for grey in greys)
+    script = (ROOT / "eval/views/report/animation.js").read_text()
+    assert not re.search(r'colour\("--c|"--c\d', script)
+
+
+# The drawing of the arm
+
+
+def test_the_drawing_is_the_arm():
+    arm = ArmParams()
+    found = arm_drawing()
+
+    def bar(name: str) -> np.ndarray:
+        numbers = re.search(rf'id="arm-{name}"[^>]* d="M([\d.]+) ([\d.]+)L([\d.]+) ([\d.]+)"', found)
+        assert numbers
+        return np.array(numbers.groups(), float).reshape(2, 2)
+
+    one, two, hand = bar("link-1"), bar("link-2"), bar("hand")
+    assert (one[1] == two[0]).all() and (two[1] == hand[0]).all()
+    lengths = [np.linalg.norm(ends[1] - ends[0]) for ends in (one, two, hand)]
+    assert lengths[1:] == pytest.approx([lengths[0], lengths[0] * arm.hand_length / arm.link_length], rel=1e-3)
+    assert one[0][1] == two[1][1] == hand[1][1]
+    large, small = sorted({float(radius) for radius in re.findall(r"A([\d.]+) ", found)}, reverse=True)
+    assert large == 2 * small
+    words = " ".join(re.findall("<text.*?>(.*?)</text>", found))
+    drive = ("motor", "harmonic drive, 88 : 1", "encoder")
+    assert all(name in words for name in (*drive, "link 1", "belt", "link 2", "payload", "hand", "the arm&#39;s end"))
+
+
+def test_the_drawing_in_the_documents_is_that_of_the_report():
+    drawing = (ROOT / "docs/arm.svg").read_text(encoding="utf-8")
+    assert drawing == arm_drawing()
+    assert drawing in render(made(outcome("pid", "classical", 100.0)), [], Recordings([]))
 
 
 # Tables
@@ -134,7 +249,7 @@ def test_a_comparison_and_its_results_file_have_one_table():
 def test_what_is_slower_than_the_control_period_is_marked():
     (row,) = effort_table(made(outcome("pid", "classical", 1.0))).ranked
     assert [cell.mark for cell in row.cells[-2:]] == ["", "late"]
-    assert row.cells[-1].detail == "133% of the period"
+    assert row.cells[-1].details == ("late: 133% of the period",)
 
 
 @given(st.lists(st.text("abcXYZ019_ '", min_size=1, max_size=8), min_size=1, max_size=5))
@@ -220,7 +335,7 @@ def test_maps_are_one_where_both_methods_are_the_same():
     maps, failures = robustness_maps(comparison)
     assert len(maps) == 2 and not failures
     for found in maps:
-        assert np.array(found.ratio) == pytest.approx(np.ones((len(found.y), len(found.x))))
+        assert np.array([found.ratio, found.means]) == pytest.approx(np.ones((2, len(found.y), len(found.x))))
     assert robustness_maps(made(pid)) == ([], [])
 
 
@@ -230,7 +345,7 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
     def costs(of: MethodOutcome) -> tuple[np.ndarray, np.ndarray]:
         if of.method.name not in cells:
             raise RuntimeError("no such arm")
-        return np.full((5, 5), cells[of.method.name]), np.full((3, 5), cells[of.method.name])
+        return np.full((2, 5, 5), cells[of.method.name]), np.full((2, 3, 5), cells[of.method.name])
 
     monkeypatch.setattr("eval.views.report.maps._costs", costs)
     classical = [outcome(name, "classical", cost) for name, cost in {"pid": 100.0, "lqg": 50.0, "bad": 1.0}.items()]
@@ -252,7 +367,10 @@ def test_scenes_are_of_chosen_scenarios_and_what_was_measured():
     scenes, failures = record_scenes(made(*outcomes), splits)
     assert not failures
     costs = outcomes[1].metrics["cost"][0]
-    assert [(scene.title, scene.scenario) for scene in scenes][1] == ("worst of zvd on all splits", costs.argmax())
+    assert [(scene.title, scene.scenario) for scene in scenes][1] == (
+        "the worst run of zvd on all splits",
+        costs.argmax(),
+    )
     for scene in scenes:
         assert set(scene.motions) == {"paper", "zvd"}
         assert scene.motions["zvd"].cost[0] == costs[scene.scenario]
@@ -309,10 +427,39 @@ def test_methods_without_a_colour_are_numbered_and_named():
     assert all(f"<title>{name}</title>" in profiles for name in [*names, "net"])
 
 
+def test_the_torque_is_shown_at_the_start_and_at_rest():
+    motion = ringing(5.0, 0.001, 0.0)
+    motion.torque[:50, 0], motion.torque[600:, 0] = 0.2, 0.01
+    panels = scene_panels(Scene("median", "nominal", 3, {"pid": motion}), 0, {"pid": COLOURS[0]})
+    said = {picture.title: re.findall('aria-label="(.*?)"', picture.svg)[0] for picture in panels}
+    assert "pid 0.2." in said["torque, first 0.15 s"]
+    assert "pid 0.01." in said["torque after the move"]
+
+
+def test_the_page_of_a_whole_comparison_stays_small():
+    names = [f"method{k}" for k in range(13)]
+    outcomes = [outcome(name, "classical", 100.0 + k, split) for split in SPLITS for k, name in enumerate(names)]
+    outcomes += [outcome("net", "learned", 90.0, split) for split in SPLITS]
+    rng = np.random.default_rng(0)
+
+    def jittery() -> Recording:
+        motion = ringing(5.0, 0.01, 0.005)
+        motion.torque[:] = 0.1 * rng.standard_normal(motion.torque.shape)
+        return motion
+
+    shown = ["net", *names[: len(COLOURS) - 1]]
+    scenes = [Scene("chosen", "nominal", k, {name: jittery() for name in shown}) for k in range(4)]
+    cells = np.full((5, 5), 0.9).tolist()
+    maps = [Map("stiffness", "payload", [1.0] * 5, [1.0] * 5, cells, cells, "net", name, 8, 1) for name in names * 2]
+    assert len(render(made(*outcomes), [], Recordings(scenes, maps)).encode()) < LARGEST
+
+
 def test_maps_are_shown():
-    found = Map("stiffness", "payload", [0.5, 1.0], [0.0], [[0.5, 2.0]], "net", "pid", 8, 1)
+    found = Map("stiffness", "payload", [0.5, 1.0], [0.0], [[0.5, 2.0]], [[0.7, 1.4]], "net", "pid", 8, 1)
     comparison = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0))
     page = render(comparison, [], Recordings([], [found]))
     assert "Robustness maps" in page
     assert "8 arms per cell" in page
-    assert "net over pid" in page
+    assert "net against pid" in page
+    shown = page.split('<h2 id="maps">')[1].split("</section>")[0]
+    assert {"0.50", "2.00", "0.70", "1.40"} <= set(re.findall(r">([\d.]+)</text>", shown))

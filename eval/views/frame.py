@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
 
-from eval.comparison.results import Comparison, Mark
+from eval.comparison.results import Comparison, Mark, MethodOutcome
 from eval.comparison.schema import result_row
 
 Marks = Mapping[str, Mapping[str, Mapping[str, Mark]]]
 _Cell = TypeVar("_Cell")
+
+
+def best_first(comparison: Comparison) -> Comparison:
+    """Copy whose methods come in the order of their cost on the main split, the lowest first.
+
+    Methods that failed on that split follow; those that are not ranked are last.
+    """
+    costs = {o.method.name: o.estimates["cost"].iqm for o in comparison.on(comparison.main_split)}
+
+    def place(outcome: MethodOutcome) -> tuple[bool, float, str]:
+        name = outcome.method.name
+        return not outcome.ranked, costs.get(name, np.inf), name
+
+    return replace(comparison, outcomes=sorted(comparison.outcomes, key=place))
 
 
 def frame_of(comparison: Comparison) -> pd.DataFrame:

@@ -68,22 +68,22 @@
 
   // As `beltarm_env/rendering/renderer.py` draws it, but link 1 and link 2 in the colour of the method.
   function machine(pen, reference, joint, torsion, ink) {
-    const aim = posture(reference, 0), arm = posture(joint, torsion), [dark, ground, green] = ["--ink", "--ground", "--c2"].map(colour);
+    const aim = posture(reference, 0), arm = posture(joint, torsion), [dark, ground, grey] = ["--ink", "--ground", "--muted"].map(colour);
     pen.fillStyle = colour("--rule");
     pen.fillRect(arm[0][0] - 10, arm[0][1], 20, 17);
     pen.fillRect(8, arm[0][1] - 0.5, WIDTH - 16, 1);
     belt(pen, arm, dark, ground);
-    links(pen, aim, [green, green, green], 1.2);
+    links(pen, aim, Array(3).fill(grey), 1.2);
     links(pen, aim, Array(3).fill(colour("--ghost")), 0);
     links(pen, arm, [ink, `color-mix(in srgb, ${ink} 55%, ${ground})`, dark], 0);
     for (const joint of arm.slice(0, 3)) disc(pen, joint, 3, dark), disc(pen, joint, 1.4, ground);
-    if (scene.payload > 0) disc(pen, arm[2], 4.6, colour("--c1"));
+    if (scene.payload > 0) disc(pen, arm[2], 5.2, dark), disc(pen, arm[2], 4, colour("--rule"));
     pen.beginPath();
     pen.arc(...aim[3], 4.6, 0, 7);
-    pen.strokeStyle = green;
+    pen.strokeStyle = grey;
     pen.lineWidth = 1.4;
     pen.stroke();
-    disc(pen, arm[3], 2.6, colour("--c4"));
+    disc(pen, arm[3], 2.6, dark);
   }
 
   function links(pen, points, inks, rim) {

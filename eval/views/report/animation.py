@@ -46,7 +46,7 @@ def animation(scenes: list[Scene], colours: dict[str, str]) -> dict[str, Any]:
 
 
 def _scene(scene: Scene, names: list[str]) -> dict[str, Any]:
-    moved = {method: frames(recording) for method, recording in scene.motions.items()}
+    moved = {method: frames(scene.motions[method]) for method in names if method in scene.motions}
     first = next(iter(scene.motions.values()))
     arm = ArmParams.from_row(first.params[0])
     reference = reference_angles(first)[EVERY - 1 :: EVERY]

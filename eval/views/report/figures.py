@@ -2,45 +2,52 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
+from eval.comparison.estimates import worst_mean
 from eval.comparison.results import Comparison, profiles
-from eval.style.colours import OF_KIND
+from eval.style.axes import mark_one_two_five
 from eval.style.metrics import cell
 from eval.views.report.scenes import Map
-from eval.views.report.svg import GROUND, INK, WIDTH, Panel, faint, line, panel, panel_style
+from eval.views.report.svg import GROUND, INK, WIDTH, Panel, colour_of, faint, line, panel, panel_style
 
 STRONGEST = 4
 """Ratio of a map's strongest colour, in all maps, so that they can be compared."""
 _MARKERS = {"classical": "o", "learned": "s", "added": "D"}
 
 
-def forests(comparison: Comparison) -> list[Panel]:
+def forests(comparison: Comparison, colours: dict[str, str]) -> list[Panel]:
     """Differences in cost from the best classical controller, split by split."""
     with panel_style():
-        return [_forest(comparison, split) for split in comparison.splits() if comparison.against_best[split]]
+        return [_forest(comparison, split, colours) for split in comparison.splits() if comparison.against_best[split]]
 
 
-def _forest(comparison: Comparison, split: str) -> Panel:
+def _forest(comparison: Comparison, split: str, colours: dict[str, str]) -> Panel:
     best = comparison.best_classical(split)
     assert best is not None
     pairs = comparison.against_best[split]
-    kinds = {outcome.method.name: outcome.method.kind for outcome in comparison.on(split)}
-    order = sorted(pairs, key=lambda method: -pairs[method]["cost"].difference.iqm)
-    figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.21 * len(order)), layout="constrained")
-    for height, method in enumerate(order):
-        pair, kind = pairs[method]["cost"], kinds[method]
+    shown = [outcome for outcome in comparison.on(split) if outcome.method.name in pairs]
+    order = [outcome.method.name for outcome in shown]
+    costs = best.metrics["cost"]
+    figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(order)), layout="constrained")
+    for height, outcome in enumerate(shown):
+        method, theirs = outcome.method, outcome.metrics["cost"]
+        pair, colour = pairs[method.name]["cost"], colour_of(colours, method.name)
         value = pair.difference
         ends = np.abs([[value.iqm - value.low], [value.high - value.iqm]])
-        style = {"fmt": _MARKERS[kind], "color": OF_KIND[kind], "ms": 5, "capsize": 2.5}
+        style = {"fmt": _MARKERS[method.kind], "color": colour, "ms": 5, "capsize": 2.5}
         axis.errorbar(value.iqm, height, xerr=ends, mfc=None if pair.survives else "none", **style)
+        axis.plot(theirs.mean() - costs.mean(), height, marker="|", ms=11, mew=1.6, color=INK)
+        axis.plot(worst_mean(theirs) - worst_mean(costs), height, marker="x", ms=5, mew=1.2, color=INK)
     axis.axvline(0, color=INK, lw=0.9)
     axis.set_yticks(range(len(order)), order)
-    axis.set_ylim(-0.7, len(order) - 0.3)
+    axis.set_ylim(len(order) - 0.3, -0.7)
     _symmetric_log(axis, 0.1 * best.estimates["cost"].iqm)
     axis.set_xlabel(f"cost minus that of {best.method.name}")
     axis.grid(axis="x")
@@ -99,30 +106,35 @@ def _profile(comparison: Comparison, split: str, colours: dict[str, str]) -> Pan
             axis.plot(found.thresholds, 100 * share, lw=1.6, **line(colours, method))
             reached = found.thresholds[np.searchsorted(share, 0.5)]
             halves.append(f"{method} reaches half of its runs at a cost of {reached:.0f}")
+    axis.axhline(95, color=INK, lw=0.8, ls=":")
     axis.set_xscale("log")
+    mark_one_two_five(axis.xaxis)
     axis.set(xlabel="cost", ylabel="runs at or below (%)", ylim=(0, 101))
     axis.grid()
     return panel(figure, f"profile-{split}", split, f"Performance profiles on {split}: {'; '.join(halves)}.")
 
 
-def map_panels(maps: list[Map]) -> list[Panel]:
-    """Ratio of costs over two properties of the arm, in colour and in figures."""
+def map_panels(maps: list[Map], colours: dict[str, str]) -> list[Panel]:
+    """Ratio of costs over two properties of the arm, in the colour of whichever method is better, and in figures."""
     with panel_style():
-        return [_map(k, found) for k, found in enumerate(maps)]
+        return [_map(k, found, colours) for k, found in enumerate(maps)]
 
 
-def _map(number: int, found: Map) -> Panel:
-    ratio = np.array(found.ratio)
+def _map(number: int, found: Map, colours: dict[str, str]) -> Panel:
+    ratio, means = np.array(found.ratio), np.array(found.means)
     figure, axis = plt.subplots(figsize=(WIDTH, 3.3), layout="constrained")
-    colours = plt.get_cmap("PuOr_r")
+    ends = colour_of(colours, found.challenger), "#f7f7f7", colour_of(colours, found.classical)
+    shades = LinearSegmentedColormap.from_list("better", ends)
     reach = np.log2(STRONGEST)
     shade = Normalize(-reach, reach, clip=True)
-    axis.imshow(np.log2(ratio), cmap=colours, norm=shade, origin="lower", aspect="auto")
+    axis.imshow(np.log2(ratio), cmap=shades, norm=shade, origin="lower", aspect="auto")
     for (row, column), value in np.ndenumerate(ratio):
-        red, green, blue, _ = colours(shade(np.log2(value)))
+        red, green, blue, _ = shades(shade(np.log2(value)))
         dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
-        shown = f"{value:.2f}" if value < 10 else f"{value:.0f}"
-        axis.text(column, row, shown, ha="center", va="center", color="#ffffff" if dark else "#111111", fontsize=8.5)
+        style: dict[str, Any] = {"ha": "center", "color": "#ffffff" if dark else "#111111"}
+        weight = "bold" if value < 1 else "normal"
+        axis.text(column, row, _ratio(value), va="bottom", fontsize=9, weight=weight, **style)
+        axis.text(column, row - 0.06, _ratio(float(means[row, column])), va="top", fontsize=7, **style)
     axis.set_xticks(range(len(found.x)), [f"{value:g}" for value in found.x])
     axis.set_yticks(range(len(found.y)), [f"{value:g}" for value in found.y])
     axis.set(xlabel=found.x_label, ylabel=found.y_label)
@@ -130,3 +142,7 @@ def _map(number: int, found: Map) -> Panel:
     wins = int(np.sum(ratio < 1))
     alt = f"Cost of {found.challenger} over {found.classical}, {title}: below 1 in {wins} of {ratio.size} cells, "
     return panel(figure, f"map{number}", title, alt + f"from {ratio.min():.2f} to {ratio.max():.2f}.")
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}" if value < 10 else f"{value:.0f}"

@@ -46,11 +46,14 @@ def robustness_maps(comparison: Comparison) -> tuple[list[Map], list[Failure]]:
 
 
 def _against(rival: str, classical: str, costs: dict[str, tuple[Floats, Floats]]) -> list[Map]:
-    plants, delays = (one / other for one, other in zip(costs[rival], costs[classical], strict=True))
+    """Make the maps of a pair of methods from their averages: interquartile means first, then means."""
+    (plants, plant_means), (delays, delay_means) = (
+        (one / other).tolist() for one, other in zip(costs[rival], costs[classical], strict=True)
+    )
     names = rival, classical, MAPS.size, MAPS.first
     return [
-        Map("belt stiffness over nominal", "payload (kg)", _STIFFNESS, _PAYLOAD, plants.tolist(), *names),
-        Map("Coulomb friction over nominal", "delay (samples)", _FRICTION, _DELAY, delays.tolist(), *names),
+        Map("belt stiffness over nominal", "payload (kg)", _STIFFNESS, _PAYLOAD, plants, plant_means, *names),
+        Map("Coulomb friction over nominal", "delay (samples)", _FRICTION, _DELAY, delays, delay_means, *names),
     ]
 
 
@@ -62,16 +65,16 @@ def _of_plants(outcome: MethodOutcome) -> Floats:
     nominal = ArmParams()
     stiffness, payload = (values.ravel() for values in np.meshgrid(_STIFFNESS, _PAYLOAD))
     params = {"belt_stiffness": nominal.belt_stiffness * stiffness, "payload_mass": payload}
-    return _cells(outcome, params, len(stiffness), 0).reshape(len(_PAYLOAD), len(_STIFFNESS))
+    return _cells(outcome, params, len(stiffness), 0).reshape(2, len(_PAYLOAD), len(_STIFFNESS))
 
 
 def _of_delays(outcome: MethodOutcome) -> Floats:
     params = {"coulomb_friction": ArmParams().coulomb_friction * np.array(_FRICTION)}
-    return np.array([_cells(outcome, params, len(_FRICTION), int(delay)) for delay in _DELAY])
+    return np.stack([_cells(outcome, params, len(_FRICTION), int(delay)) for delay in _DELAY], axis=1)
 
 
 def _cells(outcome: MethodOutcome, params: dict[str, np.ndarray], cells: int, delay: int) -> np.ndarray:
-    """Interquartile mean of the cost in each cell, over its arms and all training seeds."""
+    """Interquartile mean and mean of the cost in each cell, over its arms and all training seeds, shape (2, cells)."""
     drawn = BeltArmVectorEnv(MAPS.size)
     drawn.reset(seed=MAPS.first)
     move = {name: np.tile(values, cells) for name, values in zip(MOVE_FIELDS, drawn.moves.T, strict=True)}
@@ -82,4 +85,5 @@ def _cells(outcome: MethodOutcome, params: dict[str, np.ndarray], cells: int, de
         controller = outcome.method.controller(seed, [])
         run = rollout(controller, cells * MAPS.size, seed=MAPS.first, options=options, delay=delay)
         costs.append(run.cost.reshape(cells, MAPS.size))
-    return np.array([interquartile_mean(np.stack(costs)[:, cell]) for cell in range(cells)])
+    of_cells = np.stack(costs).swapaxes(0, 1)
+    return np.array([[average(of_cell) for of_cell in of_cells] for average in (interquartile_mean, np.mean)])

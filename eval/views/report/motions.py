@@ -1,13 +1,16 @@
-"""Pictures of motions: tip error, torque, phase plane, spectrum of the residual vibration."""
+"""Pictures of motions: error of the arm's end, torque at the start and at rest, spectrum of the vibration."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 from scipy.signal import detrend
 from scipy.signal.windows import hann
@@ -21,90 +24,121 @@ from eval.views.report.svg import MUTED, SHADE, WIDTH, Panel, line, panel, panel
 
 Floats = NDArray[np.float64]
 _EVERY = 3  # samples; 4.5 ms are finer than a line on the page
+_START_S = 0.15  # in which a motor breaks away and its load speeds up
 _PADDED = 8192  # samples of a spectrum, most of them zeros: interpolates, does not resolve
 _HIGHEST_HZ = 25.0
 
 
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Motion with the style of its method's line."""
+
+    method: str
+    motion: Recording
+    style: dict[str, Any]
+
+
+_Draw = Callable[[Figure, list[_Run]], dict[str, float]]
+"""Draws some runs; returns the numbers that the alternative text names, by method."""
+
+
 def scene_panels(scene: Scene, number: int, colours: dict[str, str]) -> list[Panel]:
-    """Pictures of one scene: tip error, torque, spectrum, phase plane."""
-    drawn = {
-        "tip error": _tip_error,
-        "motor torque": _torque,
-        "spectrum after the move": _spectrum,
-        "belt's phase plane": _phase,
-    }
+    """Pictures of one scene, its methods in the order of the colours."""
+    drawn: list[tuple[str, str, _Draw]] = [
+        ("error of the arm's end", "largest in mm", _tip_error),
+        (f"torque, first {_START_S:g} s", "largest in N m", _start),
+        ("torque after the move", "largest in N m", _rest),
+        ("spectrum after the move", "peak in mm", _spectrum),
+    ]
+    runs = [
+        _Run(name, scene.motions[name], {"lw": 1.3} | line(colours, name)) for name in colours if name in scene.motions
+    ]
+    made = []
     with panel_style():
-        return [_panel(scene, f"scene{number}", title, draw, colours) for title, draw in drawn.items()]
+        for part, (title, unit, draw) in enumerate(drawn):
+            figure = plt.figure(figsize=(WIDTH, 2.7), layout=ConstrainedLayoutEngine(hspace=0, h_pad=0.01))
+            said = ", ".join(f"{method} {value:.3g}" for method, value in draw(figure, runs).items())
+            alt = f"{title} on scenario {scene.scenario} of {scene.split}, {unit}: {said}."
+            made.append(panel(figure, f"scene{number}-{part}", title, alt))
+    return made
 
 
-Draw = Callable[[Axes, Recording, dict[str, Any]], float]
-"""Draws one motion with a style; returns the number that the alternative text names."""
-
-
-def _panel(scene: Scene, name: str, title: str, draw: Draw, colours: dict[str, str]) -> Panel:
-    figure, axis = plt.subplots(figsize=(WIDTH, 2.7), layout="constrained")
-    said = []
-    for method, recording in scene.motions.items():
-        style = {"lw": 1.3} | line(colours, method)
-        said.append(f"{method} {draw(axis, recording, style):.3g}")
-    first = next(iter(scene.motions.values()))
-    unit = _finish(axis, title, first)
+def _tip_error(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    axis = figure.subplots()
+    largest = {}
+    for run in runs:
+        error = 1000 * np.linalg.norm(run.motion.tip_error[:, 0], axis=1)
+        axis.plot(run.motion.time[::_EVERY], np.maximum(error[::_EVERY], 1e-3), **run.style)
+        largest[run.method] = float(error.max())
+    first = runs[0].motion
+    duration = first.moves[0, 2]
+    axis.axvspan(0, duration, color=SHADE, zorder=0, lw=0)
+    axis.text(duration / 2, 1.01, "move", transform=axis.get_xaxis_transform(), ha="center", color=MUTED)
+    axis.set(xlabel="time (s)", xlim=(0, first.time[-1]), ylabel="error (mm)", yscale="log")
+    axis.set_ylim(bottom=max(axis.get_ylim()[0], 0.01))
     axis.grid()
-    key = f"{name}-{title.split()[0].replace(chr(39), '')}"
-    return panel(
-        figure, key, title, f"{title} on scenario {scene.scenario} of {scene.split}, {unit}: {', '.join(said)}."
-    )
+    return largest
 
 
-def _finish(axis: Axes, title: str, recording: Recording) -> str:
-    """Label and mark an axis; returns the quantity and unit of the numbers in the alternative text."""
-    duration = recording.moves[0, 2]
-    if title in ("tip error", "motor torque"):
-        axis.axvspan(0, duration, color=SHADE, zorder=0, lw=0)
-        axis.text(duration / 2, 1.01, "move", transform=axis.get_xaxis_transform(), ha="center", color=MUTED)
-        axis.set(xlabel="time (s)", xlim=(0, recording.time[-1]))
-    if title == "tip error":
-        axis.set(ylabel="tip error (mm)", yscale="log")
-        axis.set_ylim(bottom=max(axis.get_ylim()[0], 0.01))
-        return "largest in mm"
-    if title == "motor torque":
-        axis.set_ylabel("torque (N m)")
-        return "largest in N m"
-    if title.startswith("spectrum"):
-        hertz = _mode(recording)
-        axis.axvline(hertz, color=MUTED, ls=":", lw=1.2)
-        label = f"mode: {hertz:.1f} Hz, {2 * np.pi * hertz:.0f} rad/s"
-        beside = "left" if hertz < 0.3 * _HIGHEST_HZ else "center"
-        axis.text(hertz, 1.01, label, transform=axis.get_xaxis_transform(), ha=beside, color=MUTED)
-        axis.set(xlabel="frequency (Hz)", ylabel="tip amplitude (mm)", xlim=(0, _HIGHEST_HZ), ylim=(0, None))
-        return "peak in mm"
-    axis.set(xlabel="belt torsion (mrad)", ylabel="its rate (rad/s)")
-    return "largest torsion in mrad"
+def _start(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    """Draw the torques of the first moments, one over the other."""
+    axis = figure.subplots()
+    axis.axhline(0, color=MUTED, lw=0.8)
+    axis.set(xlabel="time (s)", xlim=(0, _START_S), ylabel="torque (N m)")
+    axis.grid()
+    return {run.method: _torque(axis, run, 0.0, _START_S) for run in runs}
 
 
-def _tip_error(axis: Axes, recording: Recording, style: dict[str, Any]) -> float:
-    error = 1000 * np.linalg.norm(recording.tip_error[:, 0], axis=1)
-    axis.plot(recording.time[::_EVERY], np.maximum(error[::_EVERY], 1e-3), **style)
-    return float(error.max())
+def _rest(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    """Draw the torques after the move, one below the other: they would cover each other."""
+    axes: list[Axes] = list(figure.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0])
+    largest = {}
+    for axis, run in zip(axes, runs, strict=True):
+        first, last = float(run.motion.moves[0, 2]), float(run.motion.time[-1])
+        largest[run.method] = _torque(axis, run, first, last)
+        axis.axhline(0, color=MUTED, lw=0.8)
+        axis.text(1.01, 0.5, run.method, transform=axis.transAxes, va="center", fontsize=9)
+        axis.set_xlim(0, last - first)
+        axis.spines.bottom.set_visible(axis is axes[-1])
+        axis.tick_params(bottom=axis is axes[-1])
+    highest = max(*largest.values(), 1e-3)
+    axes[0].set(ylim=(-1.1 * highest, 1.1 * highest), yticks=[0, _one_digit(highest)])
+    axes[-1].set_xlabel("time since the end of the move (s)")
+    figure.supylabel("torque (N m)", fontsize=10)
+    return largest
 
 
-def _torque(axis: Axes, recording: Recording, style: dict[str, Any]) -> float:
-    torque = recording.torque[:, 0]
-    axis.plot(recording.time[::_EVERY], torque[::_EVERY], **style)
+def _one_digit(value: float) -> float:
+    """Round down to one significant digit."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(np.floor(value / power) * power)
+
+
+def _torque(axis: Axes, run: _Run, begin: float, end: float) -> float:
+    """Draw a torque over the time since `begin`; a command is held over the sample that ends at its time."""
+    time = run.motion.time
+    shown = (time > begin) & (time <= end + CONTROL_PERIOD)
+    torque = run.motion.torque[shown, 0]
+    axis.plot(time[shown] - begin, torque, drawstyle="steps-pre", **run.style)
     return float(np.abs(torque).max())
 
 
-def _phase(axis: Axes, recording: Recording, style: dict[str, Any]) -> float:
-    torsion = 1000 * recording.state[:, 0, 2]
-    axis.plot(torsion[::_EVERY], recording.state[::_EVERY, 0, 3], **style)
-    return float(np.abs(torsion).max())
-
-
-def _spectrum(axis: Axes, recording: Recording, style: dict[str, Any]) -> float:
-    hertz, amplitude = spectrum(recording)
-    shown = hertz <= _HIGHEST_HZ
-    axis.plot(hertz[shown], amplitude[shown], **style)
-    return float(amplitude.max())
+def _spectrum(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    axis = figure.subplots()
+    peaks = {}
+    for run in runs:
+        hertz, amplitude = spectrum(run.motion)
+        shown = hertz <= _HIGHEST_HZ
+        axis.plot(hertz[shown], amplitude[shown], **run.style)
+        peaks[run.method] = float(amplitude.max())
+    mode = _mode(runs[0].motion)
+    axis.axvline(mode, color=MUTED, ls=":", lw=1.2)
+    label = f"mode: {mode:.1f} Hz, {2 * np.pi * mode:.0f} rad/s"
+    beside = "left" if mode < 0.3 * _HIGHEST_HZ else "center"
+    axis.text(mode, 1.01, label, transform=axis.get_xaxis_transform(), ha=beside, color=MUTED)
+    axis.set(xlabel="frequency (Hz)", ylabel="amplitude (mm)", xlim=(0, _HIGHEST_HZ), ylim=(0, None))
+    axis.grid()
+    return peaks
 
 
 def spectrum(recording: Recording) -> tuple[Floats, Floats]:

@@ -11,17 +11,20 @@ from typing import Any
 import jinja2
 
 from baselines.tools.files import write_text
-from beltarm_env.metrics import REVERSAL_SWING
+from beltarm_env.metrics import REVERSAL_SWING, SETTLING_BAND, heading
+from beltarm_env.timing import EPISODE_TIME
 from eval.comparison.estimates import RESAMPLES
 from eval.comparison.results import Comparison
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.colours import COLOURS
+from eval.views.frame import best_first
 from eval.views.report.animation import animation
+from eval.views.report.arm import arm_drawing
 from eval.views.report.figures import STRONGEST, background, forests, map_panels, profile_panels
 from eval.views.report.motions import scene_panels
 from eval.views.report.scenes import Map, Recordings
 from eval.views.report.svg import Panel, line
-from eval.views.report.tables import PERIOD_US, effort_table, failure_table, metric_tables, torque_table
+from eval.views.report.tables import PERIOD_US, effort_table, main_table, metric_tables, torque_table
 from eval.views.traces import seed_note
 
 _TEMPLATES = Path(__file__).parent
@@ -50,32 +53,40 @@ def write_report(comparison: Comparison, said: Sequence[str], recordings: Record
 
 
 def render(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> str:
-    """Render the page."""
+    """Render the page, with methods everywhere in the same order: the lowest cost on the main split first."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined
     )
-    return environment.get_template("report.html").render(**_content(comparison, said, recordings))
+    return environment.get_template("report.html").render(**_content(best_first(comparison), said, recordings))
 
 
 def _content(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> dict[str, Any]:
     colours: dict[str, str] = dict(zip(_coloured(comparison, recordings), COLOURS, strict=False))
     return {
+        "arm": arm_drawing(),
         "verdict": said,
+        "main_split": comparison.main_split,
+        "vibration": heading("residual_pp_mm"),
+        "band_mm": 1000 * SETTLING_BAND,
+        "episode_s": EPISODE_TIME,
         "failures": comparison.failures,
         "splits": [(name, SPLITS[name].description) for name in comparison.splits()],
         "episodes": comparison.outcomes[0].metrics["cost"].shape[1],
+        "main_table": main_table(comparison),
         "tables": metric_tables(comparison),
         "set_note": comparison.note,
         "set_label": comparison.scenario_set,
         "edition": EDITION,
         "torque_table": torque_table(comparison),
-        "failure_table": failure_table(comparison),
         "effort_table": effort_table(comparison),
-        "forests": forests(comparison),
+        "forests": forests(comparison, colours),
         "profiles": profile_panels(comparison, colours),
-        "scenes": [(scene, scene_panels(scene, k, colours)) for k, scene in enumerate(recordings.scenes)],
+        "scenes": [
+            (scene, scene_panels(scene, k, colours), {name: run.cost[0] for name, run in scene.motions.items()})
+            for k, scene in enumerate(recordings.scenes)
+        ],
         "maps": recordings.maps,
-        "map_panels": _by_opponent(recordings.maps),
+        "map_panels": _by_opponent(recordings.maps, colours),
         "strongest": STRONGEST,
         "background": background(comparison, colours),
         "seed_note": seed_note(comparison, list(colours)),
@@ -99,11 +110,11 @@ def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
     return [outcome.method.name for outcome in comparison.methods() if outcome.method.name in shown]
 
 
-def _by_opponent(maps: list[Map]) -> dict[str, list[Panel]]:
+def _by_opponent(maps: list[Map], colours: dict[str, str]) -> dict[str, list[Panel]]:
     """Pictures of the maps by the pair of methods that they compare."""
     found: dict[str, list[Panel]] = {}
-    for map_, panel in zip(maps, map_panels(maps), strict=True):
-        found.setdefault(f"{map_.challenger} over {map_.classical}", []).append(panel)
+    for map_, panel in zip(maps, map_panels(maps, colours), strict=True):
+        found.setdefault(f"{map_.challenger} against {map_.classical}", []).append(panel)
     return found
 
 

@@ -34,7 +34,8 @@ class Map:
     y_label: str
     x: list[float]
     y: list[float]
-    ratio: list[list[float]]  # interquartile means, rows as y
+    ratio: list[list[float]]  # of interquartile means, rows as y
+    means: list[list[float]]  # of the means of all runs
     challenger: str
     classical: str
     arms: int  # per cell
@@ -93,19 +94,19 @@ def _chosen(comparison: Comparison) -> list[tuple[str, str, int]]:
     lead = rivals[0] if rivals else comparison.best_classical(home) or ranked[0]
     name = lead.method.name
     costs = _of(comparison, name)[home]
-    chosen = [(f"median of {name}", home, int(np.argsort(costs)[len(costs) // 2]))]
-    chosen.append((f"worst of {name} on all splits", *_extreme(_of(comparison, name))))
+    chosen = [(f"the median run of {name}", home, int(np.argsort(costs)[len(costs) // 2]))]
+    chosen.append((f"the worst run of {name} on all splits", *_extreme(_of(comparison, name))))
     losses = {}
     for split, values in _of(comparison, name).items():
         best = comparison.best_classical(split)
         if best and best is not lead:
             losses[split] = values - best.metrics["cost"][0]
     if losses and rivals:
-        chosen.append((f"where {name} loses most to the best classical", *_extreme(losses)))
+        chosen.append((f"where {name} loses most to the best classical controller", *_extreme(losses)))
         wins = {split: -values for split, values in losses.items()}
         split, scenario = _extreme(wins)
         title = "gains most on" if wins[split][scenario] > 0 else "comes nearest to"
-        chosen.append((f"where {name} {title} the best classical", split, scenario))
+        chosen.append((f"where {name} {title} the best classical controller", split, scenario))
     return chosen
 
 

@@ -33,6 +33,7 @@ _THEMED |= {colour.lower(): f"var(--c{k})" for k, colour in enumerate(COLOURS)}
 _LOOK: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "beltarm",
+    "font.sans-serif": ["DejaVu Sans"],  # each text of an SVG repeats the list
     "font.size": 10,
     "text.color": INK,
     "axes.edgecolor": INK,
@@ -52,6 +53,11 @@ _LOOK: dict[Any, Any] = {
 def line(colours: dict[str, str], method: str) -> dict[str, Any]:
     """Style of a method's line: colour and dashes, so that either alone tells methods apart, and its name."""
     return {"color": colours[method], "ls": STYLES[list(colours).index(method)], "gid": f"{_NAMED}{method}"}
+
+
+def colour_of(colours: dict[str, str], method: str) -> str:
+    """Colour of a method's marks, in every picture the same; grey for one that has no colour of its own."""
+    return colours.get(method, MUTED)
 
 
 def faint(method: str) -> dict[str, Any]:
@@ -89,6 +95,7 @@ def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), text)  # a hundredth of a pixel
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", text)
     text = re.sub(r"#[0-9a-f]{6}\b", lambda found: _THEMED.get(found[0], found[0]), text)
     text = re.sub(rf'<g id="{name}-{_NAMED}([^"]+)">', r"\g<0><title>\1</title>", text)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 from beltarm_env.metrics import TORQUES, heading
+from eval.comparison.estimates import worst_mean
+from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.timing import PERIOD_US
-from eval.style.metrics import numbers
-from eval.views.frame import MethodLine, frame_of, lines, part
+from eval.style.metrics import numbers, rounded
+from eval.views.frame import MethodLine
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +19,14 @@ class Cell:
     """Cell of a table."""
 
     text: str
-    detail: str = ""  # the interval, or what else is smaller print
+    details: tuple[str, ...] = ()  # lines of smaller print: the interval, mean and tail, or what else
     value: float | None = None  # by which it is sorted; None is last
     mark: str = ""  # "best" or "tie", or "late" beyond the control period
 
 
 FAILED = Cell("failed")
+Show = Callable[[MethodOutcome], Cell]
+"""Makes the cell of a method's outcome on one split."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,44 +48,79 @@ class Table:
         return [line for line in self.lines if not line.ranked]
 
 
+def main_table(comparison: Comparison) -> Table:
+    """Cost on the main split by every average, failures beside it, and what the arm's end does: a line per method."""
+    home = comparison.main_split
+    of_costs: dict[str, Show] = {
+        "cost": _estimate(comparison, "cost"),
+        "mean": lambda outcome: _cost_cell(float(outcome.metrics["cost"].mean())),
+        "worst 5 %": lambda outcome: _cost_cell(worst_mean(outcome.metrics["cost"])),
+        "fail": lambda outcome: Cell(f"{_failed(outcome):.0%}", value=_failed(outcome)),
+        "left": lambda outcome: Cell(str(outcome.failures[LEFT]), value=outcome.failures[LEFT]),
+    }
+    at_the_end = {heading(name): _estimate(comparison, name) for name in PAIRED_METRICS if name != "cost"}
+    columns = {title: (home, show) for title, show in (of_costs | at_the_end).items()}
+    return _measured(comparison, f"The main split, {home}", columns)
+
+
 def metric_tables(comparison: Comparison) -> list[Table]:
-    """Methods by splits, in the metrics that are compared scenario by scenario."""
-    found = frame_of(comparison)
+    """Methods by splits, in the metrics that are compared scenario by scenario; beside the cost its mean and tail."""
+    shows = {name: _estimate(comparison, name) for name in PAIRED_METRICS}
+    shows["cost"] = lambda outcome, show=shows["cost"]: _with_tail(show(outcome), outcome)
     return [
-        Table(heading(name), comparison.splits(), lines(part(found, metric=[name]), "split", _metric_cell, FAILED))
-        for name in PAIRED_METRICS
+        _measured(
+            comparison, f"{heading(name)} on every split", {split: (split, show) for split in comparison.splits()}
+        )
+        for name, show in shows.items()
     ]
 
 
 def torque_table(comparison: Comparison) -> Table:
     """What the motor has to follow, on the main split."""
-    found = part(frame_of(comparison), split=[comparison.main_split], metric=TORQUES)
-    title = f"Torques on {comparison.main_split}"
-    return Table(title, [heading(name) for name in TORQUES], lines(found, "metric", _metric_cell, FAILED))
+    home = comparison.main_split
+    columns = {heading(name): (home, _estimate(comparison, name)) for name in TORQUES}
+    return _measured(comparison, f"Torques on {home}", columns)
 
 
-def _metric_cell(row: Any) -> Cell:
-    point, low, high = numbers(row.metric, row)
-    return Cell(point, f"[{low}, {high}]", row.iqm, row.mark)
+def _measured(comparison: Comparison, title: str, columns: Mapping[str, tuple[str, Show]]) -> Table:
+    """Table of what was measured: each column shows something of the outcomes on one split."""
+    found = {(outcome.method.name, outcome.split): outcome for outcome in comparison.outcomes}
+
+    def cells(of_method: MethodOutcome) -> list[Cell]:
+        shown = [(show, found.get((of_method.method.name, split))) for split, show in columns.values()]
+        return [show(outcome) if outcome else FAILED for show, outcome in shown]
+
+    return _table(comparison, title, list(columns), cells)
 
 
-def failure_table(comparison: Comparison) -> Table:
-    """Share of runs in which the tip never settles, and how often the arm left its workspace."""
-    splits = comparison.splits()
-    cells = {(outcome.method.name, outcome.split): _failure_cell(outcome) for outcome in comparison.outcomes}
-    return _table(
-        comparison,
-        "Runs that never settle within ±1 mm",
-        splits,
-        lambda outcome: [cells.get((outcome.method.name, split), FAILED) for split in splits],
-    )
+def _estimate(comparison: Comparison, name: str) -> Show:
+    """Cells of a metric: its estimate with the interval, and a mark where it is the best or a tie."""
+
+    def show(outcome: MethodOutcome) -> Cell:
+        value = outcome.estimates[name]
+        point, low, high = numbers(name, value)
+        mark = comparison.marks[outcome.split].get(name, {}).get(outcome.method.name, "")
+        return Cell(point, (f"[{low}, {high}]",), value.iqm, mark)
+
+    return show
 
 
-def _failure_cell(outcome: MethodOutcome) -> Cell:
-    counts = outcome.failures
-    share = counts["not_settled"] / counts["runs"]
-    left = counts["left_workspace"]
-    return Cell(f"{share:.0%}", f"{left} left the workspace" if left else "", share)
+def _cost_cell(cost: float) -> Cell:
+    return Cell(rounded("cost", cost), value=cost)
+
+
+def _with_tail(cell: Cell, outcome: MethodOutcome) -> Cell:
+    """Add mean and worst 5 % of the cost to its cell, and failures, where there are any."""
+    costs, left = outcome.metrics["cost"], outcome.failures[LEFT]
+    averages = " / ".join(rounded("cost", value) for value in (float(costs.mean()), worst_mean(costs)))
+    counts = [f"{_failed(outcome):.0%} fail"] if _failed(outcome) else []
+    counts += [f"{left} left"] if left else []
+    return replace(cell, details=(*cell.details, averages, *([", ".join(counts)] if counts else [])))
+
+
+def _failed(outcome: MethodOutcome) -> float:
+    """Share of the runs that never settle."""
+    return outcome.failures["not_settled"] / outcome.failures["runs"]
 
 
 def effort_table(comparison: Comparison) -> Table:
@@ -120,4 +158,6 @@ def _timed_effort(outcome: MethodOutcome) -> list[Cell]:
 
 
 def _time_cell(time: float) -> Cell:
-    return Cell(f"{time:.0f}", f"{time / PERIOD_US:.0%} of the period", time, "late" if time > PERIOD_US else "")
+    late = time > PERIOD_US
+    share = f"{'late: ' if late else ''}{time / PERIOD_US:.0%} of the period"
+    return Cell(f"{time:.0f}", (share,), time, "late" if late else "")
