@@ -1,4 +1,4 @@
-"""Table of a comparison, a row per method, split and metric, from which terminal, Markdown and report are rendered."""
+"""Table of a comparison, a row per method, split and metric, for terminal and Markdown; and the order of methods."""
 
 from __future__ import annotations
 
