@@ -30,8 +30,8 @@ class Config:
     """Write the comparison's numbers into the README."""
 
     check: bool = False
-    """Change nothing. Exit with 1 if README, summary or pictures do not belong to the committed results, or if the drawing
-    of the arm is not the report's."""
+    """Change nothing. Exit with 1 if README, summary or pictures do not belong to the committed results, or if the
+    drawing of the arm is not the report's."""
 
 
 def run(config: Config) -> None:
