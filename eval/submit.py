@@ -60,13 +60,13 @@ class Config:
 
     results: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER]")] = None
     """Folder that eval/compare.py wrote, with one method of your own on the full test set. It is packed."""
-    author: str | None = None
+    author: str = ""
     """Your name, as the leaderboard shows it."""
     verify: Path | None = None
     """Archive to verify. Its hashes are checked. Then it is run again, and must score as submitted."""
     trust: bool = False
     """Run a controller: Python code of its author, with all your rights. Policies need no trust."""
-    by: str | None = None
+    by: str = ""
     """Your name. Records a verification that succeeds, and writes the table again."""
     sealed: bool = False
     """Run it on the sealed set, once that is revealed."""
@@ -94,7 +94,7 @@ def run(config: Config) -> None:
     console = Console(soft_wrap=True, markup=False, highlight=False)
     torch.set_num_threads(1)  # as in the comparison
     if config.results is not None:
-        submission = pack(config.results, config.author or "", board_rules())
+        submission = pack(config.results, config.author, board_rules())
         path = add_archive(submission, FOLDER)
         console.print(f"{path.name} holds {', '.join(submission.files)}")
         console.print(f"written to {path}, SHA-256 {sha256_of(path)}: offer it by a pull request that adds this file")
