@@ -4,10 +4,11 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench clean scenarios physics paper loops drive sensors observers steps tune learning film readme
+.PHONY: help compare train setup test fuzz coverage lint format bench docs clean scenarios physics paper loops drive sensors observers steps tune learning film readme
 
 ##@ Use
 
@@ -53,8 +54,17 @@ format: $(READY)  ## Format the code
 bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the same run
 	$(BIN)/python eval/bench.py $(ARGS)
 
-clean:  ## Remove .venv, results and caches
-	rm -rf $(VENV) results .pytest_cache .ruff_cache .hypothesis dist
+docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its tutorials: three minutes
+	rm -rf docs/_build docs/gallery
+	$(BIN)/python -m sphinx --fail-on-warning docs docs/_build
+	@echo "Open docs/_build/index.html"
+
+$(READY_DOCS): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
+clean:  ## Remove .venv, results, the site and caches
+	rm -rf $(VENV) results docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 ##@ Regenerate, or check, what is committed
