@@ -52,6 +52,7 @@ default_role = "py:obj"
 html_theme = "furo"
 html_title = "beltarm"
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_sphinx = False
 html_copy_source = False
 
@@ -110,8 +111,8 @@ def citation() -> str:
     lines = ["```bibtex"]
     for kind, key, (title, authors), more in entries:
         fields = {"title": f"{{{title}}}", "author": authors, **more}
-        lines += [f"@{kind}{{{key},", *(f"  {name} = {{{value}}}," for name, value in fields.items()), "}"]
-    return "\n".join([*lines, "```"])
+        lines += [f"@{kind}{{{key},", *(f"  {name} = {{{value}}}," for name, value in fields.items()), "}", ""]
+    return "\n".join([*lines[:-1], "```"])
 
 
 myst_substitutions = {

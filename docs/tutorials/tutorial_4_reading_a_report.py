@@ -17,10 +17,9 @@ import numpy as np
 from agents.policy.bundle import POLICIES, load_controller
 from baselines import CONTROLLERS
 from beltarm_env.rollout import rollout
-from beltarm_env.task.seeds import DEVELOPMENT
-from eval.comparison.splits import draw
+from eval.comparison.sets import development_set
 
-split = draw("randomized", "development", DEVELOPMENT)
+split = development_set().splits["randomized"]
 scenarios = split.arguments(slice(0, 40))
 adaptive = rollout(CONTROLLERS["adaptive"](), 40, **scenarios)
 student = rollout(load_controller(POLICIES / "student" / "seed0")[0], 40, **scenarios)
