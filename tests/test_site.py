@@ -50,7 +50,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT / "docs", copy / "docs", ignore=shutil.ignore_patterns("_build", "gallery", "*.gif"))
     (copy / "docs/comparison/motion.gif").touch()
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", "-D", "plot_gallery=0"]
-    command += ["-D", "plot_pre_code=motion = lambda name: None", "docs", "site"]
+    command += ["-D", "plot_pre_code=motion = lambda *names: None", "docs", "site"]
     done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return copy / "site"
