@@ -22,7 +22,7 @@ from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import VALIDATION
 
 SCORES = ("cost", "tip_rms_mm", "residual_pp_mm")
-_WORDS = dict(zip(SCORES, ("cost", "tip", "ringing"), strict=True))
+_WORDS: dict[str, str] = dict(zip(SCORES, ("cost", "tip", "ringing"), strict=True))
 _LEAST = 1e-6  # of a score of the base to compare with: an arm without one is at rest, but for rounding
 _NEWS_EVERY = 0.5  # [s]
 
