@@ -29,6 +29,7 @@ from eval.comparison.methods import Method, classical_methods, learned_methods, 
 from eval.comparison.pairs import LEFT, Pair, measure, read_kept, run_and_keep
 from eval.comparison.results import TIMED_NOTE, Comparison
 from eval.comparison.run import choose_methods, fuller
+from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
@@ -246,13 +247,13 @@ def test_computing_time_makes_commands_later(
         ("rigid", "nominal"): pytest.approx(900),
         ("paper", "drive"): pytest.approx(300),
     }
-    split = development_set().splits["nominal"]
+    split = choose_set().splits["nominal"]
     options = split.arguments(slice(4))["options"]
     options["params"]["command_latency"] = options["params"]["command_latency"] + 3e-4
     by_hand = rollout(CONTROLLERS["paper"](), 4, seed=split.seed, options=options)
     kept = measure(Pair(pair().method, split.later(3e-4), 4))
     assert np.array_equal(kept["cost"][0], by_hand.cost)
-    assert not np.array_equal(kept["cost"], measure(pair())["cost"])
+    assert not np.array_equal(kept["cost"], measure(Pair(pair().method, split, 4))["cost"])
     assert rows["paper", "nominal"]["metrics"]["cost"]["iqm"] == pytest.approx(np.sort(by_hand.cost)[1:3].mean())
     for name in ("summary.md", "report.html"):
         text = (tmp_path / "late" / name).read_text()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -136,6 +137,8 @@ def test_without_a_learned_method_or_a_classical_one():
     assert "No classical controller took part" in verdict(made(outcome("net", "learned", 60.0)))[0]
     failed = made(outcome("pid", "classical", 100.0), failures=[Failure("net", "nominal", "it broke")])
     assert "a learned method could not be run" in verdict(failed)[0]
+    failed = made(outcome("pid", "classical", 100.0), failures=[Failure("rigid", "nominal", "it broke")])
+    assert "no learned method took part" in verdict(failed)[0]
 
 
 def test_an_added_controller_stands_in_where_nothing_was_learned():
@@ -174,6 +177,14 @@ def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
     assert all(" ".join(sentence.split()) in text for sentence in verdict(many()))
     assert "24 of 500 scenarios show less than all." in text
     assert "payload" not in lines[0] and len(printed(many(), verbose=True)) > 100
+
+
+def test_a_long_name_is_cut_and_no_number():
+    names = ("paper", "a-controller-with-a-long-name")
+    lines = printed(made(*(outcome(name, "classical", 1234.0, spread=400.0) for name in names)))
+    assert max(map(len, lines)) <= 80
+    rows = [line for line in lines if line.startswith((" paper", " a-cont"))]
+    assert [len(re.findall(r"\d+\.?\d*", row)) for row in rows] == [6, 6]
 
 
 def test_failures_are_on_the_terminal():

@@ -23,6 +23,7 @@ TIE = "not shown to differ from the best, by the paired test with Holm's correct
 _TERMINAL = ("cost", "residual_pp_mm")
 _STYLES = {"best": "bold", "tie": "underline"}
 _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13
+_RANKED_WIDTH = 32  # so that in 80 columns a long name is cut, and no number
 
 
 def print_results(comparison: Comparison, said: Sequence[str], console: Console, *, verbose: bool = False) -> None:
@@ -52,14 +53,14 @@ def _ranking(comparison: Comparison) -> Table:
     episodes = outcomes[0].metrics["cost"].shape[1]
     title = f"{split}: {SPLITS[split].description}; {episodes} scenarios"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("method", no_wrap=True)
+    table.add_column("method", no_wrap=True, max_width=_RANKED_WIDTH)
     for heading_ in ("cost", "mean", "worst 5 %", "error\nRMS, mm", "vibration\nafter, mm", "left"):
         table.add_column(heading_, justify="right", no_wrap=True)
     ranked = sorted((o for o in outcomes if o.ranked), key=_cost)
     marks = comparison.marks[split]["cost"]
     for outcome in [*ranked, *(o for o in outcomes if not o.ranked)]:
         name = outcome.method.name
-        mark = {"best": "  < lowest cost", "tie": "  < no difference to it shown"}.get(marks.get(name, ""), "")
+        mark = {"best": "  < lowest cost", "tie": "  < no difference shown"}.get(marks.get(name, ""), "")
         style = "dim italic" if not outcome.ranked else "bold" if marks.get(name) == "best" else ""
         table.add_row(f"{name}{mark}", *_scores(outcome), style=style)
     return table

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from baselines import CONTROLLERS
 from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
@@ -204,7 +205,8 @@ def _without_rivals(comparison: Comparison) -> tuple[str, ...]:
             "No classical controller took part, so nothing can be said of learned against classical ones.",
             "Name one with --methods to compare with it.",
         )
-    missing = "a learned method could not be run" if comparison.failures else "no learned method took part"
+    failed = any(failure.method not in CONTROLLERS for failure in comparison.failures)
+    missing = "a learned method could not be run" if failed else "no learned method took part"
     names = "; ".join(f"{split}: {best.method.name} ({_of_cost(best):.0f})" for split, best in leaders.items())
     return (
         f"Learned against classical is not decided here: {missing}.",
