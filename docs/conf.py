@@ -48,6 +48,7 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_static", "tutorials"]
 default_role = "py:obj"
+highlight_language = "none"
 
 html_theme = "furo"
 html_title = "beltarm"
@@ -164,8 +165,10 @@ def adapt_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, l
     """Leave out what is below Markdown headings, which another page includes, and colons that stand for no type."""
     start = next((k for k, line in enumerate(lines) if line.startswith("## ")), len(lines))
     del lines[start:]
-    if what in ("attribute", "data", "property") and lines:
-        lines[0] = lines[0].replace(": ", " – ", 1)
+    values = [0] if what in ("attribute", "data", "property") else []
+    values += [k + 1 for k, line in enumerate(lines) if line.strip() == "Returns:"]
+    for k in values:
+        lines[k] = lines[k].replace(": ", " – ", 1)
 
 
 def check_katex(app: Sphinx, config: Any) -> None:
