@@ -71,8 +71,6 @@ plot_formats = [("png", 110)]
 plot_include_source = plot_html_show_formats = plot_html_show_source_link = False
 plot_rcparams = {"font.size": 10}
 
-suppress_warnings = ["toc.not_readable"]  # the table of contents names pages that not every checkout has
-
 sphinx_gallery_conf = {
     "examples_dirs": "tutorials",
     "gallery_dirs": "gallery",
