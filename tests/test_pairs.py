@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from commands import mistake, stopped
 from safetensors.numpy import save_file
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import BundleSpec, save_bundle
+from agents.policy.bundle import POLICIES, BundleSpec, save_bundle
 from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
@@ -474,6 +475,7 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
         (("--methods", "privileged"), "--methods names privileged alone"),
         (("--add", "nowhere.py:Mine"), "there is no file"),
         (("--add", "paper.py:paper"), "two methods are called 'paper': give yours another name"),
+        (("--policy", "student=mine"), "'student' is the name of a shipped method: give your policy another, as NAME="),
         (("--add", "bad.py:Bad"), "bad.py:Bad does not keep the protocol (drives 5 arms"),
         (("--scenario-seed", "-1"), "--scenario-seed must lie within 0 and"),
         (("--scenario-seed", "1", "--scenarios", "development"), "leave out --scenarios development"),
@@ -491,6 +493,7 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
     ],
 )
 def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
+    shutil.copytree(POLICIES / "student" / "seed0", tmp_path / "mine")
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
     (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
     now = {"edition": EDITION, "version": VERSION}

@@ -33,13 +33,18 @@ def over(costs: dict[str, tuple[float, float]]) -> Comparison:
 
 
 def test_a_learned_method_that_is_better_and_worse():
-    first, second, third = verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
+    first, second, third, fourth = verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
     assert first == (
         "On nominal, the best learned method, net, costs 40% less than the best classical controller, pid "
         "(60 against 100; mean of all runs 60 against 100)."
     )
     assert second == "net costs less on 1 of 2 splits (nominal); net costs more on 1 of 2 splits (payload)."
-    assert "swings by 60.00 mm with net and 100.00 mm with pid (better; of 2 splits better on 1, worse on 1)" in third
+    assert third == (
+        "After the move the arm's end still swings by 60.00 mm with net and 100.00 mm with pid: better, as on 1 of 2 "
+        "splits, worse on payload."
+    )
+    assert fourth.startswith("Over the whole episode its error is 60.00 mm with net")
+    assert verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 50.0)}))[2].endswith("as on all 2 splits.")
 
 
 def test_costs_of_several_times_as_much():
@@ -96,9 +101,9 @@ def test_a_difference_below_three_percent_is_a_practical_tie():
 
 def test_a_tie_is_called_one():
     close = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=5.0))
-    first, second = verdict(close)
+    first, second, _ = verdict(close)
     assert first.startswith("On nominal, no difference in cost is shown between the best learned method, net, and the")
-    assert "(no difference shown)" in second
+    assert second.endswith(": no difference shown.")
 
 
 def test_better_takes_the_mean_too():

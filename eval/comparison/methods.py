@@ -133,6 +133,8 @@ def _named(policy: Path | str) -> tuple[str, Path]:
 
 
 def _learned(name: str, folders: list[Path]) -> Method:
+    if len({folder.is_relative_to(POLICIES) for folder in folders}) > 1:
+        raise ValueError(f"{name!r} is the name of a shipped method: give your policy another, as NAME=FOLDER")
     read = [read_spec(folder) for folder in folders]
     bases = {spec.base for spec, _ in read}
     if len(bases) > 1:

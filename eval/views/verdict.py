@@ -24,7 +24,10 @@ Result = Literal["better", "worse", "open"]
 PRACTICALLY_EQUAL = 0.03
 """Share of the cost below which a difference that is shown is called a practical tie."""
 _KINDS = {"learned": "learned method", "added": "added controller"}
-_TIP = {"residual_pp_mm": "After the move the arm's end still swings by {}", "tip_rms_mm": "its error is {}"}
+_TIP = {
+    "residual_pp_mm": "After the move the arm's end still swings by {}",
+    "tip_rms_mm": "Over the whole episode its error is {}",
+}
 _RESULTS: dict[Result, str] = {"better": "better", "worse": "worse", "open": "no difference shown"}
 
 
@@ -91,7 +94,7 @@ def verdict(comparison: Comparison) -> Verdict:
     sentences = [_answer(fought["cost"][home], comparison)]
     if len(fought["cost"]) > 1:
         sentences.append(_everywhere(fought["cost"]))
-    sentences.append(_of_tip(fought, home))
+    sentences += _of_tip(fought, home)
     own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
     sentences += [_costs(_duel(one, best), home) for one in own if (best := comparison.best_classical(home))]
     return Verdict(tuple(sentences), fought)
@@ -168,22 +171,26 @@ def _listed(splits: list[str], total: int) -> str:
     return f"all {total} splits" if len(splits) == total else f"{len(splits)} of {total} splits ({', '.join(splits)})"
 
 
-def _of_tip(fought: Mapping[str, Mapping[str, Duel]], home: str) -> str:
-    """What the arm's end does: vibration after the move, and error on the way."""
-    parts = []
+def _of_tip(fought: Mapping[str, Mapping[str, Duel]], home: str) -> list[str]:
+    """What the arm's end does: vibration after the move, and error on the way; a sentence each."""
+    sentences = []
     for metric, words in _TIP.items():
         duel = fought[metric][home]
         pair = (duel.challenger, duel.classical)
         shown = " and ".join(f"{_shown(metric, outcome)} with {outcome.method.name}" for outcome in pair)
-        parts.append(f"{words.format(shown)} ({_RESULTS[duel.result]}{_elsewhere(fought[metric])})")
-    return f"{'; over the whole episode '.join(parts)}."
+        sentences.append(f"{words.format(shown)}: {_RESULTS[duel.result]}{_elsewhere(fought[metric], duel.result)}.")
+    return sentences
 
 
-def _elsewhere(fought: Mapping[str, Duel]) -> str:
+def _elsewhere(fought: Mapping[str, Duel], result: Result) -> str:
+    """How many splits have this result too, and which have another."""
     if len(fought) == 1:
         return ""
-    counts = [f"{_RESULTS[result]} on {len(splits)}" for result, splits in _by_result(fought).items()]
-    return f"; of {len(fought)} splits {', '.join(counts)}"
+    by_result = _by_result(fought)
+    same = by_result.pop(result)
+    everywhere = len(same) == len(fought)
+    others = "".join(f", {_RESULTS[other]} on {', '.join(splits)}" for other, splits in by_result.items())
+    return f", as on {f'all {len(fought)}' if everywhere else f'{len(same)} of {len(fought)}'} splits{others}"
 
 
 def _shown(metric: str, outcome: MethodOutcome) -> str:
