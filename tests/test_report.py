@@ -22,7 +22,7 @@ from beltarm_env.arm import FIELDS
 from beltarm_env.metrics import SHOWN, TORQUES, heading
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.methods import Method, classical_methods
-from eval.comparison.pairs import LEFT, Failure, Pair, measure
+from eval.comparison.pairs import LEFT, SENSITIVE, Failure, Pair, measure
 from eval.comparison.results import Comparison, MethodOutcome, make_outcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set
@@ -248,8 +248,18 @@ def test_a_comparison_and_its_results_file_have_one_table():
 
 def test_what_is_slower_than_the_control_period_is_marked():
     (row,) = effort_table(made(outcome("pid", "classical", 1.0))).ranked
-    assert [cell.mark for cell in row.cells[-2:]] == ["", "late"]
-    assert row.cells[-1].details == ("late: 133% of the period",)
+    assert [cell.mark for cell in row.cells[-3:-1]] == ["", "late"]
+    assert row.cells[-2].details == ("late: 133% of the period",)
+
+
+def test_samples_and_sensitivity_stand_beside_the_effort():
+    (method,) = [known for known in classical_methods() if known.name == "zvd"]
+    metrics = outcome("zvd", "classical", 1.0).metrics | {SENSITIVE: np.eye(1, 24)}
+    table = effort_table(made(make_outcome(method, "nominal", metrics, (40.0, 50.0)), outcome("pid", "classical", 2.0)))
+    (known, unknown) = table.ranked
+    steps = method.training["simulator_steps"][0] / 1e6
+    assert [cell.text for cell in known.cells[:3]] == ["–", f"{steps:.1f}", f"{steps:.1f}"]
+    assert (known.cells[-1].text, unknown.cells[-1].text) == ("4.2", "–")
 
 
 @given(st.lists(st.text("abcXYZ019_ '", min_size=1, max_size=8), min_size=1, max_size=5))

@@ -14,6 +14,7 @@ from baselines.tools.files import write_text
 from beltarm_env.metrics import REVERSAL_SWING, SETTLING_BAND, heading
 from beltarm_env.timing import EPISODE_TIME
 from eval.comparison.estimates import RESAMPLES
+from eval.comparison.pairs import CHANGE, NUDGE
 from eval.comparison.results import Comparison
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.colours import COLOURS
@@ -96,6 +97,8 @@ def _content(comparison: Comparison, said: Sequence[str], recordings: Recordings
         "resamples": RESAMPLES,
         "reversal_swing": REVERSAL_SWING,
         "period_us": PERIOD_US,
+        "change": CHANGE,
+        "nudge": NUDGE,
         "origin": comparison.provenance,
         "command": without_paths(comparison.provenance["command"]),
     }

@@ -11,6 +11,7 @@ from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.timing import PERIOD_US
 from eval.style.metrics import numbers, rounded
+from eval.views.budgets import budget_of
 from eval.views.frame import MethodLine
 
 
@@ -124,12 +125,17 @@ def _failed(outcome: MethodOutcome) -> float:
 
 
 def effort_table(comparison: Comparison) -> Table:
-    """Effort of each method: simulator steps and time of tuning or training, and time per action."""
-    columns = ["training seeds", "simulator steps per seed", "wall-clock per seed (s)"]
+    """Effort of each method: samples and time of tuning or training, and time per action; and how repeatable it is."""
+    home = {outcome.method.name: outcome for outcome in comparison.on(comparison.main_split)}
+    columns = ["training seeds", "samples per seed (million)", "all samples (million)", "wall-clock per seed (s)"]
     columns += ["per action, median (µs)", "per action, 99 % (µs)"]
-    if not comparison.timed:
-        return _table(comparison, "What each method takes", columns, _effort)
-    return _table(comparison, "What each method takes", [*columns, "latency that it was given (µs)"], _timed_effort)
+    columns += ["latency that it was given (µs)"] if comparison.timed else []
+
+    def cells(outcome: MethodOutcome) -> list[Cell]:
+        times = [*outcome.action_times, *([1e6 * outcome.latency] if comparison.timed else [])]
+        return [*_samples(outcome), *map(_time_cell, times), _sensitivity(home.get(outcome.method.name))]
+
+    return _table(comparison, "What each method takes", [*columns, "other episodes after a nudge (%)"], cells)
 
 
 def _table(
@@ -139,22 +145,20 @@ def _table(
     return Table(title, columns, made)
 
 
-def _effort(outcome: MethodOutcome) -> list[Cell]:
-    training = outcome.method.training
+def _samples(outcome: MethodOutcome) -> list[Cell]:
+    """Seeds, samples and seconds of tuning or training, with a dash for none."""
+    training, budget = outcome.method.training, budget_of(outcome.method)
     steps, seconds = (
         max(training[name], default=0.0) if training else 0.0 for name in ("simulator_steps", "wall_clock_s")
     )
     seeds = outcome.seeds if outcome.method.kind == "learned" else 0
-    counts = [
-        Cell(str(seeds) if seeds else "–", value=seeds),
-        Cell(f"{steps / 1e6:.1f} million" if steps else "–", value=steps),
-        Cell(f"{seconds:.0f}" if seconds else "–", value=seconds),
-    ]
-    return [*counts, *(_time_cell(time) for time in outcome.action_times)]
+    numbers = [(seeds, "d"), (steps / 1e6, ".1f"), ((budget.total if budget else 0.0) / 1e6, ".1f"), (seconds, ".0f")]
+    return [Cell(format(value, form) if value else "–", value=value) for value, form in numbers]
 
 
-def _timed_effort(outcome: MethodOutcome) -> list[Cell]:
-    return [*_effort(outcome), _time_cell(1e6 * outcome.latency)]
+def _sensitivity(outcome: MethodOutcome | None) -> Cell:
+    share = outcome.sensitivity if outcome else None
+    return Cell("–") if share is None else Cell(f"{100 * share:.1f}", value=share)
 
 
 def _time_cell(time: float) -> Cell:
