@@ -35,8 +35,8 @@ def over(costs: dict[str, tuple[float, float]]) -> Comparison:
 def test_a_learned_method_that_is_better_and_worse():
     first, second, third, fourth = verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
     assert first == (
-        "On nominal, the best learned method, net, costs 40% less than the best classical controller, pid "
-        "(60 against 100; mean of all runs 60 against 100)."
+        "On nominal, scenario by scenario, the best learned method, net, costs 40% less than the best classical "
+        "controller, pid (averages: 60 against 100; mean of all runs 60 against 100)."
     )
     assert second == "net costs less on 1 of 2 splits (nominal); net costs more on 1 of 2 splits (payload)."
     assert third == (
@@ -59,13 +59,17 @@ def test_the_protocol_says_who_is_compared():
     duel = duels(found)["nominal"]
     assert (duel.challenger.method.name, duel.classical.method.name) == ("student", "adaptive")
     first, *_, last = verdict(found)
-    assert "the learned method, student, costs 20% less than the classical controller, adaptive (80" in first
-    assert last == "On nominal, net costs 44% less than lucky (50 against 90; mean of all runs 50 against 90)."
+    assert "the learned method, student, costs 20% less than the classical controller, adaptive (averages: 80" in first
+    assert last == (
+        "On nominal, scenario by scenario, net costs 44% less than lucky (averages: 50 against 90; mean of all runs 50 "
+        "against 90)."
+    )
 
 
 def test_an_added_controller_has_a_sentence_of_its_own():
     known = outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0)
-    assert verdict(made(*known, outcome("Mine", "added", 200.0)))[-1].startswith("On nominal, Mine costs 2.0 times as")
+    last = verdict(made(*known, outcome("Mine", "added", 200.0)))[-1]
+    assert last.startswith("On nominal, scenario by scenario, Mine costs 2.0 times as much as pid")
 
 
 def test_the_duels_are_in_the_results_and_in_the_summary():
@@ -223,8 +227,9 @@ def test_the_answer_of_the_readme():
     said = eval.views.verdict.verdict(comparison)
     text, table, note = answer(to_json(comparison, said.sentences, said.rows())).split("\n\n")
     assert text == (
-        "**The learned correction, `student`, costs 13% less than the best classical controller, `adaptive`.** "
-        "The vibration after the move falls from 300.00 mm to 260.00 mm."
+        "**Scenario by scenario, the learned correction, `student`, has a cost 13% lower than the best classical "
+        "controller, `adaptive`.** The vibration after the move falls from 300.00 mm to 260.00 mm. Of 9 kinds of "
+        "scenarios the cost is lower on 9."
     )
     assert comparison.scenario_set.note in note
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
@@ -234,7 +239,8 @@ def test_the_answer_of_the_readme():
         "error of the arm's end, RMS (mm)",
         "vibration after the move, peak to peak (mm)",
     ]
-    assert [line[0] for line in lines[2:]] == ["student", "adaptive", "ppo", "mpc", "paper"]
+    names = ["student (learned)", "adaptive (classical)", "ppo (learned)", "mpc (classical)", "paper (classical)"]
+    assert [line[0] for line in lines[2:]] == names
     assert lines[2][1] == "260"
 
 
@@ -243,7 +249,7 @@ def test_the_answer_of_the_readme():
     [
         (
             (100.0, 150.0),
-            "costs 50% more than the best classical controller, `pid`.** The vibration",
+            "has a cost 50% higher than the best classical controller, `pid`.** The vibration",
         ),
         ((100.0, 100.0), "**No difference in cost is shown between the learned correction, `net`, and the best"),
     ],

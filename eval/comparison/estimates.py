@@ -20,6 +20,8 @@ from beltarm_env.metrics import METRICS
 Floats = NDArray[np.float64]
 
 RESAMPLES = 2000
+LEAST_P = 2 / (RESAMPLES + 1)
+"""Smallest p value that so many resamples can show."""
 CONFIDENCE = 0.95
 
 
@@ -105,7 +107,7 @@ class Paired:
 
     difference: Estimate  # method minus other
     win_rate: Estimate  # probability of improvement: share of (seed, scenario) pairs that are lower, ties half
-    p: float  # of no difference, two-sided, from the bootstrap of the difference; at least 2 / (RESAMPLES + 1)
+    p: float  # of no difference, two-sided, from the bootstrap of the difference; at least `LEAST_P`
     p_holm: float = 1.0  # the same after Holm's correction for all comparisons of one family
 
     @property
@@ -131,10 +133,10 @@ def paired(values: Floats, other: Floats) -> Paired:
     difference = values - other.mean(axis=0, keepdims=True)
     wins = estimate((difference < 0) + 0.5 * (difference == 0), mean=True)
     if np.ptp(difference) == 0:
-        return Paired(estimate(difference), wins, 1.0 if difference.flat[0] == 0 else 2 / (RESAMPLES + 1))
+        return Paired(estimate(difference), wins, 1.0 if difference.flat[0] == 0 else LEAST_P)
     distribution = resampled(difference)
     beyond = min(np.sum(distribution <= 0), np.sum(distribution >= 0))
-    p = min(1.0, 2 * (1 + float(beyond)) / (RESAMPLES + 1))
+    p = min(1.0, LEAST_P * (1 + float(beyond)))
     return Paired(_interval(interquartile_mean(difference), distribution), wins, p)
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from beltarm_env.metrics import METRICS, REVERSAL_SWING, TORQUES, heading
-from eval.comparison.estimates import RESAMPLES, worst_mean
+from eval.comparison.estimates import LEAST_P, RESAMPLES, worst_mean
 from eval.comparison.pairs import CHANGE, LEFT, NUDGE
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EDITION, SPLITS
@@ -67,11 +67,13 @@ def _listed(metrics: Sequence[str]) -> str:
 def _primary(said: Verdict) -> list[str]:
     duel = next(iter(said.duels["cost"].values()))
     one, other = duel.challenger.method.name, duel.classical.method.name
+    least = min(1.0, len(said.duels["cost"]) * LEAST_P)
     how = (
         f"{one} minus {other}, scenario by scenario: difference of the interquartile means, also as a share of "
         f"{other}'s value; p value after Holm's correction over all splits; mean difference. *Better* and *worse* take "
         "both: a corrected p value below 0.05, and a mean difference whose 95 % interval is clear of zero on the same "
-        "side."
+        f"side. With {RESAMPLES} bootstrap samples no corrected p value is below {least:.3f}. The marks of all other "
+        "tables test interquartile means alone, and may say of a split what this table does not."
     )
     return [how, primary_table(said)]
 

@@ -43,9 +43,12 @@ def answer(results: dict[str, Any]) -> str:
     reference = results["rows"][0]["method"]
     best = [name for name in ranked if name != reference][: _ROWS - 1]
     shown = part(on_main, method=[*best, reference])
-    rows = [[line.method, *line.cells] for line in lines(shown, "metric", lambda row: numbers(row.metric, row)[0], "–")]
+    rows = [[f"{line.method} ({line.kind})", *line.cells] for line in lines(shown, "metric", _precise, "–")]
     table = markdown_table(["method", *_ANSWERED.values()], rows)
-    note = f"{SPLITS[home].description.capitalize()}, interquartile means. {SetLabel(**results['scenario_set']).note}"
+    note = (
+        f"{SPLITS[home].description.capitalize()}; interquartile means, lower is better. "
+        f"{SetLabel(**results['scenario_set']).note}"
+    )
     return "\n\n".join([in_short(results, home), table, f"*{note}*"])
 
 
@@ -60,10 +63,10 @@ def in_short(results: dict[str, Any], split: str) -> str:
     best = min(classical, key=lambda name: here[name]["metrics"]["cost"]["iqm"]) == cost["classical"]
     one = f"the learned correction, `{cost['challenger']}`,"
     other = f"the {'best ' if best else ''}classical controller, `{cost['classical']}`"
-    less = "less" if cost["relative"] < 0 else "more"
+    less = "lower" if cost["relative"] < 0 else "higher"
     costs = {
         "open": f"No difference in cost is shown between {one} and {other}",
-        "shown": f"{one.capitalize()} costs {abs(cost['relative']):.0%} {less} than {other}",
+        "shown": f"Scenario by scenario, {one} has a cost {abs(cost['relative']):.0%} {less} than {other}",
     }
     before, after = (
         with_unit("residual_pp_mm", f"{here[cost[name]]['metrics']['residual_pp_mm']['iqm']:.2f}")
@@ -75,7 +78,22 @@ def in_short(results: dict[str, Any], split: str) -> str:
         "open": f"is not shown to differ: {after} and {before}",
     }
     first = costs["open" if cost["result"] == "open" else "shown"]
-    return f"**{first}.** The vibration after the move {swings[vibration['result']]}."
+    return f"**{first}.** The vibration after the move {swings[vibration['result']]}.{_elsewhere(results['primary'])}"
+
+
+def _precise(row: Any) -> str:
+    """An average, to a hundredth where it is a length."""
+    return numbers(row.metric, row)[0] if row.metric == "cost" else f"{row.iqm:.2f}"
+
+
+def _elsewhere(duels: list[dict[str, Any]]) -> str:
+    """On how many splits the cost of the challenger is lower, higher or not shown to differ."""
+    found = [duel["result"] for duel in duels if duel["metric"] == "cost"]
+    if len(found) == 1:
+        return ""
+    words = {"better": "lower on {}", "worse": "higher on {}", "open": "not shown to differ on {}"}
+    parts = [text.format(found.count(result)) for result, text in words.items() if result in found]
+    return f" Of {len(found)} kinds of scenarios the cost is {', '.join(parts)}."
 
 
 def tables(results: dict[str, Any]) -> str:
@@ -106,7 +124,7 @@ def _origin(results: dict[str, Any]) -> str:
     provenance, episodes = results["provenance"], results["rows"][0]["episodes"]
     label = SetLabel(**results["scenario_set"])
     unranked = any(row["kind"] == "privileged" for row in results["rows"])
-    italics = " In italics: what knows its arm and sees its state, a yardstick that is not ranked." if unranked else ""
+    italics = " In italics: a yardstick, told the true arm and its state, not ranked." if unranked else ""
     fresh = not provenance.get("pairs_kept_before", 0)
     timed = f" {TIMED_NOTE}" if provenance.get(COMPUTING_TIME) else ""
     took = f", which took {provenance['seconds']:.0f} s" if fresh else ", part of it from an earlier run"

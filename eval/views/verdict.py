@@ -139,13 +139,13 @@ def _costs(duel: Duel, split: str, one: str = "", other: str = "") -> str:
     one, other = one or duel.challenger.method.name, other or duel.classical.method.name
     pair = duel.challenger, duel.classical
     middle, mean = (" against ".join(f"{average(o):.0f}" for o in pair) for average in (_of_cost, _mean))
-    numbers = f"{middle}; mean of all runs {mean}"
+    numbers = f"averages: {middle}; mean of all runs {mean}"
     if duel.result == "open":
         return f"On {split}, no difference in cost is shown between {one} and {other} ({numbers})."
     size, less = abs(duel.relative), "less than" if duel.result == "better" else "more than"
     shown = f"{size:.0%} {less}" if size < 1 else f"{1 + size:.1f} times as much as"
     tie = ": a practical tie" if size < PRACTICALLY_EQUAL else ""
-    return f"On {split}, {one} costs {shown} {other} ({numbers}){tie}."
+    return f"On {split}, scenario by scenario, {one} costs {shown} {other} ({numbers}){tie}."
 
 
 def _everywhere(fought: Mapping[str, Duel]) -> str:
