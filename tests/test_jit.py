@@ -34,7 +34,12 @@ def done(toy: Path, code: str = RUN, **environment: str) -> subprocess.Completed
     known = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA")}
     return subprocess.run(
         [sys.executable, "-c", code],
-        env={**known, "PYTHONPATH": str(toy.parent), **environment},
+        env={
+            **known,
+            "PYTHONPATH": str(toy.parent),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            **environment,
+        },  # *.pyc have a time too
         capture_output=True,
         text=True,
         check=True,

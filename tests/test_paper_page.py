@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import os
 import re
 import subprocess
 import sys
@@ -392,7 +393,8 @@ def test_a_closed_pipe_is_no_error(tmp_path: Path):
     )
     command = [sys.executable, str(script)]
     pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=buffered) as process:
         assert process.stdout is not None
         process.stdout.close()
         process.stdout = None

@@ -11,7 +11,8 @@ from baselines.tools.progress import progress_count, progress_rows
 
 
 @pytest.fixture
-def terminal() -> Console:
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Console:
+    monkeypatch.setenv("TERM", "xterm")
     return Console(file=io.StringIO(), force_terminal=True, width=80)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterator
@@ -52,8 +53,12 @@ def one_line_errors(script: str, *, whole: bool = False) -> Iterator[None]:
         whole: Whether the traceback of a mistake comes first.
     """
     try:
-        yield
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
     except BrokenPipeError:  # the reader of the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python's last flush would complain
         sys.exit(0)
     except (OSError, ValueError, DependencyNotInstalled) as error:
         if whole:
