@@ -12,8 +12,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from baselines.tools.command import run_command
+from baselines.tools.files import sha256_of
 from eval.leaderboard import sealed
-from eval.leaderboard.entries import sha256_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "leaderboard"
 

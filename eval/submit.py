@@ -22,7 +22,7 @@ import tyro
 from rich.console import Console
 
 from baselines.tools.command import require_bounds, run_command
-from baselines.tools.files import write_text
+from baselines.tools.files import sha256_of, write_text
 from baselines.tools.options import Groups
 from baselines.tools.parallel import default_jobs
 from baselines.tools.progress import progress_count
@@ -35,7 +35,6 @@ from eval.leaderboard.entries import (
     read_entries,
     require_verifier,
     sealed_rules,
-    sha256_of,
 )
 from eval.leaderboard.packing import pack
 from eval.leaderboard.scores import first_difference, largest_difference

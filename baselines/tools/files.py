@@ -1,7 +1,8 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and their hash."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 import time
@@ -58,3 +59,8 @@ def require_writable(folder: Path) -> None:
         (folder / ".writable").unlink()
     except OSError as error:
         raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

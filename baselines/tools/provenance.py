@@ -24,12 +24,9 @@ def command_line() -> str:
 def commit() -> str:
     """Commit of the checkout, with `-dirty` where files differ from it; "unknown" without git."""
     try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=_ROOT, capture_output=True, text=True, check=True
-        )
+        return _git("describe", "--always", "--dirty")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return described.stdout.strip()
 
 
 def last_commit_of(path: Path) -> str:
@@ -38,19 +35,18 @@ def last_commit_of(path: Path) -> str:
     Raises:
         ValueError: If the file is in no commit, differs from its last one, or there is no git.
     """
-    asked = ("status", "--porcelain", "--"), ("log", "-1", "--format=%H", "--")
     try:
-        changed, found = (
-            subprocess.run(
-                ["git", *words, str(path)], cwd=_ROOT, capture_output=True, text=True, check=True
-            ).stdout.strip()
-            for words in asked
-        )
+        changed, found = _git("status", "--porcelain", "--", path), _git("log", "-1", "--format=%H", "--", path)
     except (OSError, subprocess.CalledProcessError) as error:
         raise ValueError(f"git does not tell the last commit of {path.name}: {error}") from None
     if changed or not found:
         raise ValueError(f"{path.name} is not committed as it is: commit it first")
     return found
+
+
+def _git(*words: str | Path) -> str:
+    """What git says of the checkout."""
+    return subprocess.run(["git", *words], cwd=_ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def software(*packages: str) -> dict[str, object]:

@@ -114,9 +114,8 @@ def content_of(scenarios: ScenarioSet, protocol: str = "") -> dict[str, Any]:
             "sha256": split.digest,
         }
     command = FREEZE if name == TEST_NAME else COMMAND
-    content = {"format": FORMATS[name], "edition": EDITION, "version": VERSION, "command": command}
-    content |= {"protocol": protocol} if protocol else {}
-    content |= {"splits": entries}
+    origin = {"command": command, **({"protocol": protocol} if protocol else {})}
+    content = {"format": FORMATS[name], "edition": EDITION, "version": VERSION, **origin, "splits": entries}
     return {**content, "sha256": digest_of(content)}
 
 

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from baselines.tools.files import write_atomically, write_text
+from baselines.tools.files import sha256_of, write_atomically, write_text
 from baselines.tools.provenance import commit, software
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import check
@@ -96,11 +96,6 @@ def sealed_rules(archive: Path) -> Rules:
     if sha256_of(archive) not in sealed.read()["submissions"]:
         raise ValueError(f"{archive.name} came after the sealed set was revealed: it has no result on it")
     return Rules(scenarios, EPISODES)
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def add_archive(submission: Submission, folder: Path) -> Path:

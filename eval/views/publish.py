@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 from rich.console import Console
 
-from baselines.tools.files import write_text
+from baselines.tools.files import sha256_of, write_text
 from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
 from eval.comparison.splits import Split
@@ -50,7 +49,7 @@ def publish(
     comparison = comparison.with_failures([*unrecorded, *unseen, *unmapped])
     said = verdict(comparison)
     write_results(comparison, folder, said.sentences, said.rows())
-    digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
+    digest = sha256_of(folder / "results.json")
     pictures = save_plots(comparison, traces, folder, digest)
     write_text(folder / "summary.md", markdown(comparison, said, [path.name for path in pictures], digest))
     write_report(comparison, said.sentences, Recordings(scenes, drawn), folder)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from PIL import Image
 
+from baselines.tools.files import sha256_of
 from beltarm_env.metrics import TORQUE_QUALITY
 from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
@@ -153,7 +153,7 @@ def updated(readme: str, parts: dict[str, str]) -> str:
 
 def of_other_results(results: Path) -> list[Path]:
     """Summary and pictures beside a results.json that do not carry its SHA-256: they are of other results."""
-    digest = hashlib.sha256(results.read_bytes()).hexdigest()
+    digest = sha256_of(results)
     summary = results.with_name("summary.md")
     stale = [] if summary.is_file() and digest in summary.read_text(encoding="utf-8") else [summary]
     for path in sorted(results.parent.glob("*.png")):

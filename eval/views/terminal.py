@@ -17,7 +17,7 @@ from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EPISODES, SPLITS
 from eval.style.metrics import cell, numbers, rounded, with_unit
-from eval.views.frame import frame_of, lines, part
+from eval.views.frame import best_first, frame_of, lines, part
 
 TIE = "not shown to differ from the best, by the paired test with Holm's correction"
 _TERMINAL = ("cost", "residual_pp_mm")
@@ -49,16 +49,15 @@ def print_results(comparison: Comparison, said: Sequence[str], console: Console,
 def _ranking(comparison: Comparison) -> Table:
     """Table of the main split: a row per method, of the lowest cost first; those that are not ranked at the end."""
     split = comparison.main_split
-    outcomes = comparison.on(split)
+    outcomes = best_first(comparison).on(split)
     episodes = outcomes[0].metrics["cost"].shape[1]
     title = f"{split}: {SPLITS[split].description}; {episodes} scenarios"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("method", no_wrap=True, max_width=_RANKED_WIDTH)
     for heading_ in ("cost", "mean", "worst 5 %", "error\nRMS, mm", "vibration\nafter, mm", "left"):
         table.add_column(heading_, justify="right", no_wrap=True)
-    ranked = sorted((o for o in outcomes if o.ranked), key=_cost)
     marks = comparison.marks[split]["cost"]
-    for outcome in [*ranked, *(o for o in outcomes if not o.ranked)]:
+    for outcome in outcomes:
         name = outcome.method.name
         mark = {"best": "  < lowest cost", "tie": "  < no difference shown"}.get(marks.get(name, ""), "")
         style = "dim italic" if not outcome.ranked else "bold" if marks.get(name) == "best" else ""
@@ -66,13 +65,9 @@ def _ranking(comparison: Comparison) -> Table:
     return table
 
 
-def _cost(outcome: MethodOutcome) -> float:
-    return outcome.estimates["cost"].iqm
-
-
 def _scores(outcome: MethodOutcome) -> list[str]:
     costs = outcome.metrics["cost"]
-    averages = (_cost(outcome), float(costs.mean()), worst_mean(costs))
+    averages = (outcome.estimates["cost"].iqm, float(costs.mean()), worst_mean(costs))
     shown = [rounded(name, outcome.estimates[name].iqm) for name in ("tip_rms_mm", "residual_pp_mm")]
     return [*(rounded("cost", value) for value in averages), *shown, str(outcome.failures[LEFT])]
 

@@ -21,7 +21,7 @@ from eval.style.metrics import with_unit
 
 Result = Literal["better", "worse", "open"]
 
-PRACTICALLY_EQUAL = 0.03
+_PRACTICALLY_EQUAL = 0.03
 """Share of the cost below which a difference that is shown is called a practical tie."""
 _KINDS = {"learned": "learned method", "added": "added controller"}
 _TIP = {
@@ -144,7 +144,7 @@ def _costs(duel: Duel, split: str, one: str = "", other: str = "") -> str:
         return f"On {split}, no difference in cost is shown between {one} and {other} ({numbers})."
     size, less = abs(duel.relative), "less than" if duel.result == "better" else "more than"
     shown = f"{size:.0%} {less}" if size < 1 else f"{1 + size:.1f} times as much as"
-    tie = ": a practical tie" if size < PRACTICALLY_EQUAL else ""
+    tie = ": a practical tie" if size < _PRACTICALLY_EQUAL else ""
     return f"On {split}, scenario by scenario, {one} costs {shown} {other} ({numbers}){tie}."
 
 

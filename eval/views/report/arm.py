@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-
-import jinja2
 
 from beltarm_env.arm import ArmParams
 from beltarm_env.rendering.renderer import Point, posture
+from eval.views.report.templates import template
 
 _WIDTH, _HEIGHT = 640, 430
 _SHOULDER = (140.0, 236.0)
@@ -29,7 +27,7 @@ def arm_drawing() -> str:
     shoulder, elbow, wrist, tip = map(_place, posture(arm, _ANGLE, 0.0))
     swinging = [[_place(point) for point in posture(arm, _ANGLE, torsion)] for torsion in (_SWING, -_SWING)]
     one, two = _middle(shoulder, elbow), _middle(elbow, wrist)
-    return _template().render(
+    return template("arm.svg", at=_text).render(
         width=_WIDTH,
         height=_HEIGHT,
         alt=_ALT,
@@ -60,17 +58,6 @@ def arm_drawing() -> str:
             (_beside(two, 44, -12), _beside(two, 0, -8)),
         ],
     )
-
-
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        trim_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters["at"] = _text
-    return environment.get_template("arm.svg")
 
 
 def _place(point: Point) -> Point:

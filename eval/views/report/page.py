@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from baselines.tools.files import write_text
 from beltarm_env.metrics import REVERSAL_SWING, SETTLING_BAND, heading
 from beltarm_env.timing import EPISODE_TIME
@@ -26,9 +24,9 @@ from eval.views.report.motions import scene_panels
 from eval.views.report.scenes import Map, Recordings
 from eval.views.report.svg import Panel, line
 from eval.views.report.tables import PERIOD_US, effort_table, main_table, metric_tables, torque_table
+from eval.views.report.templates import template
 from eval.views.traces import seed_note
 
-_TEMPLATES = Path(__file__).parent
 LARGEST = 3_000_000
 """Bytes that the page may have."""
 
@@ -55,10 +53,7 @@ def write_report(comparison: Comparison, said: Sequence[str], recordings: Record
 
 def render(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> str:
     """Render the page, with methods everywhere in the same order: the lowest cost on the main split first."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.get_template("report.html").render(**_content(best_first(comparison), said, recordings))
+    return template("report.html").render(**_content(best_first(comparison), said, recordings))
 
 
 def _content(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> dict[str, Any]:
