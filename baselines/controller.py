@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Generic, Literal, TypeVar
+from collections.abc import Callable
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -54,3 +55,35 @@ class ClassicalController(ABC, Generic[Memory]):
         reading = read(observation, self.params, self.sensors)
         torque, memory = self.law(reading, beginning(state, episode_start, len(observation)), state)
         return np.clip(torque / self.params.torque_limit, -1, 1).astype(np.float32)[:, None], memory
+
+
+class LawKernel(NamedTuple):
+    """A controller for one arm as one kernel: what is compiled for batches, and translated for a drive's processor."""
+
+    law: Callable[..., float]
+    """`law(design, now, begins, memory)`: motor torque [N m] of one sample, before it is cut at its limit, from what
+    is constant, a `Sample`, and whether an episode begins, when nothing in the memory counts. Writes the memory."""
+    design: Any  # named tuple of numbers and arrays, which the kernel never writes
+    memory: Any  # an array, or a named tuple of arrays, of the shapes that the kernel needs for one arm
+
+
+class ScalarController(ClassicalController[Floats]):
+    """Base of controllers whose law is a kernel for one arm with a row of numbers for its memory."""
+
+    memory_size: ClassVar[int]
+
+    @abstractmethod
+    def kernel(self) -> LawKernel:
+        """The law for one arm, with a memory of shape (memory_size,)."""
+
+    @abstractmethod
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        """Run the kernel for all arms; memory of shape (n, memory_size) and torques of shape (n,) are written."""
+
+    def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
+        """Torque [N m] of one sample, see `ClassicalController`."""
+        count = len(begins)
+        memory = np.zeros((count, self.memory_size)) if memory is None else memory.copy()
+        torques = np.empty(count)
+        self._run(reading, begins, memory, torques)
+        return torques, memory

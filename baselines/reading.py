@@ -8,6 +8,7 @@ import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
+from beltarm_env.jit import inlined
 from beltarm_env.task.moves import MOVE_FIELDS
 
 
@@ -26,6 +27,44 @@ class Reading(NamedTuple):
     last_command: Floats  # torque commanded over the last period [N m]
     torsion: Floats | None  # theta_s [rad] and its rate [rad/s], shape (n, 2); of sensors="full" alone
     acceleration: Floats | None  # of the tip along and across the hand [m/s^2], (n, 2); of "accelerometer" alone
+
+
+class Sample(NamedTuple):
+    """Measurements and reference of one arm, as a kernel sees them; fields as of `Reading`."""
+
+    angle_error: float
+    speed_error: float
+    motor_angle: float
+    motor_speed: float
+    reference_angle: float
+    reference_speed: float
+    reference_acceleration: float
+    start: float
+    goal: float
+    duration: float
+    ramp_time: float
+    step: int
+    last_command: float
+
+
+@inlined
+def sample_of(reading: Reading, arm: int) -> Sample:
+    """What one arm of a batch reads."""
+    return Sample(
+        reading.angle_error[arm],
+        reading.speed_error[arm],
+        reading.motor_angle[arm],
+        reading.motor_speed[arm],
+        reading.reference_angle[arm],
+        reading.reference_speed[arm],
+        reading.reference_acceleration[arm],
+        reading.move[arm, 0],
+        reading.move[arm, 1],
+        reading.move[arm, 2],
+        reading.move[arm, 3],
+        reading.step[arm],
+        reading.last_command[arm],
+    )
 
 
 def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> Reading:

@@ -15,13 +15,11 @@ from __future__ import annotations
 
 from beltarm_env.jit import inlined
 from beltarm_env.physics.state import ArmState
-from beltarm_env.physics.trigonometry import sin_cos, wrapped
+from beltarm_env.physics.trigonometry import ROUNDER, sin_cos, wrapped
 from beltarm_env.timing import CONTROL_PERIOD
 
 ENCODER_COUNTS = 4000
 """Counts per motor revolution: 1000 pulses, four edges each."""
-
-_ROUNDER = 1.5 * 2.0**52  # adding it pushes the fraction out of a float64
 
 
 @inlined
@@ -31,7 +29,7 @@ def to_counts(angle: float, resolution: float) -> float:
     Exact for magnitudes below 2^51 counts. Addition and subtraction of one constant, instead of a call to round, keep
     the loop over arms vectorised.
     """
-    return (angle / resolution + _ROUNDER) - _ROUNDER
+    return (angle / resolution + ROUNDER) - ROUNDER
 
 
 @inlined
