@@ -310,7 +310,7 @@ def test_an_arm_left_alone_rings_at_the_frequency_that_is_marked():
     options["state"] = [88 * goal, 0.0, 0.02, 0.0]
     found = rollout(Nothing(), 1, options=options)
     frequencies, amplitudes = spectrum(found)
-    expected = 1 / held_mode(ArmParams(), np.array([goal])).period[0]
+    expected = 1 / held_mode(goal, ArmParams().plant()).period
     assert frequencies[amplitudes.argmax()] == pytest.approx(expected, rel=0.03)
 
 

@@ -326,9 +326,9 @@ class TestShaper:
         angle = math.radians(degrees)
         a, _, _ = state_space(replace(NOMINAL, motor_inertia=1e6), angle)
         (pole,) = (value for value in np.linalg.eigvals(a) if value.imag > 1)
-        mode = held_mode(NOMINAL, np.array([angle]))
-        assert mode.period[0] == pytest.approx(2 * math.pi / pole.imag, rel=1e-6)
-        assert mode.decay[0] == pytest.approx(math.exp(math.pi * pole.real / pole.imag), rel=1e-6)
+        mode = held_mode(angle, NOMINAL.plant())
+        assert mode.period == pytest.approx(2 * math.pi / pole.imag, rel=1e-6)
+        assert mode.decay == pytest.approx(math.exp(math.pi * pole.real / pole.imag), rel=1e-6)
 
 
 class TestShapedMoves:

@@ -29,6 +29,7 @@ after which speed and angle are the task's again. The last two corners stay wher
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,12 +38,18 @@ import numpy as np
 from baselines.gains import Gains, tunable
 from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
-from beltarm_env.arm import params_table, plant_of
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
+from beltarm_env.physics.trigonometry import exponential, sine_cosine
+from beltarm_env.task.reference import MoveShape
 
+_SPREADS = 4
+CORNERS = 1 + 3 * _SPREADS
+"""Entries of a smoothed move of one arm: the start, four onsets, four times and four jumps."""
 _LONGEST_FIRST, _LONGEST = 0.5, 1.0  # spreads over the ramp time: so that the corners keep their order
 _SHORTEST_LAG = 1e-12  # [s]  instead of none
+_SETTLED = 40.0  # lags after which a step is over, to the last digit
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,106 @@ class SpreadGains(Gains):
 
     first_spread: float = tunable(0.3, 0.02, 2.0, log=True)  # [periods]  of the first corner
     spread: float = tunable(0.6, 0.02, 4.0, log=True)  # [periods]  of the others
+
+
+class FlatPoint(NamedTuple):
+    """State of motor and belt along a smoothed move at one instant, and what moves the motor."""
+
+    motor_angle: float  # theta_a [rad]
+    motor_speed: float  # [rad/s]
+    torsion: float  # theta_s [rad]
+    torsion_speed: float  # [rad/s]
+    torque: float  # tau_m without Coulomb friction [N m]
+    acceleration: float  # of the motor [rad/s^2]
+
+
+class LinkMotion(NamedTuple):
+    """phi along a smoothed move at one instant, and its derivatives."""
+
+    angle: float  # [rad]
+    speed: float  # [rad/s]
+    acceleration: float  # [rad/s^2]
+    jerk: float  # [rad/s^3]
+    snap: float  # phi'''' [rad/s^4], right-continuous
+    lagging_snap: float  # the same behind a lag
+
+
+@compiled
+def write_corners(move: MoveShape, plant: Plant, first: float, others: float, corners: Floats) -> None:
+    """Smooth the trapezoid of a move.
+
+    Args:
+        move: What is asked of the arm.
+        plant: The arm whose mode spreads are measured in.
+        first: Time w_1 of the first corner's spread, in periods of the mode at the start; half a ramp at most.
+        others: Of the other corners' spreads, in periods of the mode at the end of the ramp up and at the goal; a whole
+            ramp at most.
+        corners: Written, shape (CORNERS,): phi at the start [rad], and of each of four spreads the onset [s] from the
+            move's start, the time w [s] and the jump of the acceleration [rad/s^2].
+    """
+    ramp = move.ramp_time
+    cruise = (move.goal - move.start) / (move.duration - ramp)
+    longest = _LONGEST * ramp
+    w1 = min(first * held_mode(move.start, plant).period, _LONGEST_FIRST * ramp)
+    w2 = min(others * held_mode(move.start + 0.5 * cruise * ramp, plant).period, longest)
+    w3 = min(others * held_mode(move.goal, plant).period, longest)
+    centred = 0.5 * (ramp - w1)
+    up = centred + math.sqrt(centred * centred + (w1 * w1 - w2 * w2) / 24)
+    jump, task_jump = cruise / up, cruise / ramp
+    last = move.duration - 0.5 * w3
+    corners[0] = move.start
+    corners[1], corners[2], corners[3], corners[4] = 0.0, 0.5 * w1 + up - 0.5 * w2, last - ramp, last
+    corners[5], corners[6], corners[7], corners[8] = w1, w2, w3, w3
+    corners[9], corners[10], corners[11], corners[12] = jump, -jump, -task_jump, task_jump
+
+
+@inlined
+def _lagging(time: float, lag: float) -> float:
+    """Unit step at time 0 behind a lag."""
+    if time <= 0.0:
+        return 0.0
+    return 1.0 - exponential(-time / lag) if time < _SETTLED * lag else 1.0
+
+
+@compiled
+def link_motion(corners: Floats, time: float, lag: float) -> LinkMotion:
+    """Motion of the link along a smoothed move at a time [s] since its start; `lag` [s] is that of `lagging_snap`."""
+    p, v, a, j, s, lagging = corners[0], 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(_SPREADS):
+        w, size = corners[1 + _SPREADS + k], corners[1 + 2 * _SPREADS + k]
+        since = time - corners[1 + k]
+        u = since / w
+        c = min(max(u, 0.0), 1.0)
+        beyond = w * max(u - 1.0, 0.0)
+        r = max(c - 0.5, 0.0)  # in the falling half of the spread's triangle
+        c2, r2 = c * c, r * r
+        p += size * (w * w * (c2 * c2 / 6 - r2 * r2 / 3) + beyond * (0.5 * w + 0.5 * beyond))
+        v += size * (w * (2 * c2 * c / 3 - 4 * r2 * r / 3) + beyond)
+        a += size * (2 * c2 - 4 * r2)
+        j += size / w * (4 * c - 8 * r)
+        s += size / (w * w) * (0.0 if u < 0.0 or u >= 1.0 else (4.0 if u < 0.5 else -4.0))
+        steps = 4 * _lagging(since, lag) - 8 * _lagging(since - 0.5 * w, lag) + 4 * _lagging(since - w, lag)
+        lagging += size / (w * w) * steps
+    return LinkMotion(p, v, a, j, s, lagging)
+
+
+@compiled
+def flat_point(corners: Floats, time: float, plant: Plant) -> FlatPoint:
+    """State and torque along a smoothed move, `corners` of `write_corners`, at a time [s] since its start."""
+    gear, stiffness, swing = plant.gear, plant.stiffness, plant.inertia_swing
+    lag = max(plant.damping / stiffness, _SHORTEST_LAG)
+    p, v, a, j, _, lagging = link_motion(corners, time, lag)
+    sine, cosine = sine_cosine(p)
+    m2 = plant.inertia + swing * sine * sine
+    slope, bend = 2 * swing * sine * cosine, 2 * swing * (1 - 2 * sine * sine)
+    belt = m2 * a + 0.5 * slope * v * v
+    rate = m2 * j + 2 * slope * v * a + 0.5 * bend * v * v * v
+    curve = m2 * lagging + 3 * slope * v * j + 2 * slope * a * a + 3.5 * bend * v * v * a - 2 * slope * v * v * v * v
+    torsion_speed = (rate - lag * curve) / stiffness
+    torsion = belt / stiffness - lag * torsion_speed
+    speed, acceleration = gear * (v + torsion_speed), gear * (a + curve / stiffness)
+    torque = acceleration / plant.inverse_motor_inertia + plant.viscous_friction * speed + belt / gear
+    return FlatPoint(gear * (p + torsion), speed, torsion, torsion_speed, torque, acceleration)
 
 
 class Corners(NamedTuple):
@@ -72,14 +179,7 @@ class FlatMotion(NamedTuple):
 
 
 def smoothed(moves: Floats, params: ArmParams, first: float, others: float) -> Corners:
-    """Smooth the trapezoids of n moves.
-
-    Args:
-        moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        params: The arm whose mode spreads are measured in.
-        first: Time w_1 of the first corner's spread, in periods of the mode at the start; half a ramp at most.
-        others: Of the other corners' spreads, in periods of the mode at the end of the ramp up and at the goal; a whole
-            ramp at most.
+    """Smooth the trapezoids of n moves, see `write_corners`.
 
     Raises:
         ValueError: If moves have another shape, or a spread takes no time.
@@ -88,74 +188,15 @@ def smoothed(moves: Floats, params: ArmParams, first: float, others: float) -> C
         raise ValueError(f"moves must have shape (n, 4): start, goal, duration, ramp time; got {moves.shape}")
     if not (0 < first < np.inf and 0 < others < np.inf):
         raise ValueError(f"spreads of corners must be positive numbers of periods, got {first!r} and {others!r}")
-    start, goal, duration, ramp = moves.T
-    cruise = (goal - start) / (duration - ramp)
-    longest = _LONGEST * ramp
-    w1 = np.minimum(first * held_mode(params, start).period, _LONGEST_FIRST * ramp)
-    w2 = np.minimum(others * held_mode(params, start + 0.5 * cruise * ramp).period, longest)
-    w3 = np.minimum(others * held_mode(params, goal).period, longest)
-    centred = 0.5 * (ramp - w1)
-    up = centred + np.sqrt(centred * centred + (w1 * w1 - w2 * w2) / 24)
-    jump, task_jump = cruise / up, cruise / ramp
-    centre = np.column_stack([0.5 * w1, 0.5 * w1 + up, duration - ramp, duration])
-    time = np.column_stack([w1, w2, w3, w3])
-    return Corners(start.copy(), centre - 0.5 * time, time, np.column_stack([jump, -jump, -task_jump, task_jump]))
-
-
-@inlined
-def _lagging(time: float, lag: float) -> float:
-    """Unit step at time 0 behind a lag."""
-    return 1.0 - np.exp(-time / lag) if time > 0.0 else 0.0
-
-
-@compiled
-def _flat_motions(
-    start: Floats,
-    onset: Floats,
-    spread: Floats,
-    jump: Floats,
-    time: Floats,
-    row: Floats,
-    link: Floats,
-    state: Floats,
-    torque: Floats,
-    acceleration: Floats,
-) -> None:
-    plant = plant_of(row)
-    gear, stiffness = plant.gear, plant.stiffness
-    lag = max(plant.damping / stiffness, _SHORTEST_LAG)
-    for i in range(len(time)):
-        p, v, a, j, s, lagging = start[i], 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(onset.shape[1]):
-            w, size = spread[i, k], jump[i, k]
-            since = time[i] - onset[i, k]
-            u = since / w
-            c = min(max(u, 0.0), 1.0)
-            beyond = w * max(u - 1.0, 0.0)
-            r = max(c - 0.5, 0.0)  # in the falling half of the spread's triangle
-            p += size * (w * w * (c**4 / 6 - r**4 / 3) + beyond * (0.5 * w + 0.5 * beyond))
-            v += size * (w * (2 * c**3 / 3 - 4 * r**3 / 3) + beyond)
-            a += size * (2 * c * c - 4 * r * r)
-            j += size / w * (4 * c - 8 * r)
-            s += size / (w * w) * (0.0 if u < 0.0 or u >= 1.0 else (4.0 if u < 0.5 else -4.0))
-            steps = 4 * _lagging(since, lag) - 8 * _lagging(since - 0.5 * w, lag) + 4 * _lagging(since - w, lag)
-            lagging += size / (w * w) * steps
-        link[i, 0], link[i, 1], link[i, 2], link[i, 3], link[i, 4] = p, v, a, j, s
-        m2 = plant.inertia + plant.inertia_swing * np.sin(p) ** 2
-        slope, bend = plant.inertia_swing * np.sin(2 * p), 2 * plant.inertia_swing * np.cos(2 * p)
-        belt = m2 * a + 0.5 * slope * v * v
-        rate = m2 * j + 2 * slope * v * a + 0.5 * bend * v**3
-        curve = m2 * lagging + 3 * slope * v * j + 2 * slope * a * a + 3.5 * bend * v * v * a - 2 * slope * v**4
-        state[i, 3] = (rate - lag * curve) / stiffness
-        state[i, 2] = belt / stiffness - lag * state[i, 3]
-        state[i, 0], state[i, 1] = gear * (p + state[i, 2]), gear * (v + state[i, 3])
-        acceleration[i] = gear * (a + curve / stiffness)
-        torque[i] = acceleration[i] / plant.inverse_motor_inertia + plant.viscous_friction * state[i, 1] + belt / gear
+    rows, plant = np.empty((len(moves), CORNERS)), params.plant()
+    for move, row in zip(moves, rows, strict=True):
+        write_corners(MoveShape(*move), plant, first, others, row)
+    return Corners(rows[:, 0], rows[:, 1:5], rows[:, 5:9], rows[:, 9:])
 
 
 def flat_motion(corners: Corners, time: Floats, params: ArmParams) -> FlatMotion:
     """Motion, state and torque at times [s] since the moves' starts, shape (n,); phi'''' is right-continuous."""
-    count = len(time)
-    motion = FlatMotion(np.empty((count, 5)), np.empty((count, 4)), np.empty(count), np.empty(count))
-    _flat_motions(*corners, np.ascontiguousarray(time, np.float64), params_table([params])[0], *motion)
-    return motion
+    plant, rows = params.plant(), np.column_stack(corners)
+    points = np.array([flat_point(row, at, plant) for row, at in zip(rows, time, strict=True)])
+    link = np.array([link_motion(row, at, 1.0) for row, at in zip(rows, time, strict=True)])
+    return FlatMotion(link[:, :5], points[:, :4], points[:, 4], points[:, 5])

@@ -27,6 +27,7 @@ much makes it hunt around it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,30 +36,32 @@ from baselines.models.rigid_arm import Motion
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.state import ArmState
 
 _RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
 
 
-@dataclass(frozen=True)
-class FrictionGains(Gains):
-    """Gains of the friction compensation; base of the gains of servo controllers."""
+class DryFriction(NamedTuple):
+    """Dry friction of an arm's motor."""
 
-    friction: float = tunable(0.95, 0.0, 2.0)  # c  [-]  share of the design model's friction
-    rest_width: float = tunable(0.005, 0.0001, 0.3, log=True)  # [N m]  push compensated in full while at rest
+    coulomb: float  # tau_c [N m]
+    excess: float  # s [-]
+    stribeck_speed: float  # omega_s [rad/s]
 
 
-def friction_level(constants: Floats, motor_speed: Floats) -> Floats:
-    """Return F [N m], dry friction at motor speeds [rad/s] of shape (n,); at rest, what it takes to break away.
+@inlined
+def dry_friction(row: Floats) -> DryFriction:
+    """Read an arm's dry friction from its constants, shape (len(FIELDS),)."""
+    return DryFriction(row[COLUMN.coulomb_friction], row[COLUMN.static_friction_excess], row[COLUMN.stribeck_speed])
 
-    Args:
-        constants: Of the arm, shape (len(FIELDS),), or of each of n arms, shape (n, len(FIELDS)).
-        motor_speed: Shape (n,).
-    """
-    coulomb, excess = constants[..., COLUMN.coulomb_friction], constants[..., COLUMN.static_friction_excess]
-    return coulomb * (1 + excess / (1 + np.square(motor_speed / constants[..., COLUMN.stribeck_speed])))
+
+@inlined
+def friction_level(friction: DryFriction, motor_speed: float) -> float:
+    """Return F [N m], dry friction at a motor speed [rad/s]; at rest, what it takes to break away."""
+    ratio = motor_speed / friction.stribeck_speed
+    return friction.coulomb * (1 + friction.excess / (1 + ratio * ratio))
 
 
 def commanded_direction(wanted: Motion, push: Floats, width: float) -> Floats:
@@ -72,6 +75,14 @@ def commanded_direction(wanted: Motion, push: Floats, width: float) -> Floats:
     speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
     pushed = np.minimum(np.maximum(push / width, -1.0), 1.0)
     return np.where(np.abs(speed) < _RESTING, pushed, np.sign(speed))
+
+
+@dataclass(frozen=True)
+class FrictionGains(Gains):
+    """Gains of the friction compensation; base of the gains of servo controllers."""
+
+    friction: float = tunable(0.95, 0.0, 2.0)  # c  [-]  share of the design model's friction
+    rest_width: float = tunable(0.005, 0.0001, 0.3, log=True)  # [N m]  push compensated in full while at rest
 
 
 def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: float) -> Floats:

@@ -11,6 +11,7 @@ from beltarm_env.arm import COLUMN, Plant, params_table
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.linear import sample_models
+from beltarm_env.physics.trigonometry import sine_cosine
 
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
 """Joint angles of the tables [rad], every two degrees; outside, tables are constant."""
@@ -42,7 +43,7 @@ def linear_arm(params: ArmParams) -> LinearArms:
 @inlined
 def turning_load(angle: float, speed: float, plant: Plant) -> tuple[float, float]:
     """Inertia M2 [kg m^2] and the torque M2' phi'^2 / 2 [N m] that completes (5b), at an angle [rad] and its rate."""
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine, cosine = sine_cosine(angle)
     return plant.inertia + plant.inertia_swing * sine * sine, plant.inertia_swing * sine * cosine * speed * speed
 
 

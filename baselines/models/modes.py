@@ -10,26 +10,36 @@ so that the mode has w = sqrt(K_s / M2(theta_1)) [rad/s] and zeta = D_s / (2 sqr
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.rigid_arm import RigidArm
+from baselines.models.linear import turning_load
 from beltarm_env import ArmParams
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
+from beltarm_env.physics.trigonometry import exponential
 
 
 class Mode(NamedTuple):
-    """Vibration modes of n arms; arrays of shape (n,)."""
+    """Vibration mode of an arm."""
 
-    period: Floats  # of the damped vibration [s]
-    decay: Floats  # of the amplitude over half a period: exp(-pi zeta / sqrt(1 - zeta^2))
+    period: float  # of the damped vibration [s]
+    decay: float  # of the amplitude over half a period: exp(-pi zeta / sqrt(1 - zeta^2))
 
 
-def held_mode(params: ArmParams, angle: Floats) -> Mode:
-    """Mode with the motor held at joint angles [rad] of shape (n,)."""
-    m2 = RigidArm(params).link_inertia(angle)
-    plant = params.plant()
-    zeta = 0.5 * plant.damping / np.sqrt(plant.stiffness * m2)
-    root = np.sqrt(1.0 - zeta * zeta)
-    return Mode(2 * np.pi / (np.sqrt(plant.stiffness / m2) * root), np.exp(-np.pi * zeta / root))
+@compiled
+def held_mode(angle: float, plant: Plant) -> Mode:
+    """Mode with the motor held at a joint angle [rad]."""
+    m2, _ = turning_load(angle, 0.0, plant)
+    zeta = 0.5 * plant.damping / math.sqrt(plant.stiffness * m2)
+    root = math.sqrt(1.0 - zeta * zeta)
+    return Mode(2 * math.pi / (math.sqrt(plant.stiffness / m2) * root), exponential(-math.pi * zeta / root))
+
+
+def held_modes(params: ArmParams, angles: Floats) -> Mode:
+    """Modes of one arm at joint angles [rad] of shape (n,)."""
+    modes = np.array([held_mode(angle, params.plant()) for angle in angles])
+    return Mode(modes[:, 0], modes[:, 1])

@@ -20,7 +20,7 @@ from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
 from baselines.gains import Gains, tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import friction_level, smooth_direction
+from baselines.models.friction import dry_friction, friction_level, smooth_direction
 from baselines.planning.plan import Plans, Weights, planned_torque, replanned
 from baselines.reading import Reading, last_share
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -56,7 +56,7 @@ class PreviewGains(Gains):
         `constants` as for `friction_level`.
         """
         direction = smooth_direction(motor_speed, torque, self.friction_speed, self.rest_width)
-        return self.friction_share * friction_level(constants, motor_speed) * direction
+        return self.friction_share * friction_level(dry_friction(constants.T), motor_speed) * direction
 
 
 @dataclass(frozen=True)

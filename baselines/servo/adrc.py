@@ -36,7 +36,7 @@ from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.flatness import Corners, SpreadGains, smoothed
-from baselines.models.friction import FrictionGains, commanded_direction, friction_level
+from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
 from baselines.models.rigid_arm import RigidArm, motor_errors
 from baselines.reading import Reading, chosen, last_share
 from baselines.servo.flat import joint_motion
@@ -130,7 +130,7 @@ class AdrcController(ClassicalController[AdrcMemory]):
         state, pushes = self._observed(memory, begins, reading, -motor_errors(reading, wanted, p)[0], inertia)
         push = inertia * feedback(state, gains.bandwidth)
         direction = commanded_direction(led, push, gains.rest_width)
-        added = torque + gains.friction * friction_level(self._row, p.gear_ratio * led.speed) * direction
+        added = torque + gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed) * direction
         return added + push, AdrcMemory(corners, state, pushes, added, np.abs(direction) < 1)
 
     def _observed(

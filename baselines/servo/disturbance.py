@@ -38,7 +38,7 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import FrictionGains, commanded_direction, friction_level
+from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import RigidArm, motor_errors
 from baselines.reading import Reading
@@ -96,7 +96,7 @@ class DisturbanceController(ClassicalController[DisturbanceMemory]):
         servo = p.motor_inertia * (gains.angle * error + gains.speed * speed_error)
         push = servo - (gains.reaction_gain - 1) * (fast_load - load)
         direction = commanded_direction(led, push, gains.rest_width)
-        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        level = gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed)
         friction = level * direction + p.motor_viscous_friction * reading.motor_speed
         known = friction + self._arm.link_torque(led)
         torque = p.motor_inertia * p.gear_ratio * led.acceleration + push + known + load

@@ -24,7 +24,7 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import FrictionGains, commanded_direction, friction_level
+from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
 from baselines.models.ramps import Ramps, motion_at
 from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
 from baselines.reading import Reading, chosen
@@ -93,7 +93,7 @@ class PidServo(ClassicalController[PidMemory[Planned]]):
         error, speed_error = motor_errors(reading, wanted, self.params)
         p, gains, inertia = self.params, self._gains, self._arm.inertia(wanted.angle)
         push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
-        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        level = gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed)
         torque = torque + level * commanded_direction(led, push, gains.rest_width) + push
         winding = (np.abs(torque) > p.torque_limit) & (torque * error > 0)
         return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), planned)

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from baselines.controller import ClassicalController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import FrictionGains, commanded_direction, friction_level
+from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
 from baselines.models.ramps import task_motion
 from baselines.models.rigid_arm import RigidArm, motor_errors
 from baselines.reading import Reading
@@ -70,7 +70,7 @@ class RetunedController(ClassicalController[PaperMemory]):
         error, speed_error = motor_errors(reading, wanted, p)
         servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
         push = servo - gains.torsion_speed * memory.torsion_rate
-        level = gains.friction * friction_level(self._row, p.gear_ratio * led.speed)
+        level = gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed)
         friction = level * commanded_direction(led, push, gains.rest_width)
         torque = self._arm.torque(led) + p.motor_viscous_friction * speed + friction + push
         return torque, memory

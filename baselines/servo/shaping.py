@@ -34,7 +34,7 @@ from typing import Literal
 import numpy as np
 
 from baselines.gains import tunable
-from baselines.models.modes import Mode, held_mode
+from baselines.models.modes import Mode, held_modes
 from baselines.models.ramps import Ramps
 from baselines.servo.pid import PidGains, RampServo
 from beltarm_env import ArmParams
@@ -114,7 +114,7 @@ class ShapingController(RampServo):
 
     def _shaped(self, angle: Floats, ramp: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Weights and delays of a ramp's impulses, its time before shaping, and its centre after, from its onset."""
-        mode = held_mode(self.params, angle)
+        mode = held_modes(self.params, angle)
         vibration = self.gains.vibration if isinstance(self.gains, ExtraInsensitiveGains) else 0.0
         weights, delays = shaper(self.kind, Mode(mode.period / self.gains.frequency, mode.decay), vibration)
         delay = (weights * delays).sum(axis=1)

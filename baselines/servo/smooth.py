@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.gains import tunable
-from baselines.models.modes import held_mode
+from baselines.models.modes import held_modes
 from baselines.models.ramps import Ramps
 from baselines.servo.pid import PidGains, RampServo
 from beltarm_env import ArmParams
@@ -51,8 +51,8 @@ class SmoothController(RampServo):
     def plan(self, moves: Floats) -> Ramps:
         """Ramps for moves of shape (n, 4): one up and one down."""
         start, goal, duration, ramp = moves.T
-        up = np.maximum(ramp, self.gains.ramp * held_mode(self.params, start).period)
-        down = np.maximum(ramp, self.gains.ramp * held_mode(self.params, goal).period)
+        up = np.maximum(ramp, self.gains.ramp * held_modes(self.params, start).period)
+        down = np.maximum(ramp, self.gains.ramp * held_modes(self.params, goal).period)
         share = np.minimum(1.0, duration / (up + down))
         up, down = share * up, share * down
         cruise = (goal - start) / (duration - 0.5 * (up + down))

@@ -161,4 +161,4 @@ def spectrum(recording: Recording) -> tuple[Floats, Floats]:
 def _mode(recording: Recording) -> float:
     """Frequency of this arm's mode at the goal with the motor held [Hz]."""
     params = ArmParams.from_row(recording.params[0])
-    return float(1 / held_mode(params, recording.moves[:, 1]).period[0])
+    return float(1 / held_mode(recording.moves[0, 1], params.plant()).period)
