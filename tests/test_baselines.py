@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import baselines
 from baselines import CONTROLLERS, PaperController, PaperGains, rigid_controller
-from baselines.servo.paper import TorsionSimulation
+from baselines.servo.paper import TORSION, TORSION_RATE, next_torsion
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
@@ -48,7 +48,7 @@ def test_first_torque_is_equation_11_with_table_2():
     u_1 = 88 * told["reference_acceleration"] + 20 * told["motor_speed_error"] + 25 * told["motor_angle_error"]
     torque = 6.3e-5 * u_1 + 3.5e-4 * told["motor_speed"] + 0.032 * np.sign(told["reference_speed"])
     np.testing.assert_allclose(action[:, 0], torque / 0.3, atol=1e-7)
-    assert (memory.torsion == 0).all()
+    assert (memory[:, TORSION] == 0).all()
 
 
 def test_vibration_feedback_is_k4_times_the_simulated_rate():
@@ -58,21 +58,20 @@ def test_vibration_feedback_is_k4_times_the_simulated_rate():
         with_feedback, of_paper = paper.predict(seen, of_paper)
         without, of_rigid = rigid.predict(seen, of_rigid)
         free = (np.abs(with_feedback) < 1) & (np.abs(without) < 1)
-        expected = without[:, 0] - 0.15 * of_paper.torsion_rate / 0.3
+        expected = without[:, 0] - 0.15 * of_paper[:, TORSION_RATE] / 0.3
         np.testing.assert_allclose(with_feedback[free[:, 0], 0], expected[free[:, 0]], atol=1e-6)
-    assert of_paper is not None and np.abs(of_paper.torsion_rate).max() > 0.01
+    assert of_paper is not None and np.abs(of_paper[:, TORSION_RATE]).max() > 0.01
 
 
 def test_torsion_simulation_solves_the_arm_behind_the_belt():
     # Joint speed constant within each sample, as the simulation assumes; M2 at the joint angle, its slope left out.
     params = ArmParams(belt_damping_ratio=0.05)
-    simulation = TorsionSimulation(params)
     damping = 2 * 0.05 * np.sqrt(33 * 0.07)
     speeds = np.random.default_rng(1).uniform(-2, 2, 40)
-    joint, last, torsion, rate, exact = 0.8, 0.0, np.zeros(1), np.zeros(1), np.zeros(2)
+    joint, last, torsion, rate, exact = 0.8, 0.0, 0.0, 0.0, np.zeros(2)
     for speed in speeds:
         joint += speed * CONTROL_PERIOD
-        torsion, rate = simulation.advance(torsion, rate, np.array([speed - last]), np.array([joint]))
+        torsion, rate = next_torsion(torsion, rate, speed - last, joint, params.plant())
         m2 = 0.01 + 0.06 * np.sin(joint) ** 2
         exact[1] += speed - last
         motion = solve_ivp(
@@ -83,7 +82,7 @@ def test_torsion_simulation_solves_the_arm_behind_the_belt():
             atol=1e-13,
         )
         exact, last = motion.y[:, -1], speed
-    np.testing.assert_allclose([torsion[0], rate[0]], exact, rtol=1e-8)
+    np.testing.assert_allclose([torsion, rate], exact, rtol=1e-8)
 
 
 def test_simulated_torsion_follows_the_true_one_on_the_nominal_arm():
@@ -94,7 +93,7 @@ def test_simulated_torsion_follows_the_true_one_on_the_nominal_arm():
     for _ in range(300):
         action, memory = controller.predict(seen, memory)
         true.append(env.state[:, 2])
-        simulated.append(memory.torsion)
+        simulated.append(memory[:, TORSION])
         seen, *_ = env.step(action)
     error = np.std(np.array(true) - np.array(simulated))
     assert error < 0.3 * np.std(true)

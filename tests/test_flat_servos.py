@@ -9,9 +9,9 @@ import pytest
 
 from baselines.loops.laws import law_of
 from baselines.models.actuator import dead_time
-from baselines.models.flatness import smoothed
+from baselines.models.flatness import CORNERS, SpreadGains, write_corners
 from baselines.models.linear import ANGLES
-from baselines.models.rigid_arm import RigidArm
+from baselines.models.rigid_arm import inertia_at
 from baselines.servo.adrc import AdrcController, AdrcGains, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from baselines.servo.shaping import ShapingController
@@ -19,6 +19,7 @@ from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import design_model
+from beltarm_env.task.reference import MoveShape
 
 SEED = 5_000_000
 KNOWN = replace(design_model(), coulomb_friction=0.0, belt_stiffening=0.0)
@@ -26,21 +27,28 @@ KNOWN = replace(design_model(), coulomb_friction=0.0, belt_stiffening=0.0)
 MOVE = {"start": 0.2, "goal": 1.4, "duration": 0.9, "ramp_time": 0.25}
 
 
+def smoothed(gains: SpreadGains) -> Floats:
+    """Corners of `MOVE`, shape (CORNERS,)."""
+    corners = np.empty(CORNERS)
+    write_corners(MoveShape(**MOVE), KNOWN.plant(), gains.first_spread, gains.spread, corners)
+    return corners
+
+
 def known_arm_run(controller: FlatController | AdrcController) -> Floats:
     """Motor's error from the flat motion on an arm that is known in all but its friction, shape (1200,)."""
     run = rollout(controller, 1, options={"params": asdict(KNOWN), "move": MOVE}, encoder_counts=10_000_000)
-    corners = smoothed(np.array([list(MOVE.values())]), KNOWN, controller.gains.first_spread, controller.gains.spread)
-    wanted = [joint_motion(corners, np.array([time]), KNOWN)[0].angle[0] for time in run.time]
+    corners = smoothed(controller.gains)
+    wanted = [joint_motion(corners, time, KNOWN.plant()).angle for time in run.time]
     return run.state[:, 0, 0] - 88 * np.array(wanted)
 
 
 class TestFeedForward:
     def test_motion_is_that_of_its_own_derivatives(self):
         times = np.linspace(0.01, 1.0, 2000)
-        corners = smoothed(np.tile(list(MOVE.values()), (len(times), 1)), KNOWN, 0.4, 0.7)
-        motion, _ = joint_motion(corners, times, KNOWN)
-        np.testing.assert_allclose(np.gradient(motion.angle, times)[1:-1], motion.speed[1:-1], atol=2e-3)
-        off = np.abs(np.gradient(motion.speed, times) - motion.acceleration)
+        corners = smoothed(SpreadGains(0.4, 0.7))
+        angle, speed, acceleration = np.array([joint_motion(corners, time, KNOWN.plant()) for time in times]).T
+        np.testing.assert_allclose(np.gradient(angle, times)[1:-1], speed[1:-1], atol=2e-3)
+        off = np.abs(np.gradient(speed, times) - acceleration)
         assert np.median(off) < 2e-3 and (off < 0.1).mean() > 0.98  # but where the link's fourth derivative jumps
 
     def test_a_known_arm_follows_with_hardly_any_feedback(self):
@@ -59,20 +67,21 @@ class TestFeedForward:
 class TestObserver:
     @pytest.mark.parametrize("bandwidth", [1.0, 30.0, 400.0])
     def test_its_poles_lie_where_the_bandwidth_says(self, bandwidth: float):
-        step = [observe(ExtendedState(*row[:, None]), np.zeros(1), np.zeros(1), bandwidth) for row in np.eye(3)]
-        poles = np.linalg.eigvals(np.array(step)[:, :, 0].T)
+        gains = observer_gains(bandwidth)
+        step = [observe(ExtendedState(*row), 0.0, 0.0, gains) for row in np.eye(3)]
+        poles = np.linalg.eigvals(np.array(step).T)
         np.testing.assert_allclose(poles, np.exp(-bandwidth * CONTROL_PERIOD), atol=2e-4)
 
     def test_finds_a_constant_acceleration(self):
-        z, times = ExtendedState(*np.zeros((3, 1))), CONTROL_PERIOD * np.arange(1, 400)
+        z, times = ExtendedState(0.0, 0.0, 0.0), CONTROL_PERIOD * np.arange(1, 400)
         for time in times:
-            z = observe(z, np.array([2.0]), np.array([0.5 * 5.0 * time**2]), 60.0)
-        np.testing.assert_allclose(z, [[2.5 * times[-1] ** 2], [5.0 * times[-1]], [3.0]], rtol=1e-6)
+            z = observe(z, 2.0, 0.5 * 5.0 * time**2, observer_gains(60.0))
+        np.testing.assert_allclose(z, [2.5 * times[-1] ** 2, 5.0 * times[-1], 3.0], rtol=1e-6)
 
     def test_law_cancels_what_is_found_and_places_two_poles(self):
         h, z = 1e-4, np.array([1.0, 0.0, 7.0])
         transition = np.eye(3) + h * np.array([[0, 1, 0], [0, 0, 1], [0, 0, 0]])
-        transition[1] += h * np.array([feedback(ExtendedState(*unit[:, None]), 20.0)[0] for unit in np.eye(3)])
+        transition[1] += h * np.array([feedback(ExtendedState(*unit), 20.0) for unit in np.eye(3)])
         for _ in range(20_000):
             z = transition @ z
         np.testing.assert_allclose(z, [0, 0, 7], atol=1e-9)
@@ -91,7 +100,7 @@ class TestAdrc:
         """On a motor that is an inertia behind the drive's dead time, pushed at will, the observer finds nothing."""
         params = KNOWN if known else replace(KNOWN, command_latency=0.0, current_loop_time_constant=0.0)
         law = law_of(AdrcController(AdrcGains(observer=200.0), params), 20)
-        inertia = float(RigidArm(KNOWN).inertia(ANGLES[20]))
+        inertia = inertia_at(ANGLES[20], KNOWN.plant())
         whole, rest = divmod(dead_time(KNOWN) / CONTROL_PERIOD, 1.0)
         memory, error, rate, largest = np.zeros(law.size), 0.0, 0.0, 0.0
         pushes = 0.02 * np.sin(0.2 * np.arange(-3, 300)) * (np.arange(-3, 300) >= 0)

@@ -12,22 +12,38 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from baselines.models.friction import FrictionGains, commanded_direction, friction_level, smooth_direction
+from baselines.models.friction import (
+    FrictionGains,
+    commanded_direction,
+    dry_friction,
+    friction_level,
+    smooth_direction,
+)
+from baselines.models.linear import turning_load
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
-from baselines.models.rigid_arm import Motion, RigidArm
-from baselines.reading import read
+from baselines.models.rigid_arm import inertia_at, rigid_torque
+from baselines.reading import read, sample_of
 from baselines.servo.adrc import AdrcController, AdrcGains
-from baselines.servo.disturbance import DisturbanceController, DisturbanceGains
+from baselines.servo.disturbance import FAST_LOAD, KNOWN, LOAD, DisturbanceController, DisturbanceGains
 from baselines.servo.flat import FlatController, FlatGains
-from baselines.servo.paper import PaperController
-from baselines.servo.pid import PidGains
+from baselines.servo.paper import TORSION, TORSION_RATE, PaperController
+from baselines.servo.pid import INTEGRAL, MOST_RAMPS, PidGains
 from baselines.servo.retuned import RetunedController, RetunedGains
-from baselines.servo.shaping import GAINS, ExtraInsensitiveGains, Kind, ShapingController, ShapingGains, shaper
-from baselines.servo.smooth import SmoothController, SmoothGains
+from baselines.servo.shaping import (
+    GAINS,
+    ExtraInsensitiveGains,
+    Kind,
+    ShapingController,
+    ShapingGains,
+    plan_shaped,
+    shares_of,
+    write_impulses,
+)
+from baselines.servo.smooth import SmoothController, SmoothGains, plan_smooth
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, reference_at
+from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, Reference, reference_at
 
 NOMINAL = ArmParams()
 SERVOS: dict[str, Callable[..., Any]] = {
@@ -61,10 +77,26 @@ def observations(count: int = 5, steps: int = 250, seed: int = 5_000_000) -> np.
     return np.stack(seen)
 
 
-def arrays(memory: Any) -> list[np.ndarray]:
-    """All arrays in a controller's memory, those of its tuples too."""
-    parts = [getattr(memory, field.name) for field in fields(memory)]
-    return [array for part in parts for array in (part if isinstance(part, tuple) else (part,))]
+def planned(controller: SmoothController | ShapingController, move: np.ndarray) -> Ramps:
+    """Ramps of a controller for one move: start, goal, duration, ramp time."""
+    ramps = Ramps(*np.zeros((3, MOST_RAMPS)))
+    plan = plan_smooth if isinstance(controller, SmoothController) else plan_shaped
+    plan(controller.kernel().design, MoveShape(*move), ramps)
+    count = np.count_nonzero(ramps.speed)
+    return Ramps(*(part[:count] for part in ramps))
+
+
+def along(ramps: Ramps, start: float, time: float, smooth: bool = False) -> Reference:
+    """Motion along all of some ramps."""
+    return motion_at(ramps, len(ramps.speed), smooth, start, time)
+
+
+def shaper(kind: Kind, mode: Mode, vibration: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Weights and delays of a shaper's impulses."""
+    shares = shares_of(kind, vibration)
+    ramps = Ramps(*np.zeros((3, len(shares))))
+    write_impulses(shares, mode, 0, ramps)
+    return ramps.speed, ramps.onset
 
 
 def residual(weights: np.ndarray, delays: np.ndarray, frequency: float, zeta: float) -> float:
@@ -105,15 +137,15 @@ class TestEveryServo:
     @pytest.mark.parametrize("name", SERVOS)
     def test_batch_is_so_many_single_controllers_bit_for_bit(self, name: str):
         seen, controller = observations(), SERVOS[name]()
-        batch, single = None, [None] * 5
+        batch: Any = None
+        single: list[Any] = [None] * 5
         for k, step in enumerate(seen):
             starts = np.array([k == 0, k in (0, 7), k == 0, k in (0, 100), k == 0])
             actions, batch = controller.predict(step, batch, starts)
             for arm in range(5):
                 action, single[arm] = controller.predict(step[arm : arm + 1], single[arm], starts[arm : arm + 1])
                 np.testing.assert_array_equal(action[0], actions[arm])
-                for one, many in zip(arrays(single[arm]), arrays(batch), strict=True):
-                    np.testing.assert_array_equal(one[0], many[arm])
+                np.testing.assert_array_equal(single[arm][0], batch[arm])
 
     @pytest.mark.parametrize("name", SERVOS)
     def test_nothing_leaks_from_episode_to_episode(self, name: str):
@@ -132,13 +164,23 @@ class TestEveryServo:
         memory = None
         for step in seen[:-1]:
             _, memory = controller.predict(step, memory)
-        before = [values.copy() for values in arrays(memory)]
+        assert memory is not None
+        before = memory.copy()
         first, _ = controller.predict(seen[-1], memory)
         second, _ = controller.predict(seen[-1], memory)
         np.testing.assert_array_equal(first, second)
-        for old, values in zip(before, arrays(memory), strict=True):
-            np.testing.assert_array_equal(old, values)
-            assert values.shape[0] == 5
+        np.testing.assert_array_equal(before, memory)
+        assert memory.shape == (5, controller.memory_size)
+
+    @pytest.mark.parametrize("name", SERVOS)
+    def test_kernel_is_the_law_of_one_arm(self, name: str):
+        controller = SERVOS[name]()
+        law, design, row = controller.kernel()
+        row[:], memory = np.nan, None
+        for k, seen in enumerate(observations(count=1, steps=30)):
+            reading = read(seen, controller.params)
+            torque, memory = controller.law(reading, np.array([k == 0]), memory)
+            assert law(design, sample_of(reading, 0), k == 0, row) == torque[0]
 
     @pytest.mark.parametrize("name", SERVOS)
     def test_answers_with_actions(self, name: str):
@@ -174,24 +216,23 @@ class TestComputedTorque:
     @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi / 2])
     def test_makes_the_rigid_arm_accelerate_as_wanted(self, angle: float):
         # Lagrange for T = (G^2 M_a1 + M2) theta_1'^2 / 2, with dM2/dtheta_1 by differencing.
-        arm, speed, acceleration, h = RigidArm(NOMINAL), 2.0, 7.0, 1e-5
+        speed, acceleration, h = 2.0, 7.0, 1e-5
         m2 = [0.01 + 0.06 * math.sin(angle + step) ** 2 for step in (-h, 0, h)]
         joint_torque = (88**2 * 6.3e-5 + m2[1]) * acceleration + 0.5 * (m2[2] - m2[0]) / (2 * h) * speed**2
-        found = arm.torque(Motion(*(np.array([value]) for value in (angle, speed, acceleration))))
+        found = rigid_torque(Reference(angle, speed, acceleration), NOMINAL.plant())
         np.testing.assert_allclose(88 * found, joint_torque, rtol=1e-8)
 
     def test_payload_swings_with_the_links(self):
-        arm = RigidArm(ArmParams(payload_mass=0.2))
-        np.testing.assert_allclose(arm.link_inertia(np.array([0.0, math.pi / 2])), [0.01, 0.07 + 0.25 * 0.2])
+        plant = ArmParams(payload_mass=0.2).plant()
+        np.testing.assert_allclose(turning_load(0.0, 1.0, plant), [0.01, 0.0])
+        np.testing.assert_allclose(turning_load(math.pi / 2, 1.0, plant), [0.07 + 0.25 * 0.2, 0.0], atol=1e-15)
 
 
 class TestFriction:
     def test_level_falls_from_breakaway_to_coulomb_friction(self):
-        row = ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row()
-        found = friction_level(row, np.array([0.0, 5.0, -5.0, 1e6]))
+        friction = dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
+        found = [friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
         np.testing.assert_allclose(found, [0.032 * 1.4, 0.032 * 1.2, 0.032 * 1.2, 0.032])
-        both = np.stack([row, ArmParams().row()])
-        np.testing.assert_allclose(friction_level(both, np.zeros(2)), [0.032 * 1.4, 0.032])
 
     def test_direction_goes_through_zero_on_a_ramp_of_speed_and_torque(self):
         speed, torque = (
@@ -204,7 +245,8 @@ class TestFriction:
         speed, acceleration = np.array([2.0, -0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
         push = np.array([-9.0, 9.0, -9.0, 9.0, -0.005, 0.0])
         speed[5] = 1e-16  # rests, but for rounding
-        found = commanded_direction(Motion(speed, speed, acceleration), push, 0.01)
+        wanted = [Reference(0.0, *motion) for motion in zip(speed, acceleration, strict=True)]
+        found = [commanded_direction(*case, 0.01) for case in zip(wanted, push, strict=True)]
         np.testing.assert_allclose(found, [1, -1, 1, 1, -0.5, 0])
 
     def test_compensation_ends_the_stuck_motors_error(self):
@@ -229,7 +271,7 @@ class TestRetuned:
             sine, cosine = np.sin(now.reference_angle), np.cos(now.reference_angle)
             inertia = 6.3e-5 + (0.01 + 0.06 * sine**2) / 88**2
             torque = inertia * u_1 + 0.06 * sine * cosine * now.reference_speed**2 / 88 + 3.5e-4 * now.motor_speed
-            torque += 0.032 * np.sign(now.reference_speed) - 0.2 * memory.torsion_rate
+            torque += 0.032 * np.sign(now.reference_speed) - 0.2 * memory[:, TORSION_RATE]
             moving = now.reference_speed != 0
             assert moving.all() or now.step[0] == 0
             np.testing.assert_allclose(action[moving, 0], np.clip(torque / 0.3, -1, 1)[moving], atol=1e-6)
@@ -240,8 +282,8 @@ class TestRetuned:
             start = np.array([k in (0, 40), k == 0, k == 0, k == 0, k == 0])
             _, of_retuned = retuned.predict(seen, of_retuned, start)
             _, of_paper = paper.predict(seen, of_paper, start)
-            np.testing.assert_allclose(of_retuned.torsion, of_paper.torsion, rtol=1e-4, atol=1e-9)
-            np.testing.assert_allclose(of_retuned.torsion_rate, of_paper.torsion_rate, rtol=1e-4, atol=1e-9)
+            for entry in (TORSION, TORSION_RATE):
+                np.testing.assert_allclose(of_retuned[:, entry], of_paper[:, entry], rtol=1e-4, atol=1e-9)
 
 
 class TestRamps:
@@ -249,20 +291,19 @@ class TestRamps:
     def test_two_ramps_are_the_environments_profile(self, profile: int, smooth: bool):
         move = MoveShape(0.3, 1.4, 0.8, 0.2)
         cruise = 1.1 / 0.6
-        ramps = Ramps(np.array([[0.0, 0.6]]), np.array([[0.2, 0.2]]), np.array([[cruise, -cruise]]))
+        ramps = Ramps(np.array([0.0, 0.6]), np.array([0.2, 0.2]), np.array([cruise, -cruise]))
         for time in np.linspace(0.0, 0.95, 78):
-            found = motion_at(ramps, np.array([0.3]), np.array([time]), smooth)
-            np.testing.assert_allclose(np.ravel(found), reference_at(profile, move, time), atol=1e-12)
+            np.testing.assert_allclose(along(ramps, 0.3, time, smooth), reference_at(profile, move, time), atol=1e-12)
 
 
 class TestSmooth:
     def test_moves_from_start_to_goal_in_the_tasks_time(self):
         moves = read(observations(count=40, steps=1)[0], NOMINAL).move
-        ramps, (start, goal, duration, _) = SmoothController().plan(moves), moves.T
-        arrived = motion_at(ramps, start, duration, smooth=True)
-        np.testing.assert_allclose(arrived.angle, goal, atol=1e-12)
-        np.testing.assert_allclose(arrived.speed, 0, atol=1e-12)
-        assert (ramps.onset >= 0).all() and (ramps.onset + ramps.time <= duration[:, None] + 1e-12).all()
+        for move in moves:
+            ramps, (start, goal, duration, _) = planned(SmoothController(), move), move
+            arrived = along(ramps, start, duration, smooth=True)
+            np.testing.assert_allclose(arrived[:2], [goal, 0], atol=1e-12)
+            assert (ramps.onset >= 0).all() and (ramps.onset + ramps.time <= duration + 1e-12).all()
 
     def test_default_ramp_leaves_the_mode_at_rest(self):
         period = 2 * math.pi / 30
@@ -277,7 +318,7 @@ class TestShaper:
     def test_impulses_are_the_closed_forms(self, zeta: float):
         root = math.sqrt(1 - zeta**2)
         half, k = math.pi / (20 * root), math.exp(-math.pi * zeta / root)
-        mode = Mode(np.array([2 * half]), np.array([k]))
+        mode = Mode(2 * half, k)
         closed: dict[Kind, list[float]] = {
             "zv": [1, k],
             "zvd": [1, 2 * k, k * k],
@@ -285,41 +326,41 @@ class TestShaper:
         }
         for kind, shares in closed.items():
             weights, delays = shaper(kind, mode, 0.1)
-            np.testing.assert_allclose(weights[0], np.array(shares) / sum(shares), rtol=1e-14)
-            np.testing.assert_allclose(delays[0], half * np.arange(len(shares)), rtol=1e-14)
+            np.testing.assert_allclose(weights, np.array(shares) / sum(shares), rtol=1e-14)
+            np.testing.assert_allclose(delays, half * np.arange(len(shares)), rtol=1e-14)
 
     @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])
     @pytest.mark.parametrize("kind", ["zv", "zvd"])
     def test_matched_oscillator_is_left_at_rest(self, kind: Kind, zeta: float):
         root = math.sqrt(1 - zeta**2)
-        mode = Mode(np.array([2 * math.pi / (20 * root)]), np.array([math.exp(-math.pi * zeta / root)]))
+        mode = Mode(2 * math.pi / (20 * root), math.exp(-math.pi * zeta / root))
         weights, delays = shaper(kind, mode)
-        assert residual(weights[0], delays[0], 20.0, zeta) < 1e-12
+        assert residual(weights, delays, 20.0, zeta) < 1e-12
 
     def test_zvd_and_ei_forgive_a_wrong_frequency(self):
-        mode = Mode(np.array([2 * math.pi / 20]), np.ones(1))
+        mode = Mode(2 * math.pi / 20, 1.0)
         left = {}
         for kind in GAINS:
             weights, delays = shaper(kind, mode, 0.05)
-            left[kind] = max(residual(weights[0], delays[0], 20.0 * off, 0.0) for off in (0.88, 1.12))
+            left[kind] = max(residual(weights, delays, 20.0 * off, 0.0) for off in (0.88, 1.12))
         assert left["zvd"] < 0.25 * left["zv"] and left["ei"] < left["zvd"]
 
     @pytest.mark.parametrize("limit", [0.02, 0.05, 0.2])
     def test_ei_reaches_its_limit_at_the_mode_and_zero_on_both_sides(self, limit: float):
-        weights, delays = shaper("ei", Mode(np.array([2 * math.pi / 20]), np.ones(1)), limit)
-        assert residual(weights[0], delays[0], 20.0, 0.0) == pytest.approx(limit)
+        weights, delays = shaper("ei", Mode(2 * math.pi / 20, 1.0), limit)
+        assert residual(weights, delays, 20.0, 0.0) == pytest.approx(limit)
         # At a frequency w the three impulses sum up to |(1 + V) cos(pi w / w_0) + 1 - V| / 2.
         zero = math.acos(-(1 - limit) / (1 + limit)) / math.pi
         for off in (zero, 2 - zero):
-            assert residual(weights[0], delays[0], 20.0 * off, 0.0) < 1e-12
-        between = [residual(weights[0], delays[0], 20.0 * off, 0.0) for off in np.linspace(zero, 2 - zero, 41)]
+            assert residual(weights, delays, 20.0 * off, 0.0) < 1e-12
+        between = [residual(weights, delays, 20.0 * off, 0.0) for off in np.linspace(zero, 2 - zero, 41)]
         assert max(between) == pytest.approx(limit)
 
     def test_ei_with_damping_stays_below_its_limit(self):
         root = math.sqrt(1 - 0.03**2)
-        mode = Mode(np.array([2 * math.pi / (20 * root)]), np.array([math.exp(-math.pi * 0.03 / root)]))
+        mode = Mode(2 * math.pi / (20 * root), math.exp(-math.pi * 0.03 / root))
         weights, delays = shaper("ei", mode, 0.05)
-        assert 0.03 < residual(weights[0], delays[0], 20.0, 0.03) <= 0.05
+        assert 0.03 < residual(weights, delays, 20.0, 0.03) <= 0.05
 
     @pytest.mark.parametrize("degrees", [0, 45, 90])
     def test_mode_is_that_of_the_linear_arm_with_its_motor_held(self, degrees: int):
@@ -335,34 +376,35 @@ class TestShapedMoves:
     @pytest.mark.parametrize("kind", GAINS)
     def test_plan_is_causal_and_reaches_the_goal(self, kind: Kind):
         moves = read(observations(count=60, steps=1)[0], NOMINAL).move
-        ramps, (start, goal, _, _) = ShapingController(kind=kind).plan(moves), moves.T
-        assert (ramps.onset >= 0).all() and (ramps.time > 0).all()
-        arrived = motion_at(ramps, start, np.full(60, 1.8))
-        np.testing.assert_allclose(arrived.angle, goal, atol=1e-12)
-        np.testing.assert_allclose(arrived.speed, 0, atol=1e-12)
+        controller = ShapingController(kind=kind)
+        for move in moves:
+            ramps, (start, goal, _, _) = planned(controller, move), move
+            assert (ramps.onset >= 0).all() and (ramps.time > 0).all()
+            np.testing.assert_allclose(along(ramps, start, 1.8)[:2], [goal, 0], atol=1e-12)
 
     def test_where_ramps_are_long_enough_there_is_no_delay(self):
         # At 0 and 20 degrees half a period is at most 71 ms, so that ramps of 0.4 s can be shortened by it.
-        move = np.array([[0.0, math.radians(20), 1.0, 0.4]])
-        ramps = ShapingController(params=ArmParams(belt_damping_ratio=0.0), kind="zv").plan(move)
-        np.testing.assert_allclose(ramps.onset[0, 0], 0, atol=1e-12)
-        np.testing.assert_allclose((ramps.onset + ramps.time)[0, [1, 3]], [0.4, 1.0])
-        middle = motion_at(ramps, move[:, 0], np.array([0.5]))
+        move = np.array([0.0, math.radians(20), 1.0, 0.4])
+        ramps = planned(ShapingController(params=ArmParams(belt_damping_ratio=0.0), kind="zv"), move)
+        np.testing.assert_allclose(ramps.onset[0], 0, atol=1e-12)
+        np.testing.assert_allclose((ramps.onset + ramps.time)[[1, 3]], [0.4, 1.0])
+        middle = along(ramps, 0.0, 0.5)
         np.testing.assert_allclose(middle.angle, math.radians(10), atol=5e-4)
 
     @pytest.mark.parametrize("kind", GAINS)
     def test_a_move_on_a_matched_linear_arm_leaves_no_ringing(self, kind: Kind):
         # M2 is the same everywhere: the arm is linear but for friction.
         params = ArmParams(arm_inertia=0.05, arm_inertia_swing=0.0, belt_damping_ratio=0.0)
-        move = np.array([[0.2, 1.2, 0.9, 0.2]])
+        move = np.array([0.2, 1.2, 0.9, 0.2])
         gains = ExtraInsensitiveGains(vibration=0.0) if kind == "ei" else None
         controller = ShapingController(gains, params, kind)
         time = np.arange(0.0, 1.8, 1e-4)
-        motion = motion_at(controller.plan(move), np.full(len(time), 0.2), time)
+        ramps = planned(controller, move)
+        accelerations = np.array([along(ramps, 0.2, t).acceleration for t in time])
         w = math.sqrt(33 / 0.05)
         system = ([[0, w], [-w, 0]], [[0], [w]], np.eye(2), np.zeros((2, 1)))  # theta_s'' + w^2 theta_s = theta_1''
-        _, _, shaped = lsim(system, motion.acceleration, time)
-        task = [reference_at(TRAPEZOID, MoveShape(*move[0]), t).acceleration for t in time]
+        _, _, shaped = lsim(system, accelerations, time)
+        task = [reference_at(TRAPEZOID, MoveShape(*move), t).acceleration for t in time]
         _, _, unshaped = lsim(system, np.array(task), time)
         assert np.linalg.norm(shaped[-1]) < 0.01 * np.linalg.norm(unshaped[-1])
 
@@ -387,7 +429,7 @@ class TestPid:
         gains = replace(SmoothGains(), angle=50_000.0)
         controller = SmoothController(gains)
         _, memory = controller.predict(seen)
-        assert memory.integral[0] == 0.0 and memory.integral[1] != 0.0
+        assert memory[0, INTEGRAL] == 0.0 and memory[1, INTEGRAL] != 0.0
 
     def test_push_is_the_proportional_gain_times_inertia_and_error(self):
         seen = observations(count=1, steps=1)[0]
@@ -397,7 +439,7 @@ class TestPid:
             seen[:, observation.index("motor_angle_error")] = error / 1.5
             action, _ = SmoothController(SmoothGains(friction=0.0), NOMINAL).predict(seen)
             torques[error] = 0.3 * action[0, 0]
-        inertia = RigidArm(NOMINAL).inertia(read(seen, NOMINAL).reference_angle)[0]
+        inertia = inertia_at(read(seen, NOMINAL).reference_angle[0], NOMINAL.plant())
         assert torques[0.2] - torques[0.0] == pytest.approx(inertia * base.angle * 0.2, rel=1e-4)
 
 
@@ -439,10 +481,10 @@ class TestDisturbanceObserver:
         seen[:, [observation.index(name) for name in ("motor_speed", "reference_speed", "duration", "ramp_time")]] = 1.0
         loads = []
         for k in range(101):
-            held = 0.0 if memory is None else memory.known[0] + 0.1
+            held = 0.0 if memory is None else memory[0, KNOWN] + 0.1
             seen[:, observation.index("last_command")] = held / 0.3
             _, memory = controller.predict(seen, memory, np.array([k == 0]))
-            loads.append((memory.load[0], memory.fast_load[0]))
+            loads.append(memory[0, [LOAD, FAST_LOAD]])
         time = CONTROL_PERIOD * np.arange(101)[:, None]
         np.testing.assert_allclose(loads, 0.1 * (1 - np.exp(-time * [20.0, 200.0])), atol=1e-6)
 
@@ -453,7 +495,7 @@ class TestDisturbanceObserver:
         _, memory = controller.predict(seen)
         seen[:, observation.index("last_command")] = 0.05
         _, after = controller.predict(seen, memory)
-        assert after.load[0] == memory.load[0] == 0.0
+        assert after[0, LOAD] == memory[0, LOAD] == 0.0
 
     def test_torsion_torque_feedback_damps(self):
         quiet, stiff = (

@@ -25,7 +25,7 @@ from baselines.iterative.lesson import Notes
 from baselines.models.linear import at_angle, linear_arm
 from baselines.planning.norm_optimal import Trial, Weights, followed, optimal_change
 from baselines.reading import Reading
-from baselines.servo.paper import PaperController, PaperMemory
+from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
@@ -56,7 +56,7 @@ class FeedForward:
         return np.where(same, at_step, 0.0)
 
 
-class MotorLearningController(ClassicalController[PaperMemory]):
+class MotorLearningController(ClassicalController[Floats]):
     """Controller of one trial.
 
     Args:
@@ -69,7 +69,7 @@ class MotorLearningController(ClassicalController[PaperMemory]):
         self.lesson = lesson
         self._paper = PaperController(self.params)
 
-    def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
+    def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`.
 
         Raises:

@@ -24,16 +24,16 @@ from baselines.estimation.believed_arm import DISTURBANCE, SHORTEST, nominal_row
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains, steady_gain
 from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
-from baselines.models.rigid_arm import RigidArm
+from baselines.models.rigid_arm import inertia_at
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.horizon import Horizon, horizon
 from baselines.optimal.horizon import plan as plan_horizon
 from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.mpc import MpcController
 from baselines.optimal.preview import PreviewController
-from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe
+from baselines.servo.adrc import AdrcController, ExtendedState, feedback, observe, observer_gains
 from baselines.servo.disturbance import DisturbanceController
-from baselines.servo.paper import PaperController, TorsionSimulation
+from baselines.servo.paper import PaperController, next_torsion
 from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -54,15 +54,14 @@ class Law(NamedTuple):
 
 def torsion_feedback(params: ArmParams, theta_1: float, inertia: float, gains: Any) -> Law:
     """Eq. (11) at a joint angle [rad], torsion simulated; memory: torsion, its rate, the joint's last speed."""
-    simulation, at = TorsionSimulation(params), np.array([theta_1])
+    plant = params.plant()
 
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
         joint_speed = speed / params.gear_ratio
-        torsion, rate, before = memory[:, None]
-        torsion, rate = simulation.advance(torsion, rate, joint_speed - before, at)
+        torsion, rate = next_torsion(memory[0], memory[1], joint_speed - memory[2], theta_1, plant)
         servo = -inertia * (gains.speed * speed + gains.angle * angle)
-        torque = servo + params.motor_viscous_friction * speed - gains.torsion_speed * rate[0]
-        return torque, np.array([torsion[0], rate[0], joint_speed])
+        torque = servo + params.motor_viscous_friction * speed - gains.torsion_speed * rate
+        return torque, np.array([torsion, rate, joint_speed])
 
     return Law(3, step)
 
@@ -85,13 +84,13 @@ def paper_law(controller: PaperController, k: int) -> Law:
 
 def retuned_law(controller: RetunedController, k: int) -> Law:
     """Torsion feedback with the inertia of the links."""
-    inertia = float(RigidArm(controller.params).inertia(ANGLES[k]))
+    inertia = inertia_at(ANGLES[k], controller.params.plant())
     return torsion_feedback(controller.params, ANGLES[k], inertia, controller.gains)
 
 
 def pid_law(controller: Any, k: int) -> Law:
     """PID; memory: the integral of the error [rad s]."""
-    inertia, gains = float(RigidArm(controller.params).inertia(ANGLES[k])), controller.gains
+    inertia, gains = inertia_at(ANGLES[k], controller.params.plant()), controller.gains
 
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
         torque = inertia * (gains.angle * (gains.integral * memory[0] - angle) - gains.speed * speed)
@@ -119,17 +118,16 @@ def disturbance_law(controller: DisturbanceController, k: int) -> Law:
 def adrc_law(controller: AdrcController, k: int) -> Law:
     """Both bandwidths; memory: the observer's state, and the pushes before the last one."""
     params, gains = controller.params, controller.gains
-    inertia = float(RigidArm(params).inertia(ANGLES[k]))
+    inertia = inertia_at(ANGLES[k], params.plant())
+    filter_gains = observer_gains(gains.observer)
     whole, rest = divmod(dead_time(params) / CONTROL_PERIOD, 1.0)
     late = int(whole)
 
     def step(angle: float, speed: float, last: float, memory: Floats) -> tuple[float, Floats]:
         pushes = np.array([last, *memory[3:]])
         acting = pushes[late] + rest * (pushes[late + 1] - pushes[late])
-        state = observe(
-            ExtendedState(*memory[:3, None]), np.array([acting / inertia]), np.array([angle]), gains.observer
-        )
-        return float(inertia * feedback(state, gains.bandwidth)[0]), np.append(np.ravel(state), pushes[:-1])
+        state = observe(ExtendedState(*memory[:3]), acting / inertia, angle, filter_gains)
+        return inertia * feedback(state, gains.bandwidth), np.append(state, pushes[:-1])
 
     return Law(4 + late, step)
 

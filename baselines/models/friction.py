@@ -27,18 +27,18 @@ much makes it hunt around it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.gains import Gains, tunable
-from baselines.models.rigid_arm import Motion
-from beltarm_env import CONTROL_PERIOD
+from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.state import ArmState
+from beltarm_env.task.reference import Reference
 
 _RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
 
@@ -52,7 +52,7 @@ class DryFriction(NamedTuple):
 
 
 @inlined
-def dry_friction(row: Floats) -> DryFriction:
+def dry_friction(row: Any) -> DryFriction:
     """Read an arm's dry friction from its constants, shape (len(FIELDS),)."""
     return DryFriction(row[COLUMN.coulomb_friction], row[COLUMN.static_friction_excess], row[COLUMN.stribeck_speed])
 
@@ -64,7 +64,8 @@ def friction_level(friction: DryFriction, motor_speed: float) -> float:
     return friction.coulomb * (1 + friction.excess / (1 + ratio * ratio))
 
 
-def commanded_direction(wanted: Motion, push: Floats, width: float) -> Floats:
+@inlined
+def commanded_direction(wanted: Reference, push: float, width: float) -> float:
     """Direction in which friction is to be overcome, from -1 to 1.
 
     Args:
@@ -73,8 +74,22 @@ def commanded_direction(wanted: Motion, push: Floats, width: float) -> Floats:
         width: The push that is compensated in full while the reference rests [N m].
     """
     speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
-    pushed = np.minimum(np.maximum(push / width, -1.0), 1.0)
-    return np.where(np.abs(speed) < _RESTING, pushed, np.sign(speed))
+    return min(max(push / width, -1.0), 1.0) if abs(speed) < _RESTING else np.sign(speed)
+
+
+class Compensation(NamedTuple):
+    """What a servo compensates of dry friction."""
+
+    friction: DryFriction  # of the design model
+    share: float  # c [-]
+    rest_width: float  # [N m]  push compensated in full while at rest
+
+
+@inlined
+def compensated(wanted: Reference, push: float, gear: float, of: Compensation) -> tuple[float, float]:
+    """Return tau_f [N m] along a reference motion under the feedback's push [N m], and the direction taken for it."""
+    direction = commanded_direction(wanted, push, of.rest_width)
+    return of.share * friction_level(of.friction, gear * wanted.speed) * direction, direction
 
 
 @dataclass(frozen=True)
@@ -83,6 +98,10 @@ class FrictionGains(Gains):
 
     friction: float = tunable(0.95, 0.0, 2.0)  # c  [-]  share of the design model's friction
     rest_width: float = tunable(0.005, 0.0001, 0.3, log=True)  # [N m]  push compensated in full while at rest
+
+    def compensation(self, params: ArmParams) -> Compensation:
+        """What is compensated of the design model's friction."""
+        return Compensation(dry_friction(params.row()), self.friction, self.rest_width)
 
 
 def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: float) -> Floats:

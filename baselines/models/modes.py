@@ -13,12 +13,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from baselines.models.linear import turning_load
-from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
-from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
 from beltarm_env.physics.trigonometry import exponential
 
@@ -37,9 +33,3 @@ def held_mode(angle: float, plant: Plant) -> Mode:
     zeta = 0.5 * plant.damping / math.sqrt(plant.stiffness * m2)
     root = math.sqrt(1.0 - zeta * zeta)
     return Mode(2 * math.pi / (math.sqrt(plant.stiffness / m2) * root), exponential(-math.pi * zeta / root))
-
-
-def held_modes(params: ArmParams, angles: Floats) -> Mode:
-    """Modes of one arm at joint angles [rad] of shape (n,)."""
-    modes = np.array([held_mode(angle, params.plant()) for angle in angles])
-    return Mode(modes[:, 0], modes[:, 1])

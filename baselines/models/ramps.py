@@ -8,53 +8,47 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from baselines.models.rigid_arm import Motion
-from baselines.reading import Reading
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, linear_ramp, reference_at, smooth_ramp
 
 
 class Ramps(NamedTuple):
-    """k ramps for each of n arms; arrays of shape (n, k)."""
+    """Ramps of one arm; arrays of shape (most,), of which the first few count."""
 
     onset: Floats  # [s] from the move's start
     time: Floats  # [s]
     speed: Floats  # gained [rad/s]
 
 
-def motion_at(ramps: Ramps, start: Floats, time: Floats, smooth: bool = False) -> Motion:
-    """Motion at `time` [s] of arms at rest at `start` [rad] before their ramps, both of shape (n,).
+@compiled
+def motion_at(ramps: Ramps, count: int, smooth: bool, start: float, time: float) -> Reference:
+    """Motion at `time` [s] of an arm at rest at `start` [rad] before its ramps.
 
     Where the acceleration jumps, it is the one after the jump.
     """
-    u = (time[:, None] - ramps.onset) / ramps.time
-    c = np.minimum(np.maximum(u, 0.0), 1.0)
-    if smooth:
-        area, height, slope = c * c * c * (1.0 - 0.5 * c), c * c * (3.0 - 2.0 * c), 6.0 * c * (1.0 - c)
-    else:
-        area, height, slope = 0.5 * c * c, c, (u >= 0.0) & (u < 1.0)
-    beyond = np.maximum(u - 1.0, 0.0)
-    return Motion(
-        start + _total(ramps.speed * ramps.time * (area + beyond)),
-        _total(ramps.speed * height),
-        _total(ramps.speed / ramps.time * slope),
-    )
+    angle, speed, acceleration = start, 0.0, 0.0
+    for k in range(count):
+        u = (time - ramps.onset[k]) / ramps.time[k]
+        if smooth:
+            area, height, slope = smooth_ramp(u)
+        else:
+            area, height, slope = linear_ramp(u)
+        angle += ramps.speed[k] * ramps.time[k] * area
+        speed += ramps.speed[k] * height
+        acceleration += ramps.speed[k] / ramps.time[k] * slope
+    return Reference(angle, speed, acceleration)
 
 
-def task_motion(now: Reading, lead: float = 0.0) -> Motion:
+@inlined
+def move_of(now: Sample) -> MoveShape:
+    """The move that one arm is on."""
+    return MoveShape(now.start, now.goal, now.duration, now.ramp_time)
+
+
+@inlined
+def task_motion(now: Sample, lead: float) -> Reference:
     """Motion of the task's trapezoid, `lead` seconds after this sample."""
-    start, goal, duration, ramp = now.move.T
-    cruise = (goal - start) / (duration - ramp)
-    onsets = np.column_stack([np.zeros_like(ramp), duration - ramp])
-    trapezoid = Ramps(onsets, np.column_stack([ramp, ramp]), np.column_stack([cruise, -cruise]))
-    return motion_at(trapezoid, start, CONTROL_PERIOD * now.step.astype(np.float64) + lead)
-
-
-def _total(columns: Floats) -> Floats:
-    """Sum over the ramps, in an order that does not depend on the number of arms."""
-    total = columns[:, 0]
-    for k in range(1, columns.shape[1]):
-        total = total + columns[:, k]
-    return total
+    return reference_at(TRAPEZOID, move_of(now), CONTROL_PERIOD * now.step + lead)

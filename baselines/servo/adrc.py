@@ -32,16 +32,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
+from baselines.controller import LawKernel, ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.flatness import Corners, SpreadGains, smoothed
-from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
-from baselines.models.rigid_arm import RigidArm, motor_errors
-from baselines.reading import Reading, chosen, last_share
-from baselines.servo.flat import joint_motion
+from baselines.models.flatness import CORNERS, SpreadGains, write_corners
+from baselines.models.friction import Compensation, FrictionGains, compensated
+from baselines.models.ramps import move_of
+from baselines.models.rigid_arm import inertia_at, motor_errors
+from baselines.reading import Reading, Sample, sample_of
+from baselines.servo.flat import held_torque, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.timing import MAX_LATENCY
+
+_LATEST = dead_time(ArmParams(current_loop_time_constant=0.01, command_latency=MAX_LATENCY))
+_MOST_PUSHES = int(_LATEST / CONTROL_PERIOD) + 1
+_MOVE = slice(0, CORNERS)  # the smoothed move
+ERROR, RATE, ACCELERATION, ADDED, HELD, PUSHES = range(CORNERS, CORNERS + 6)
+"""Entries of the memory after the smoothed move: z [rad, rad/s, rad/s^2], torque beside v since the last sample [N m],
+1 where the last push was not meant to break the motor away, and from `PUSHES` on v of the samples before, the latest
+first [N m]."""
 
 
 @dataclass(frozen=True)
@@ -54,57 +66,115 @@ class AdrcGains(FrictionGains, SpreadGains):
 
 
 class ExtendedState(NamedTuple):
-    """Estimates of n arms, each of shape (n,)."""
+    """Estimates of the observer."""
 
-    error: Floats  # z_1 [rad]
-    rate: Floats  # z_2 [rad/s]
-    acceleration: Floats  # phi [rad/s^2]
+    error: float  # z_1 [rad]
+    rate: float  # z_2 [rad/s]
+    acceleration: float  # phi [rad/s^2]
 
 
-def observer_gains(bandwidth: float) -> tuple[float, float, float]:
-    """Return L of an observer with all poles at exp(-bandwidth h)."""
-    pole = np.exp(-bandwidth * CONTROL_PERIOD)
+class ObserverGains(NamedTuple):
+    """L: what the estimates take of an innovation."""
+
+    error: float  # [-]
+    rate: float  # [1/s]
+    acceleration: float  # [1/s^2]
+
+
+def observer_gains(bandwidth: float) -> ObserverGains:
+    """Return L of an observer with all poles at exp(-bandwidth h), for w_o [rad/s]."""
+    pole = float(np.exp(-bandwidth * CONTROL_PERIOD))
     gap = 1 - pole
-    return 1 - pole**3, 1.5 * gap**2 * (1 + pole) / CONTROL_PERIOD, gap**3 / CONTROL_PERIOD**2
+    return ObserverGains(1 - pole**3, 1.5 * gap**2 * (1 + pole) / CONTROL_PERIOD, gap**3 / CONTROL_PERIOD**2)
 
 
-def observe(z: ExtendedState, acting: Floats, measured: Floats, bandwidth: float) -> ExtendedState:
+@inlined
+def observe(z: ExtendedState, acting: float, measured: float, gains: ObserverGains) -> ExtendedState:
     """Compute the estimates one sample later.
 
     Args:
         z: Those before it.
-        acting: v_T / M over the sample [rad/s^2], shape (n,).
-        measured: e at its end [rad], shape (n,).
-        bandwidth: w_o [rad/s].
+        acting: v_T / M over the sample [rad/s^2].
+        measured: e at its end [rad].
+        gains: L.
     """
-    h, gains = CONTROL_PERIOD, observer_gains(bandwidth)
+    h = CONTROL_PERIOD
     pushed = z.acceleration + acting
     error = z.error + h * (z.rate + 0.5 * h * pushed)
     innovation = measured - error
     return ExtendedState(
-        error + gains[0] * innovation,
-        z.rate + h * pushed + gains[1] * innovation,
-        z.acceleration + gains[2] * innovation,
+        error + gains.error * innovation,
+        z.rate + h * pushed + gains.rate * innovation,
+        z.acceleration + gains.acceleration * innovation,
     )
 
 
-def feedback(z: ExtendedState, bandwidth: float) -> Floats:
+@inlined
+def feedback(z: ExtendedState, bandwidth: float) -> float:
     """Return v / M [rad/s^2] for estimates z and w_c [rad/s]."""
     return -(bandwidth * (bandwidth * z.error + 2 * z.rate) + z.acceleration)
 
 
-@dataclass(frozen=True)
-class AdrcMemory:
-    """Memory from sample to sample."""
+class AdrcDesign(NamedTuple):
+    """What the law knows: the design model and the gains."""
 
-    corners: Corners  # of the smoothed move
-    state: ExtendedState
-    pushes: Floats  # v of the samples before the last one, the latest first [N m], shape (n, whole samples of T + 1)
-    added: Floats  # torque beside v since the last sample [N m], shape (n,)
-    held: Flags  # whether the last push was not meant to break the motor away, shape (n,)
+    plant: Plant
+    compensation: Compensation
+    lead: float  # T [s]
+    late: int  # whole samples of T
+    rest: float  # what T is beyond them [samples]
+    first_spread: float
+    spread: float
+    bandwidth: float  # w_c
+    observer: ObserverGains
 
 
-class AdrcController(ClassicalController[AdrcMemory]):
+@inlined
+def _observed(design: AdrcDesign, now: Sample, measured: float, inertia: float, memory: Floats) -> ExtendedState:
+    """Estimates at this sample, from those and the pushes in the memory; the latter are moved on by a sample."""
+    oldest = memory[PUSHES + design.late]
+    for k in range(PUSHES + design.late, PUSHES, -1):
+        memory[k] = memory[k - 1]
+    memory[PUSHES] = now.last_command - memory[ADDED]
+    newer = memory[PUSHES + design.late]
+    acting = newer + design.rest * (oldest - newer)
+    if memory[HELD] > 0.0 and now.motor_speed == 0.0:
+        return ExtendedState(measured, 0.0, memory[ACCELERATION])
+    z = ExtendedState(memory[ERROR], memory[RATE], memory[ACCELERATION])
+    return observe(z, acting / inertia, measured, design.observer)
+
+
+@compiled
+def adrc_law(design: AdrcDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Motor torque [N m] for one arm, see `LawKernel`; the arm is at rest where an episode begins."""
+    plant, corners = design.plant, memory[_MOVE]
+    if begins:
+        write_corners(move_of(now), plant, design.first_spread, design.spread, corners)
+        memory[PUSHES:] = 0.0
+    time = CONTROL_PERIOD * now.step
+    later = time + design.lead
+    wanted, led = joint_motion(corners, time, plant), joint_motion(corners, later, plant)
+    error, _ = motor_errors(now, wanted, plant.gear)
+    inertia = inertia_at(wanted.angle, plant)
+    if begins:
+        z = ExtendedState(-error, 0.0, 0.0)
+    else:
+        z = _observed(design, now, -error, inertia, memory)
+    push = inertia * feedback(z, design.bandwidth)
+    friction, direction = compensated(led, push, plant.gear, design.compensation)
+    added = held_torque(corners, later, plant) + friction
+    memory[ERROR], memory[RATE], memory[ACCELERATION] = z.error, z.rate, z.acceleration
+    memory[ADDED], memory[HELD] = added, 1.0 if abs(direction) < 1 else 0.0
+    return added + push
+
+
+@compiled
+def _run(design: AdrcDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = adrc_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class AdrcController(ScalarController):
     """Active disturbance rejection about a flat motion, on encoder observations.
 
     Args:
@@ -112,47 +182,21 @@ class AdrcController(ClassicalController[AdrcMemory]):
         params: The design model.
     """
 
+    memory_size = PUSHES + _MOST_PUSHES
+
     def __init__(self, gains: AdrcGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self.gains = gains or AdrcGains()
-        self._arm = RigidArm(self.params)
-        self._row = self.params.row()
-        self._lead = dead_time(self.params)
+        self.gains = g = gains or AdrcGains()
+        p, lead = self.params, dead_time(self.params)
+        late, rest = divmod(lead / CONTROL_PERIOD, 1.0)
+        spreads = g.first_spread, g.spread
+        self._design = AdrcDesign(
+            p.plant(), g.compensation(p), lead, int(late), rest, *spreads, g.bandwidth, observer_gains(g.observer)
+        )
 
-    def law(self, reading: Reading, begins: Flags, memory: AdrcMemory | None) -> tuple[Floats, AdrcMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        p, gains = self.params, self.gains
-        corners = self._smoothed(memory.corners if memory else None, begins, reading.move)
-        time = CONTROL_PERIOD * reading.step.astype(np.float64)
-        wanted, _ = joint_motion(corners, time, p)
-        led, torque = joint_motion(corners, time + self._lead, p)
-        inertia = self._arm.inertia(wanted.angle)
-        state, pushes = self._observed(memory, begins, reading, -motor_errors(reading, wanted, p)[0], inertia)
-        push = inertia * feedback(state, gains.bandwidth)
-        direction = commanded_direction(led, push, gains.rest_width)
-        added = torque + gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed) * direction
-        return added + push, AdrcMemory(corners, state, pushes, added, np.abs(direction) < 1)
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(adrc_law, self._design, np.zeros(self.memory_size))
 
-    def _observed(
-        self, memory: AdrcMemory | None, begins: Flags, now: Reading, measured: Floats, inertia: Floats
-    ) -> tuple[ExtendedState, Floats]:
-        """Estimates at this sample, and the pushes that later ones need; at rest where an episode begins."""
-        whole, rest = divmod(self._lead / CONTROL_PERIOD, 1.0)
-        at_rest = ExtendedState(measured, np.zeros_like(measured), np.zeros_like(measured))
-        if memory is None:
-            return at_rest, np.zeros((len(begins), int(whole) + 1))
-        last = last_share(now, memory.added, begins)
-        pushes = np.column_stack([last, np.where(begins[:, None], 0.0, memory.pushes)])
-        acting = pushes[:, int(whole)] + rest * (pushes[:, int(whole) + 1] - pushes[:, int(whole)])
-        found = observe(memory.state, acting / inertia, measured, self.gains.observer)
-        stuck = memory.held & (now.motor_speed == 0.0)
-        resting = at_rest._replace(acceleration=np.where(begins, 0.0, memory.state.acceleration))
-        state = ExtendedState(*(chosen(begins | stuck, *pair) for pair in zip(resting, found, strict=True)))
-        return state, pushes[:, :-1]
-
-    def _smoothed(self, corners: Corners | None, begins: Flags, moves: Floats) -> Corners:
-        """Smoothed moves, with new ones for arms that begin an episode."""
-        if corners is not None and not begins.any():
-            return corners
-        new = smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)
-        return new if corners is None else Corners(*(chosen(begins, *pair) for pair in zip(new, corners, strict=True)))
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)

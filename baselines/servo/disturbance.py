@@ -32,18 +32,25 @@ r = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
+from baselines.controller import LawKernel, ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
+from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.ramps import task_motion
-from baselines.models.rigid_arm import RigidArm, motor_errors
-from baselines.reading import Reading
+from baselines.models.rigid_arm import link_torque, motor_errors
+from baselines.reading import Reading, Sample, sample_of
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled, inlined
+
+LOAD, FAST_LOAD, MOTOR_SPEED, KNOWN, HELD = range(5)
+"""Entries of the memory: tau_d passed by g and by g_r [N m], the motor's speed at the last sample [rad/s], the known
+torque since then [N m], and 1 where the last push was not meant to break the motor away."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +64,56 @@ class DisturbanceGains(FrictionGains):
     reaction_gain: float = tunable(3.0, 0.1, 300.0, log=True)  # K_r  [-]  1 leaves the reaction as it is
 
 
-@dataclass(frozen=True, slots=True)
-class DisturbanceMemory:
-    """Memory from sample to sample; arrays of shape (n,)."""
+class DisturbanceDesign(NamedTuple):
+    """What the law knows: the design model and the gains."""
 
-    load: Floats  # d: tau_d passed by g [N m]
-    fast_load: Floats  # tau_d passed by g_r [N m]
-    motor_speed: Floats  # of the last sample [rad/s]
-    known: Floats  # known torque since the last sample [N m]
-    held: Flags  # whether the last push was not meant to break the motor away
+    plant: Plant
+    compensation: Compensation
+    lead: float  # T [s]
+    angle: float  # K_p
+    speed: float  # K_v
+    share: float  # 1 - exp(-g dt)
+    fast_share: float  # the same of g_r
+    reaction_gain: float  # K_r
 
 
-class DisturbanceController(ClassicalController[DisturbanceMemory]):
+@inlined
+def _observe(design: DisturbanceDesign, now: Sample, memory: Floats) -> None:
+    """Advance both filters to this sample."""
+    accelerating = (now.motor_speed - memory[MOTOR_SPEED]) / (design.plant.inverse_motor_inertia * CONTROL_PERIOD)
+    latest = now.last_command - memory[KNOWN] - accelerating
+    if memory[HELD] > 0.0 and now.motor_speed == 0.0:
+        memory[FAST_LOAD] = memory[LOAD]
+    else:
+        memory[LOAD] += design.share * (latest - memory[LOAD])
+        memory[FAST_LOAD] += design.fast_share * (latest - memory[FAST_LOAD])
+
+
+@compiled
+def disturbance_law(design: DisturbanceDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Motor torque [N m] for one arm, see `LawKernel`; nothing is known of the load where an episode begins."""
+    plant = design.plant
+    if begins:
+        memory[LOAD], memory[FAST_LOAD] = 0.0, 0.0
+    else:
+        _observe(design, now, memory)
+    wanted, led = task_motion(now, 0.0), task_motion(now, design.lead)
+    error, speed_error = motor_errors(now, wanted, plant.gear)
+    servo = (design.angle * error + design.speed * speed_error) / plant.inverse_motor_inertia
+    push = servo - (design.reaction_gain - 1) * (memory[FAST_LOAD] - memory[LOAD])
+    friction, direction = compensated(led, push, plant.gear, design.compensation)
+    known = friction + plant.viscous_friction * now.motor_speed + link_torque(led, plant)
+    memory[MOTOR_SPEED], memory[KNOWN], memory[HELD] = now.motor_speed, known, 1.0 if abs(direction) < 1 else 0.0
+    return plant.gear * led.acceleration / plant.inverse_motor_inertia + push + known + memory[LOAD]
+
+
+@compiled
+def _run(design: DisturbanceDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = disturbance_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class DisturbanceController(ScalarController):
     """PD with disturbance observer and torsion-torque feedback.
 
     Args:
@@ -76,39 +121,20 @@ class DisturbanceController(ClassicalController[DisturbanceMemory]):
         params: The design model.
     """
 
+    memory_size = 5
+
     def __init__(self, gains: DisturbanceGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self.gains = gains or DisturbanceGains()
-        self._arm = RigidArm(self.params)
-        self._row = self.params.row()
-        self._lead = dead_time(self.params)
-        self._share = 1 - np.exp(-self.gains.observer * CONTROL_PERIOD)
-        self._fast_share = 1 - np.exp(-self.gains.reaction * CONTROL_PERIOD)
+        self.gains = g = gains or DisturbanceGains()
+        p = self.params
+        share, fast_share = (float(1 - np.exp(-rate * CONTROL_PERIOD)) for rate in (g.observer, g.reaction))
+        self._design = DisturbanceDesign(
+            p.plant(), g.compensation(p), dead_time(p), g.angle, g.speed, share, fast_share, g.reaction_gain
+        )
 
-    def law(
-        self, reading: Reading, begins: Flags, memory: DisturbanceMemory | None
-    ) -> tuple[Floats, DisturbanceMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        p, gains = self.params, self.gains
-        load, fast_load = self._observe(memory, begins, reading)
-        wanted, led = task_motion(reading), task_motion(reading, self._lead)
-        error, speed_error = motor_errors(reading, wanted, p)
-        servo = p.motor_inertia * (gains.angle * error + gains.speed * speed_error)
-        push = servo - (gains.reaction_gain - 1) * (fast_load - load)
-        direction = commanded_direction(led, push, gains.rest_width)
-        level = gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed)
-        friction = level * direction + p.motor_viscous_friction * reading.motor_speed
-        known = friction + self._arm.link_torque(led)
-        torque = p.motor_inertia * p.gear_ratio * led.acceleration + push + known + load
-        return torque, DisturbanceMemory(load, fast_load, reading.motor_speed, known, np.abs(direction) < 1)
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(disturbance_law, self._design, np.zeros(self.memory_size))
 
-    def _observe(self, memory: DisturbanceMemory | None, begins: Flags, now: Reading) -> tuple[Floats, Floats]:
-        """Load estimates of both filters at this sample [N m]; zero at an episode's start."""
-        if memory is None:
-            return np.zeros(len(begins)), np.zeros(len(begins))
-        accelerating = self.params.motor_inertia * (now.motor_speed - memory.motor_speed) / CONTROL_PERIOD
-        latest = now.last_command - memory.known - accelerating
-        stuck = memory.held & (now.motor_speed == 0.0)
-        load = np.where(stuck, memory.load, memory.load + self._share * (latest - memory.load))
-        fast_load = np.where(stuck, load, memory.fast_load + self._fast_share * (latest - memory.fast_load))
-        return np.where(begins, 0.0, load), np.where(begins, 0.0, fast_load)
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)

@@ -17,15 +17,23 @@ the sample over which it is held, a dead time T later.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from baselines.controller import LawKernel
 from baselines.gains import tunable
-from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothed
-from baselines.models.rigid_arm import Motion
-from baselines.servo.pid import PidGains, PidServo
+from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
+from baselines.models.ramps import move_of
+from baselines.reading import Reading, Sample, sample_of
+from baselines.servo.pid import INTEGRAL, PLAN, PidDesign, PidGains, PidServo, pid_torque
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arrays import Floats
+from beltarm_env.arm import Plant
+from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.task.reference import Reference
+
+_MOVE = slice(PLAN, PLAN + CORNERS)  # of the memory: the smoothed move
 
 
 @dataclass(frozen=True)
@@ -35,20 +43,47 @@ class FlatGains(PidGains, SpreadGains):
     rest_width: float = tunable(0.06, 0.0001, 0.3, log=True)  # [N m]  push compensated in full while at rest
 
 
-def joint_motion(corners: Corners, time: Floats, params: ArmParams) -> tuple[Motion, Floats]:
-    """Motion of the joint along smoothed moves, and the motor torque of the sample that begins then [N m].
-
-    Args:
-        corners: Of n moves.
-        time: Since their start [s], shape (n,).
-        params: The arm.
-    """
-    flat, held = (flat_motion(corners, time + later, params) for later in (0.0, 0.5 * CONTROL_PERIOD))
-    joint = np.column_stack([flat.state[:, :2], flat.acceleration]) / params.gear_ratio
-    return Motion(*joint.T), held.torque
+@inlined
+def joint_motion(corners: Floats, time: float, plant: Plant) -> Reference:
+    """Motion of the joint along a smoothed move, a time [s] since its start."""
+    flat = flat_point(corners, time, plant)
+    return Reference(flat.motor_angle / plant.gear, flat.motor_speed / plant.gear, flat.acceleration / plant.gear)
 
 
-class FlatController(PidServo[Corners]):
+@inlined
+def held_torque(corners: Floats, time: float, plant: Plant) -> float:
+    """Motor torque [N m] of the sample that begins a time [s] after the start of a smoothed move."""
+    return flat_point(corners, time + 0.5 * CONTROL_PERIOD, plant).torque
+
+
+class FlatDesign(NamedTuple):
+    """What the law knows: its servo, and the smoothness of the move."""
+
+    pid: PidDesign
+    first_spread: float
+    spread: float
+
+
+@compiled
+def flat_law(design: FlatDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the smoothed move."""
+    corners, plant = memory[_MOVE], design.pid.plant
+    if begins:
+        memory[INTEGRAL] = 0.0
+        write_corners(move_of(now), plant, design.first_spread, design.spread, corners)
+    time = CONTROL_PERIOD * now.step
+    later = time + design.pid.lead
+    wanted, led = joint_motion(corners, time, plant), joint_motion(corners, later, plant)
+    return pid_torque(design.pid, now, wanted, led, held_torque(corners, later, plant), memory)
+
+
+@compiled
+def _run(design: FlatDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = flat_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class FlatController(PidServo):
     """PID about a flat motion.
 
     Args:
@@ -56,14 +91,16 @@ class FlatController(PidServo[Corners]):
         params: The design model.
     """
 
+    memory_size = PLAN + CORNERS
+
     def __init__(self, gains: FlatGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or FlatGains()
         super().__init__(self.gains, params)
+        self._design = FlatDesign(self._pid, self.gains.first_spread, self.gains.spread)
 
-    def plan(self, moves: Floats) -> Corners:
-        """Smoothed moves, of shape (n, 4)."""
-        return smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(flat_law, self._design, np.zeros(self.memory_size))
 
-    def motion(self, planned: Corners, start: Floats, time: Floats) -> tuple[Motion, Floats]:
-        """Motion and torque along smoothed moves, see `PidServo`."""
-        return joint_motion(planned, time, self.params)
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)

@@ -5,20 +5,36 @@
 
 with nominal parameters. The paper gives no law for the sign of its friction term tau_c; here it is the sign of the
 reference speed, which is known without noise. The torsional velocity theta_s' comes, as in the paper, from a dynamic
-simulation of the arm that runs beside the plant on encoder data: see `TorsionSimulation`.
+simulation of the arm that runs beside the plant on encoder data.
+
+**Simulation.** Between two samples the encoder tells nothing but the mean speed, so the joint is taken to move at
+constant speed v. The torsion theta_s = theta_1 - phi then oscillates freely,
+
+    theta_s'' + 2 lambda theta_s' + w^2 theta_s = 0,   w^2 = K_s / M2(theta_1),   2 lambda = D_s / M2(theta_1),
+
+and where v changes from one sample to the next, theta_s' changes by the same amount. Both are solved exactly. As in
+(5b) the term with M2' is left out.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
-from baselines.models.rigid_arm import RigidArm
-from baselines.reading import Reading
+from baselines.controller import LawKernel, ScalarController
+from baselines.models.linear import turning_load
+from baselines.reading import Reading, Sample, sample_of
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.physics.trigonometry import exponential, sine_cosine
+
+TORSION, TORSION_RATE, JOINT_SPEED = range(3)
+"""Entries of the memory: theta_s [rad] and theta_s' [rad/s] simulated, and theta_1' as measured [rad/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,74 +56,79 @@ class PaperGains:
                 raise ValueError(f"PaperGains.{name} must be finite, got {value!r}")
 
 
-class TorsionSimulation:
-    """Simulation of the arm behind the belt, driven by the measured joint angle.
+@inlined
+def next_torsion(
+    torsion: float, rate: float, speed_change: float, joint_angle: float, plant: Plant
+) -> tuple[float, float]:
+    """Torsion [rad] and its rate [rad/s] one control period later.
 
-    Between two samples the encoder tells nothing but the mean speed, so the joint is taken to move at constant speed v.
-    The torsion theta_s = theta_1 - phi then oscillates freely,
-
-        theta_s'' + 2 lambda theta_s' + w^2 theta_s = 0,   w^2 = K_s / M2(theta_1),   2 lambda = D_s / M2(theta_1),
-
-    and where v changes from one sample to the next, theta_s' changes by the same amount. Both are solved exactly. As in
-    (5b) the term with M2' is left out.
+    Args:
+        torsion: theta_s [rad].
+        rate: theta_s' [rad/s].
+        speed_change: Change of the joint's mean speed between the last two periods [rad/s].
+        joint_angle: theta_1 [rad].
+        plant: The arm.
     """
-
-    def __init__(self, params: ArmParams) -> None:
-        self._plant, self._arm = params.plant(), RigidArm(params)
-
-    def follow(
-        self, memory: PaperMemory | None, begins: Flags, joint_speed: Floats, joint_angle: Floats
-    ) -> PaperMemory:
-        """Advance torsion and rate to this sample; at an episode's start both are zero.
-
-        Args:
-            memory: From the last sample; None at the beginning.
-            begins: Which arms begin an episode, shape (n,).
-            joint_speed: Measured theta_1' [rad/s], shape (n,).
-            joint_angle: Measured theta_1 [rad], shape (n,).
-        """
-        if memory is None:
-            return PaperMemory(np.zeros_like(joint_speed), np.zeros_like(joint_speed), joint_speed)
-        torsion, rate = self.advance(memory.torsion, memory.torsion_rate, joint_speed - memory.joint_speed, joint_angle)
-        if begins.any():
-            torsion, rate = np.where(begins, 0.0, torsion), np.where(begins, 0.0, rate)
-        return PaperMemory(torsion, rate, joint_speed)
-
-    def advance(
-        self, torsion: Floats, rate: Floats, speed_change: Floats, joint_angle: Floats
-    ) -> tuple[Floats, Floats]:
-        """Torsion [rad] and its rate [rad/s] one control period later.
-
-        Args:
-            torsion: theta_s [rad], shape (n,).
-            rate: theta_s' [rad/s], shape (n,).
-            speed_change: Change of the joint's mean speed between the last two periods [rad/s], shape (n,).
-            joint_angle: theta_1 [rad], shape (n,).
-        """
-        plant = self._plant
-        m2 = self._arm.link_inertia(joint_angle)
-        decay = 0.5 * plant.damping / m2
-        square = plant.stiffness / m2
-        frequency = np.sqrt(square - decay * decay)
-        rate = rate + speed_change
-        envelope, phase = np.exp(-decay * CONTROL_PERIOD), frequency * CONTROL_PERIOD
-        cosine, sine = envelope * np.cos(phase), envelope * np.sin(phase) / frequency
-        return (
-            torsion * (cosine + decay * sine) + rate * sine,
-            rate * (cosine - decay * sine) - torsion * square * sine,
-        )
+    m2, _ = turning_load(joint_angle, 0.0, plant)
+    decay, square = 0.5 * plant.damping / m2, plant.stiffness / m2
+    frequency = math.sqrt(square - decay * decay)
+    rate = rate + speed_change
+    envelope = exponential(-decay * CONTROL_PERIOD)
+    sine, cosine = sine_cosine(frequency * CONTROL_PERIOD)
+    cosine, sine = envelope * cosine, envelope * sine / frequency
+    return (
+        torsion * (cosine + decay * sine) + rate * sine,
+        rate * (cosine - decay * sine) - torsion * square * sine,
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class PaperMemory:
-    """Memory from sample to sample; arrays of shape (n,)."""
+@inlined
+def simulated_rate(joint_speed: float, joint_angle: float, begins: bool, plant: Plant, memory: Floats) -> float:
+    """Simulated theta_s' [rad/s] at this sample; it and the torsion are zero where an episode begins.
 
-    torsion: Floats  # simulated theta_s [rad]
-    torsion_rate: Floats  # simulated theta_s' [rad/s]
-    joint_speed: Floats  # measured theta_1' of the last sample [rad/s]
+    Args:
+        joint_speed: Measured theta_1' [rad/s].
+        joint_angle: Measured theta_1 [rad].
+        begins: Whether an episode begins.
+        plant: The arm.
+        memory: Written, shape (3,).
+    """
+    torsion, rate = 0.0, 0.0
+    if not begins:
+        change = joint_speed - memory[JOINT_SPEED]
+        torsion, rate = next_torsion(memory[TORSION], memory[TORSION_RATE], change, joint_angle, plant)
+    memory[TORSION], memory[TORSION_RATE], memory[JOINT_SPEED] = torsion, rate, joint_speed
+    return rate
 
 
-class PaperController(ClassicalController[PaperMemory]):
+class PaperDesign(NamedTuple):
+    """What the law knows: the nominal arm and the gains."""
+
+    plant: Plant
+    torsion_speed: float  # K_4
+    angle: float  # K_p
+    speed: float  # K_v
+
+
+@compiled
+def paper_law(design: PaperDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Eq. (11) [N m] for one arm, see `LawKernel`."""
+    plant, speed = design.plant, now.motor_speed
+    joint_angle = now.reference_angle - now.angle_error / plant.gear
+    rate = simulated_rate(speed / plant.gear, joint_angle, begins, plant, memory)
+    feedback = design.speed * now.speed_error + design.angle * now.angle_error
+    u_1 = plant.gear * now.reference_acceleration + feedback
+    friction = plant.viscous_friction * speed + plant.coulomb_friction * np.sign(now.reference_speed)
+    return u_1 / plant.inverse_motor_inertia + friction - design.torsion_speed * rate
+
+
+@compiled
+def _run(design: PaperDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = paper_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class PaperController(ScalarController):
     """Eq. (11) on encoder observations. `PaperController(gains=PaperGains(torsion_speed=0))` is the rigid ablation.
 
     Args:
@@ -115,25 +136,19 @@ class PaperController(ClassicalController[PaperMemory]):
         gains: Feedback gains.
     """
 
+    memory_size = 3
+
     def __init__(self, params: ArmParams | None = None, gains: PaperGains | None = None) -> None:
         super().__init__(params or ArmParams())
-        self.gains = gains or PaperGains()
-        self._simulation = TorsionSimulation(self.params)
+        self.gains = g = gains or PaperGains()
+        self._design = PaperDesign(self.params.plant(), g.torsion_speed, g.angle, g.speed)
 
-    def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        p, gains = self.params, self.gains
-        error, speed = reading.angle_error, reading.motor_speed
-        joint_angle = reading.reference_angle - error / p.gear_ratio
-        memory = self._simulation.follow(memory, begins, speed / p.gear_ratio, joint_angle)
-        u_1 = p.gear_ratio * reading.reference_acceleration + gains.speed * reading.speed_error + gains.angle * error
-        torque = (
-            p.motor_inertia * u_1
-            + p.motor_viscous_friction * speed
-            + p.coulomb_friction * np.sign(reading.reference_speed)
-            - gains.torsion_speed * memory.torsion_rate
-        )
-        return torque, memory
+    def kernel(self) -> LawKernel:
+        """Eq. (11) for one arm."""
+        return LawKernel(paper_law, self._design, np.zeros(self.memory_size))
+
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)
 
 
 def rigid_controller(params: ArmParams | None = None) -> PaperController:

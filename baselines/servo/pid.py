@@ -9,27 +9,35 @@ command acts; the errors are of now. The derivative acts on the measured speed; 
 filtered derivative of the angle. The integral holds still while the torque is at its limit and the error would drive it
 further (conditional integration: Åström and Hägglund, *PID Controllers*, 1995, section 3.5).
 
-The PID ignores the belt: those who plan the motion see to it that it is not excited. `PidServo` follows any motion of
-the joint with its torque, `RampServo` one whose speed is a sum of ramps, with the torque of a rigid arm.
+The PID ignores the belt: those who plan the motion see to it that it is not excited. `pid_torque` follows any motion of
+the joint with its torque, `rigid_pid_torque` one with the torque of a rigid arm, and `ramp_torque` is that for a speed
+that is a sum of ramps.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import NamedTuple
 
-import numpy as np
-
-from baselines.controller import ClassicalController
+from baselines.controller import ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
+from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.ramps import Ramps, motion_at
-from baselines.models.rigid_arm import Motion, RigidArm, motor_errors
-from baselines.reading import Reading, chosen
+from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
+from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import inlined
+from beltarm_env.task.reference import Reference
+
+INTEGRAL, PLAN = 0, 1
+"""Place of the integral of the motor's angle error [rad s] in the memory, and of the plan that follows it."""
+MOST_RAMPS = 6
+ONSETS, TIMES, SPEEDS = (slice(PLAN + k * MOST_RAMPS, PLAN + (k + 1) * MOST_RAMPS) for k in range(3))
+"""Places of planned ramps in the memory."""
+RAMPS_END = PLAN + 3 * MOST_RAMPS
 
 
 @dataclass(frozen=True)
@@ -41,20 +49,61 @@ class PidGains(FrictionGains):
     integral: float = tunable(2.0, 0.01, 100.0, log=True)  # K_i  [1/s]
 
 
-Planned = TypeVar("Planned", bound=tuple[Any, ...])
-"""A plan: a named tuple of arrays, the arms first."""
+class PidDesign(NamedTuple):
+    """What the servo knows: the design model and the gains."""
+
+    plant: Plant
+    compensation: Compensation
+    lead: float  # T [s]
+    angle: float  # K_p
+    speed: float  # K_v
+    integral: float  # K_i
 
 
-@dataclass(frozen=True, slots=True)
-class PidMemory(Generic[Planned]):
-    """Memory from sample to sample."""
+@inlined
+def pid_torque(
+    design: PidDesign, now: Sample, wanted: Reference, led: Reference, torque: float, memory: Floats
+) -> float:
+    """Motor torque [N m] of the servo.
 
-    integral: Floats  # of the motor's angle error [rad s], shape (n,)
-    planned: Planned
+    Args:
+        design: Model and gains.
+        now: What is measured.
+        wanted: Motion of the joint at this sample.
+        led: The motion a dead time later.
+        torque: What it takes then, but for dry friction [N m].
+        memory: Whose entry `INTEGRAL` is advanced.
+    """
+    plant, integral = design.plant, memory[INTEGRAL]
+    error, speed_error = motor_errors(now, wanted, plant.gear)
+    pid = design.angle * (error + design.integral * integral) + design.speed * speed_error
+    push = inertia_at(wanted.angle, plant) * pid
+    friction, _ = compensated(led, push, plant.gear, design.compensation)
+    total = torque + friction + push
+    winding = abs(total) > plant.torque_limit and total * error > 0
+    memory[INTEGRAL] = integral if winding else integral + CONTROL_PERIOD * error
+    return total
 
 
-class PidServo(ClassicalController[PidMemory[Planned]]):
-    """PID along a planned motion; a subclass writes `plan` and `motion`.
+@inlined
+def rigid_pid_torque(design: PidDesign, now: Sample, wanted: Reference, led: Reference, memory: Floats) -> float:
+    """Motor torque [N m] of the servo with the feed-forward of a rigid arm; arguments as of `pid_torque`."""
+    plant = design.plant
+    torque = rigid_torque(led, plant) + plant.viscous_friction * plant.gear * led.speed
+    return pid_torque(design, now, wanted, led, torque, memory)
+
+
+@inlined
+def ramp_torque(design: PidDesign, now: Sample, ramps: Ramps, count: int, smooth: bool, memory: Floats) -> float:
+    """Motor torque [N m] of the servo on a rigid arm along the first `count` of some ramps, `smooth` or linear."""
+    time = CONTROL_PERIOD * now.step
+    wanted = motion_at(ramps, count, smooth, now.start, time)
+    led = motion_at(ramps, count, smooth, now.start, time + design.lead)
+    return rigid_pid_torque(design, now, wanted, led, memory)
+
+
+class PidServo(ScalarController):
+    """Base of controllers with this servo, which plan its motion.
 
     Args:
         gains: Of the servo.
@@ -63,67 +112,5 @@ class PidServo(ClassicalController[PidMemory[Planned]]):
 
     def __init__(self, gains: PidGains, params: ArmParams | None) -> None:
         super().__init__(params)
-        self._gains = gains
-        self._arm = RigidArm(self.params)
-        self._row = self.params.row()
-        self._lead = dead_time(self.params)
-
-    @abstractmethod
-    def plan(self, moves: Floats) -> Planned:
-        """Plan for moves of shape (n, 4): start, goal [rad], duration, ramp time [s]."""
-
-    @abstractmethod
-    def motion(self, planned: Planned, start: Floats, time: Floats) -> tuple[Motion, Floats]:
-        """Motion of the joint, and its motor torque [N m] but for dry friction, of n arms.
-
-        Args:
-            planned: Their plan.
-            start: Joint angles before the move [rad], shape (n,).
-            time: Since the move's start [s], shape (n,).
-        """
-
-    def law(
-        self, reading: Reading, begins: Flags, memory: PidMemory[Planned] | None
-    ) -> tuple[Floats, PidMemory[Planned]]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        integral, planned = self._recall(memory, begins, reading)
-        time, start = CONTROL_PERIOD * reading.step.astype(np.float64), reading.move[:, 0]
-        wanted, _ = self.motion(planned, start, time)
-        led, torque = self.motion(planned, start, time + self._lead)
-        error, speed_error = motor_errors(reading, wanted, self.params)
-        p, gains, inertia = self.params, self._gains, self._arm.inertia(wanted.angle)
-        push = inertia * (gains.angle * (error + gains.integral * integral) + gains.speed * speed_error)
-        level = gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed)
-        torque = torque + level * commanded_direction(led, push, gains.rest_width) + push
-        winding = (np.abs(torque) > p.torque_limit) & (torque * error > 0)
-        return torque, PidMemory(np.where(winding, integral, integral + CONTROL_PERIOD * error), planned)
-
-    def _recall(self, memory: PidMemory[Planned] | None, begins: Flags, now: Reading) -> tuple[Floats, Planned]:
-        """Integral and plan at this sample: zero and a new one where an episode begins."""
-        if memory is None:
-            return np.zeros(len(begins)), self.plan(now.move)
-        if not begins.any():
-            return memory.integral, memory.planned
-        pairs = zip(self.plan(now.move), memory.planned, strict=True)
-        planned = type(memory.planned)(*(chosen(begins, *pair) for pair in pairs))
-        return np.where(begins, 0.0, memory.integral), planned
-
-
-class RampServo(PidServo[Ramps]):
-    """PID along planned ramps; a subclass writes `plan`.
-
-    Args:
-        gains: Of the servo.
-        params: The design model.
-        smooth: Whether ramps are smooth rather than linear.
-    """
-
-    def __init__(self, gains: PidGains, params: ArmParams | None, smooth: bool) -> None:
-        super().__init__(gains, params)
-        self._smooth = smooth
-
-    def motion(self, planned: Ramps, start: Floats, time: Floats) -> tuple[Motion, Floats]:
-        """Motion along the ramps, and the torque of a rigid arm, see `PidServo`."""
-        wanted = motion_at(planned, start, time, self._smooth)
-        viscous = self.params.motor_viscous_friction * self.params.gear_ratio * wanted.speed
-        return wanted, self._arm.torque(wanted) + viscous
+        p, g = self.params, gains
+        self._pid = PidDesign(p.plant(), g.compensation(p), dead_time(p), g.angle, g.speed, g.integral)

@@ -5,8 +5,7 @@ The structure is that of (11): computed torque, PD and torsional-velocity feedba
     tau_m = M(theta_ref) u_1 + 1/2 M2' theta_ref'^2 / G + V_a1 theta_a' + tau_f - K_4 theta_s'
     u_1 = theta_a_ref'' + K_v (theta_a_ref' - theta_a') + K_p (theta_a_ref - theta_a)                       (9)
 
-with the design model's parameters, and theta_s' from the paper's simulation of the arm on encoder data
-(`TorsionSimulation`).
+with the design model's parameters, and theta_s' from the paper's simulation of the arm on encoder data.
 Different from `PaperController`:
 
 - M(theta) = M_a1 + M2(theta) / G^2 is the inertia of motor and links, as in (4), where (11) has the motor's alone. With
@@ -24,17 +23,22 @@ mode. A PD that is stiff enough to hold the motor on its reference despite frict
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from baselines.controller import ClassicalController
+import numpy as np
+
+from baselines.controller import LawKernel, ScalarController
 from baselines.gains import tunable
 from baselines.models.actuator import dead_time
-from baselines.models.friction import FrictionGains, commanded_direction, dry_friction, friction_level
+from baselines.models.friction import Compensation, FrictionGains, compensated
 from baselines.models.ramps import task_motion
-from baselines.models.rigid_arm import RigidArm, motor_errors
-from baselines.reading import Reading
-from baselines.servo.paper import PaperMemory, TorsionSimulation
+from baselines.models.rigid_arm import inertia_at, motor_errors, rigid_torque
+from baselines.reading import Reading, Sample, sample_of
+from baselines.servo.paper import PaperController, simulated_rate
 from beltarm_env import ArmParams
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,37 @@ class RetunedGains(FrictionGains):
     speed: float = tunable(20.0, 1.0, 1000.0, log=True)  # K_v  [1/s]
 
 
-class RetunedController(ClassicalController[PaperMemory]):
+class RetunedDesign(NamedTuple):
+    """What the law knows: the design model and the gains."""
+
+    plant: Plant
+    compensation: Compensation
+    lead: float  # T [s]
+    torsion_speed: float  # K_4
+    angle: float  # K_p
+    speed: float  # K_v
+
+
+@compiled
+def retuned_law(design: RetunedDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Motor torque [N m] for one arm, with the memory of `baselines.servo.paper`; see `LawKernel`."""
+    plant, speed = design.plant, now.motor_speed
+    rate = simulated_rate(speed / plant.gear, now.motor_angle / plant.gear, begins, plant, memory)
+    wanted, led = task_motion(now, 0.0), task_motion(now, design.lead)
+    error, speed_error = motor_errors(now, wanted, plant.gear)
+    servo = inertia_at(wanted.angle, plant) * (design.speed * speed_error + design.angle * error)
+    push = servo - design.torsion_speed * rate
+    friction, _ = compensated(led, push, plant.gear, design.compensation)
+    return rigid_torque(led, plant) + plant.viscous_friction * speed + friction + push
+
+
+@compiled
+def _run(design: RetunedDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = retuned_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class RetunedController(ScalarController):
     """Eq. (11) with the inertia of the links, stiction compensated, and gains of its own.
 
     Args:
@@ -54,23 +88,18 @@ class RetunedController(ClassicalController[PaperMemory]):
         params: The design model.
     """
 
+    memory_size = PaperController.memory_size
+
     def __init__(self, gains: RetunedGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
-        self.gains = gains or RetunedGains()
-        self._arm = RigidArm(self.params)
-        self._row = self.params.row()
-        self._lead = dead_time(self.params)
-        self._simulation = TorsionSimulation(self.params)
+        self.gains = g = gains or RetunedGains()
+        p = self.params
+        of_gains = g.torsion_speed, g.angle, g.speed
+        self._design = RetunedDesign(p.plant(), g.compensation(p), dead_time(p), *of_gains)
 
-    def law(self, reading: Reading, begins: Flags, memory: PaperMemory | None) -> tuple[Floats, PaperMemory]:
-        """Torque [N m] of one sample, see `ClassicalController`."""
-        p, gains, speed = self.params, self.gains, reading.motor_speed
-        memory = self._simulation.follow(memory, begins, speed / p.gear_ratio, reading.motor_angle / p.gear_ratio)
-        wanted, led = task_motion(reading), task_motion(reading, self._lead)
-        error, speed_error = motor_errors(reading, wanted, p)
-        servo = self._arm.inertia(wanted.angle) * (gains.speed * speed_error + gains.angle * error)
-        push = servo - gains.torsion_speed * memory.torsion_rate
-        level = gains.friction * friction_level(dry_friction(self._row), p.gear_ratio * led.speed)
-        friction = level * commanded_direction(led, push, gains.rest_width)
-        torque = self._arm.torque(led) + p.motor_viscous_friction * speed + friction + push
-        return torque, memory
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(retuned_law, self._design, np.zeros(self.memory_size))
+
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)

@@ -29,16 +29,20 @@ whole move is known ahead. So
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from baselines.controller import LawKernel
 from baselines.gains import tunable
-from baselines.models.modes import Mode, held_modes
-from baselines.models.ramps import Ramps
-from baselines.servo.pid import PidGains, RampServo
+from baselines.models.modes import Mode, held_mode
+from baselines.models.ramps import Ramps, move_of
+from baselines.reading import Reading, Sample, sample_of
+from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
 from beltarm_env import ArmParams
-from beltarm_env.arrays import Floats
+from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.task.reference import MoveShape
 
 Kind = Literal["zv", "zvd", "ei"]
 
@@ -62,21 +66,86 @@ GAINS: dict[Kind, type[ShapingGains]] = {"zv": ShapingGains, "zvd": ShapingGains
 """Gains of each kind of shaper, by name."""
 
 
-def shaper(kind: Kind, mode: Mode, vibration: float = 0.0) -> tuple[Floats, Floats]:
-    """Weights A_i and delays t_i [s] of the impulses for n modes, each of shape (n, impulses).
+def shares_of(kind: Kind, vibration: float = 0.0) -> Floats:
+    """Return w_i, shape (impulses,), of a "zv", a "zvd" or an "ei" shaper, the last with the limit V."""
+    shares = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0), "ei": (1 + vibration, 2 * (1 - vibration), 1 + vibration)}
+    return np.array(shares[kind])
+
+
+class ShapingDesign(NamedTuple):
+    """What the law knows: its servo and its shaper."""
+
+    pid: PidDesign
+    shares: Floats  # w_i, shape (impulses,)
+    shortest_ramp: float
+    frequency: float
+
+
+@inlined
+def write_impulses(shares: Floats, mode: Mode, first: int, ramps: Ramps) -> float:
+    """Write a shaper's weights A_i as speeds of ramps, and its delays t_i [s] as their onsets; return its delay d [s].
 
     Args:
-        kind: "zv", "zvd" or "ei".
-        mode: Modes not to excite.
-        vibration: V, for "ei" alone.
+        shares: w_i, shape (impulses,).
+        mode: Not to be excited.
+        first: Ramp of the first impulse.
+        ramps: Written.
     """
-    shares = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0), "ei": (1 + vibration, 2 * (1 - vibration), 1 + vibration)}
-    number = np.arange(len(shares[kind]))
-    weights = np.array(shares[kind]) * mode.decay[:, None] ** number
-    return weights / weights.sum(axis=1, keepdims=True), 0.5 * mode.period[:, None] * number
+    power, total, delay = 1.0, 0.0, 0.0
+    for k in range(len(shares)):
+        ramps.speed[first + k], ramps.onset[first + k] = shares[k] * power, 0.5 * mode.period * k
+        total += shares[k] * power
+        power *= mode.decay
+    for k in range(first, first + len(shares)):
+        ramps.speed[k] /= total
+        delay += ramps.speed[k] * ramps.onset[k]
+    return delay
 
 
-class ShapingController(RampServo):
+@inlined
+def _shape(design: ShapingDesign, angle: float, ramp: float, first: int, ramps: Ramps) -> float:
+    """Write a ramp's impulses and times; return the centre of the shaped ramp, from its onset [s]."""
+    mode = held_mode(angle, design.pid.plant)
+    delay = write_impulses(design.shares, Mode(mode.period / design.frequency, mode.decay), first, ramps)
+    time = min(ramp, max(ramp - 2 * delay, design.shortest_ramp))
+    for k in range(first, first + len(design.shares)):
+        ramps.time[k] = time
+    return delay + 0.5 * time
+
+
+@compiled
+def plan_shaped(design: ShapingDesign, move: MoveShape, ramps: Ramps) -> None:
+    """Write the first ramps: one up and then one down for each impulse of the shaper."""
+    count = len(design.shares)
+    up_centre = _shape(design, move.start, move.ramp_time, 0, ramps)
+    down_centre = _shape(design, move.goal, move.ramp_time, count, ramps)
+    begin = max(0.5 * move.ramp_time - up_centre, 0.0)
+    brake = move.duration - 0.5 * move.ramp_time - down_centre
+    cruise = (move.goal - move.start) / (brake + down_centre - begin - up_centre)
+    for k in range(count):
+        ramps.onset[k] += begin
+        ramps.speed[k] *= cruise
+        ramps.onset[count + k] += brake
+        ramps.speed[count + k] *= -cruise
+
+
+@compiled
+def shaping_law(design: ShapingDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
+    ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
+    if begins:
+        memory[INTEGRAL] = 0.0
+        plan_shaped(design, move_of(now), ramps)
+    return ramp_torque(design.pid, now, ramps, 2 * len(design.shares), False, memory)
+
+
+@compiled
+def _run(design: ShapingDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = shaping_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class ShapingController(PidServo):
     """PID along a shaped trapezoid.
 
     Args:
@@ -89,6 +158,8 @@ class ShapingController(RampServo):
         TypeError: If the gains are those of another kind.
     """
 
+    memory_size = RAMPS_END
+
     def __init__(self, gains: ShapingGains | None = None, params: ArmParams | None = None, kind: Kind = "ei") -> None:
         if kind not in GAINS:
             raise ValueError(f"kind must be one of {', '.join(map(repr, GAINS))}, got {kind!r}")
@@ -96,27 +167,14 @@ class ShapingController(RampServo):
             raise TypeError(f"kind={kind!r} takes {GAINS[kind].__name__}, got {type(gains).__name__}")
         self.gains = gains or GAINS[kind]()
         self.kind: Kind = kind
-        super().__init__(self.gains, params, smooth=False)
-
-    def plan(self, moves: Floats) -> Ramps:
-        """Ramps for moves of shape (n, 4): one up and one down for each impulse of the shaper."""
-        start, goal, duration, ramp = moves.T
-        up, up_delays, up_time, up_centre = self._shaped(start, ramp)
-        down, down_delays, down_time, down_centre = self._shaped(goal, ramp)
-        begin = np.maximum(0.5 * ramp - up_centre, 0.0)
-        brake = duration - 0.5 * ramp - down_centre
-        cruise = (goal - start) / (brake + down_centre - begin - up_centre)
-        return Ramps(
-            np.column_stack([begin[:, None] + up_delays, brake[:, None] + down_delays]),
-            np.column_stack([np.tile(up_time, (up.shape[1], 1)).T, np.tile(down_time, (down.shape[1], 1)).T]),
-            cruise[:, None] * np.column_stack([up, -down]),
-        )
-
-    def _shaped(self, angle: Floats, ramp: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Weights and delays of a ramp's impulses, its time before shaping, and its centre after, from its onset."""
-        mode = held_modes(self.params, angle)
+        super().__init__(self.gains, params)
         vibration = self.gains.vibration if isinstance(self.gains, ExtraInsensitiveGains) else 0.0
-        weights, delays = shaper(self.kind, Mode(mode.period / self.gains.frequency, mode.decay), vibration)
-        delay = (weights * delays).sum(axis=1)
-        time = np.minimum(ramp, np.maximum(ramp - 2 * delay, self.gains.shortest_ramp))
-        return weights, delays, time, delay + 0.5 * time
+        shares = shares_of(kind, vibration)
+        self._design = ShapingDesign(self._pid, shares, self.gains.shortest_ramp, self.gains.frequency)
+
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(shaping_law, self._design, np.zeros(self.memory_size))
+
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)

@@ -18,15 +18,20 @@ counts as tip error: the method buys a quiet end with a move that is not the one
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from baselines.controller import LawKernel
 from baselines.gains import tunable
-from baselines.models.modes import held_modes
-from baselines.models.ramps import Ramps
-from baselines.servo.pid import PidGains, RampServo
+from baselines.models.modes import held_mode
+from baselines.models.ramps import Ramps, move_of
+from baselines.reading import Reading, Sample, sample_of
+from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
 from beltarm_env import ArmParams
-from beltarm_env.arrays import Floats
+from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled
+from beltarm_env.task.reference import MoveShape
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,43 @@ class SmoothGains(PidGains):
     ramp: float = tunable(1.43, 0.1, 5.0)  # [periods of the mode]  least time of a ramp
 
 
-class SmoothController(RampServo):
+class SmoothDesign(NamedTuple):
+    """What the law knows: its servo, and the smoothness of the profile."""
+
+    pid: PidDesign
+    ramp: float
+
+
+@compiled
+def plan_smooth(design: SmoothDesign, move: MoveShape, ramps: Ramps) -> None:
+    """Write the first two ramps: one up and one down."""
+    plant = design.pid.plant
+    up = max(move.ramp_time, design.ramp * held_mode(move.start, plant).period)
+    down = max(move.ramp_time, design.ramp * held_mode(move.goal, plant).period)
+    share = min(1.0, move.duration / (up + down))
+    up, down = share * up, share * down
+    cruise = (move.goal - move.start) / (move.duration - 0.5 * (up + down))
+    ramps.onset[0], ramps.time[0], ramps.speed[0] = 0.0, up, cruise
+    ramps.onset[1], ramps.time[1], ramps.speed[1] = move.duration - down, down, -cruise
+
+
+@compiled
+def smooth_law(design: SmoothDesign, now: Sample, begins: bool, memory: Floats) -> float:
+    """Motor torque [N m] for one arm, see `LawKernel`; the memory is the integral and the ramps."""
+    ramps = Ramps(memory[ONSETS], memory[TIMES], memory[SPEEDS])
+    if begins:
+        memory[INTEGRAL] = 0.0
+        plan_smooth(design, move_of(now), ramps)
+    return ramp_torque(design.pid, now, ramps, 2, True, memory)
+
+
+@compiled
+def _run(design: SmoothDesign, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+    for i in range(len(begins)):
+        torques[i] = smooth_law(design, sample_of(reading, i), begins[i], memory[i])
+
+
+class SmoothController(PidServo):
     """PID along an S-curve.
 
     Args:
@@ -44,20 +85,16 @@ class SmoothController(RampServo):
         params: The design model.
     """
 
+    memory_size = RAMPS_END
+
     def __init__(self, gains: SmoothGains | None = None, params: ArmParams | None = None) -> None:
         self.gains = gains or SmoothGains()
-        super().__init__(self.gains, params, smooth=True)
+        super().__init__(self.gains, params)
+        self._design = SmoothDesign(self._pid, self.gains.ramp)
 
-    def plan(self, moves: Floats) -> Ramps:
-        """Ramps for moves of shape (n, 4): one up and one down."""
-        start, goal, duration, ramp = moves.T
-        up = np.maximum(ramp, self.gains.ramp * held_modes(self.params, start).period)
-        down = np.maximum(ramp, self.gains.ramp * held_modes(self.params, goal).period)
-        share = np.minimum(1.0, duration / (up + down))
-        up, down = share * up, share * down
-        cruise = (goal - start) / (duration - 0.5 * (up + down))
-        return Ramps(
-            np.column_stack([np.zeros_like(up), duration - down]),
-            np.column_stack([up, down]),
-            np.column_stack([cruise, -cruise]),
-        )
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(smooth_law, self._design, np.zeros(self.memory_size))
+
+    def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
+        _run(self._design, reading, begins, memory, torques)

@@ -48,7 +48,7 @@ class Reference(NamedTuple):
 
 
 @inlined
-def _linear_ramp(u: float) -> tuple[float, float, float]:
+def linear_ramp(u: float) -> tuple[float, float, float]:
     """Return integral, value and slope of a ramp that rises from 0 to 1 over 0 <= u < 1, linearly."""
     c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
     beyond = u - 1.0 if u > 1.0 else 0.0
@@ -57,7 +57,7 @@ def _linear_ramp(u: float) -> tuple[float, float, float]:
 
 
 @inlined
-def _smooth_ramp(u: float) -> tuple[float, float, float]:
+def smooth_ramp(u: float) -> tuple[float, float, float]:
     """Return integral, value and slope of the ramp 3u^2 - 2u^3."""
     c = 0.0 if u < 0.0 else (1.0 if u > 1.0 else u)
     beyond = u - 1.0 if u > 1.0 else 0.0
@@ -102,8 +102,8 @@ def reference_at(profile: int, move: MoveShape, time: float) -> Reference:
     rising = time * ramp_rate
     falling = (time - (move.duration - move.ramp_time)) * ramp_rate
     if profile == SCURVE:
-        return _between_ramps(move, ramp_rate, _smooth_ramp(rising), _smooth_ramp(falling))
-    return _between_ramps(move, ramp_rate, _linear_ramp(rising), _linear_ramp(falling))
+        return _between_ramps(move, ramp_rate, smooth_ramp(rising), smooth_ramp(falling))
+    return _between_ramps(move, ramp_rate, linear_ramp(rising), linear_ramp(falling))
 
 
 def sampled_moves(moves: Floats, steps: int = EPISODE_STEPS) -> Floats:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from baselines import PaperController
 from baselines.reading import read
-from baselines.servo.paper import PaperGains, PaperMemory
+from baselines.servo.paper import PaperGains
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_columns
 from beltarm_env.arrays import Floats
@@ -61,10 +61,10 @@ class AssumedServo:
     def predict(
         self,
         observation: NDArray[np.float32],
-        state: PaperMemory | None = None,
+        state: Floats | None = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], PaperMemory]:
+    ) -> tuple[NDArray[np.float32], Floats]:
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         action, memory = self._servo.predict(observation, state, episode_start, deterministic)
         torque, reading = action[:, 0].astype(np.float64) * _UNLIMITED, read(observation, self._servo.params, "full")
