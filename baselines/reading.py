@@ -9,6 +9,7 @@ import numpy as np
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.jit import inlined
+from beltarm_env.physics.trigonometry import ROUNDER
 from beltarm_env.task.moves import MOVE_FIELDS
 
 
@@ -64,6 +65,39 @@ def sample_of(reading: Reading, arm: int) -> Sample:
         reading.move[arm, 3],
         reading.step[arm],
         reading.last_command[arm],
+    )
+
+
+_SCALES = observation.scales()
+_AT = {name: observation.index(name) for name in (entry.name for entry in observation.ENTRIES["encoder"])}
+_MEASURED = _AT["motor_angle_error"]  # and after it errors of speed, the speed and the angle
+_REFERENCE = _AT["reference_angle"]  # and after it its speed and acceleration
+_MOVE = _AT["start"]  # and after it goal, duration, ramp time, elapsed time and last command
+
+
+@inlined
+def sample_from(seen: Singles, torque_limit: float) -> Sample:
+    """Decode one arm's observation, shape (size,): as `read` does, in a kernel.
+
+    Args:
+        seen: Of the encoder alone.
+        torque_limit: That commands are scaled by [N m].
+    """
+    elapsed = seen[_MOVE + 4] * _SCALES[_MOVE + 4] / CONTROL_PERIOD
+    return Sample(
+        seen[_MEASURED] * _SCALES[_MEASURED],
+        seen[_MEASURED + 1] * _SCALES[_MEASURED + 1],
+        seen[_MEASURED + 3] * _SCALES[_MEASURED + 3],
+        seen[_MEASURED + 2] * _SCALES[_MEASURED + 2],
+        seen[_REFERENCE] * _SCALES[_REFERENCE],
+        seen[_REFERENCE + 1] * _SCALES[_REFERENCE + 1],
+        seen[_REFERENCE + 2] * _SCALES[_REFERENCE + 2],
+        seen[_MOVE] * _SCALES[_MOVE],
+        seen[_MOVE + 1] * _SCALES[_MOVE + 1],
+        seen[_MOVE + 2] * _SCALES[_MOVE + 2],
+        seen[_MOVE + 3] * _SCALES[_MOVE + 3],
+        int((elapsed + ROUNDER) - ROUNDER),
+        seen[_MOVE + 5] * _SCALES[_MOVE + 5] * torque_limit,
     )
 
 

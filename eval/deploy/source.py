@@ -1,0 +1,126 @@
+"""Sources of C for a controller: its kernels, translated, between a header and the three functions that one calls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from baselines.controller import LawKernel
+from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
+from beltarm_env.kernels.layout import LANES
+from beltarm_env.task.reference import MoveShape
+from eval.deploy.loop import begin, classical_step, empty_device
+from eval.translation.arrays import contiguous
+from eval.translation.numbers import bare, cast
+from eval.translation.program import Function, Program
+from eval.translation.types import INT, REAL, Array, Const, Group, Scalar, Value, dtype_of
+
+SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
+"""What differs from the kernels in Python: they are compiled for many arms side by side."""
+_ROWS_OF_LANES = ("block", "blocks", "work", "actions")
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+    keep_trailing_newline=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A controller's loop, ready to be translated."""
+
+    name: str  # of the C functions
+    title: str
+    params: ArmParams  # whose gear ratio and torque limit it is made for
+    step: Any  # function of design, limit, device, memory and count
+    design: Any
+    memory: Any  # array, or named tuple of arrays
+
+
+def classical_loop(name: str, title: str, params: ArmParams, kernel: LawKernel) -> Loop:
+    """Loop of a classical controller."""
+    return Loop(name, title, params, classical_step(kernel.law), kernel.design, for_one_lane(kernel.memory))
+
+
+def for_one_lane(template: Any, name: str = "") -> Any:
+    """Memory of a kernel without the lanes that one arm does not need: rows of a simulation have one each."""
+    if not isinstance(template, np.ndarray):
+        names = zip(template._fields, template, strict=True)
+        return type(template)(*(for_one_lane(part, field) for field, part in names))
+    if name in _ROWS_OF_LANES and template.size % LANES == 0:
+        return np.zeros(template.size // LANES)
+    return template
+
+
+def sources(loop: Loop) -> dict[str, str]:
+    """Write the files of a loop, by name.
+
+    Raises:
+        TranslationError: If a kernel cannot be translated; names function, line and construct.
+    """
+    program = Program(SINGLE_LANE)
+    device = empty_device(1)
+    plant, limit = loop.params.plant(), loop.params.torque_limit
+    fields = [*_fields("device", device), *_fields("memory", loop.memory)]
+    of_device, of_memory = _members("device", device), _members("memory", loop.memory)
+    move = Group(MoveShape, tuple((field, Scalar(REAL, f"move->{field}")) for field in MoveShape._fields))
+    count = Scalar(INT, "count")
+    resolution = Scalar(REAL, "self->resolution")
+    began = _body(program, begin, [of_device, Const(plant), resolution, move, count])
+    stepped = _body(program, loop.step, [Const(loop.design), Const(limit), of_device, of_memory, count])
+    given = {
+        "name": loop.name,
+        "title": loop.title,
+        "version": __version__,
+        "period_ms": f"{1000 * CONTROL_PERIOD:g}",
+        "limit": f"{limit:g}",
+        "fields": fields,
+        "turn": repr(2 * math.pi),
+        "structs": "\n\n".join(program.struct_texts),
+        "tables": "\n\n".join(program.used_tables()),
+        "functions": "\n\n".join(program.texts),
+        "begin": began,
+        "step": stepped,
+    }
+    return {
+        "real.h": _TEMPLATES.get_template("real.h.j2").render(),
+        "arithmetic.h": _TEMPLATES.get_template("arithmetic.h.j2").render(),
+        f"{loop.name}.h": _TEMPLATES.get_template("controller.h.j2").render(given),
+        f"{loop.name}.c": _TEMPLATES.get_template("controller.c.j2").render(given),
+    }
+
+
+def _body(program: Program, function: Any, values: list[Value]) -> str:
+    """Lines of a public function that calls a translated one."""
+    scope = Function(program, {}, {})
+    result: Any = program.call(scope, getattr(function, "py_func", function), values)
+    lines = list(scope.lines)
+    if not isinstance(result, Const):
+        call = lines.pop().partition(" = ")[2]
+        lines.append(f"return {call}" if result.dtype == REAL else f"return {bare(cast(result, REAL).code)};")
+    return "\n".join(f"    {line}" for line in lines)
+
+
+def _fields(name: str, template: Any) -> Iterator[tuple[str, str, int]]:
+    """Type, name and length of the arrays of a template."""
+    if isinstance(template, np.ndarray):
+        yield dtype_of(template.dtype), name, max(template.size, 1)
+    else:
+        for field, part in zip(template._fields, template, strict=True):
+            yield from _fields(f"{name}_{field}", part)
+
+
+def _members(name: str, template: Any) -> Value:
+    """The arrays of a template as values of the translation."""
+    if isinstance(template, np.ndarray):
+        shape = tuple(map(int, template.shape))
+        return Array(dtype_of(template.dtype), shape, contiguous(shape), f"self->{name}")
+    parts = zip(template._fields, template, strict=True)
+    return Group(type(template), tuple((field, _members(f"{name}_{field}", part)) for field, part in parts))

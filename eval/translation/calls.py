@@ -1,0 +1,245 @@
+"""Calls in a kernel: of other kernels, of named tuples, of the functions of Python and NumPy that are translated."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from eval.translation import arrays
+from eval.translation.expressions import Expressions, parts_of
+from eval.translation.numbers import bare, binary, cast, constant, scalar
+from eval.translation.scope import Local
+from eval.translation.types import (
+    BOOL,
+    INT,
+    REAL,
+    SINGLE,
+    Array,
+    Const,
+    Group,
+    Record,
+    Scalar,
+    TranslationError,
+    Value,
+    dtype_of,
+    joined,
+)
+
+LARGEST = 512
+"""Most numbers of an array that a function allocates: on the stack of a small processor."""
+
+
+class Calls(Expressions):
+    """Evaluation of calls."""
+
+    def _call(self, node: ast.Call) -> Value:
+        if isinstance(node.func, ast.Attribute):
+            method = self._method(node)
+            if method is not None:
+                return method
+        called = self.value(node.func)
+        function: Any = getattr(called.value, "py_func", called.value) if isinstance(called, Const) else None
+        if function is None:
+            raise TranslationError(f"only known functions are called: {ast.unparse(node)}")
+        given: list[Value] = []
+        for argument in node.args:
+            if isinstance(argument, ast.Starred):
+                given += parts_of(self.value(argument.value))
+            else:
+                given.append(self.value(argument))
+        named = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
+        if hasattr(function, "_field_defaults"):
+            return self.tuple_of(_ordered(function._fields, function._field_defaults, given, named), function)
+        if function in TRANSLATED:
+            return TRANSLATED[function](self, *given, **named)
+        if inspect.isfunction(function) and function.__module__.split(".")[0] not in ("numpy", "math", "numba"):
+            return self.call(function, given, named)
+        name = getattr(function, "__name__", str(function))
+        raise TranslationError(f"{name} is not translated: {ast.unparse(node)}")
+
+    def _method(self, node: ast.Call) -> Value | None:
+        """Evaluate `.copy()` of an array or `._replace()` of a named tuple; None of anything else."""
+        assert isinstance(node.func, ast.Attribute)
+        if node.func.attr == "copy" and not node.args:
+            owner = self.value(node.func.value)
+            source = arrays.lazy(owner, self.table)
+            if source is not None:
+                copy = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
+                self.fill(copy, source)
+                return copy
+        if node.func.attr == "_replace":
+            owner = self.value(node.func.value)
+            changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
+            make: Any = getattr(owner, "make", None)
+            if isinstance(owner, Record):
+                make = owner.type.make
+            elif isinstance(owner, Const):
+                make = type(owner.value)
+            if make is not None:
+                old = dict(zip(make._fields, parts_of(owner), strict=True))
+                return self.tuple_of([changed.get(name, old[name]) for name in make._fields], make)
+        return None
+
+    def call(self, function: Callable[..., Any], given: list[Value], named: dict[str, Value]) -> Value:
+        """Call another kernel."""
+        parameters = inspect.signature(function).parameters
+        defaults = {name: p.default for name, p in parameters.items() if p.default is not inspect.Parameter.empty}
+        values = _ordered(tuple(parameters), defaults, given, named)
+        return self.program.call(self, function, values)
+
+    def allocate(self, shape: Sequence[Value], dtype: str) -> Array:
+        """Declare an array on the stack."""
+        sizes = tuple(int(constant(size)) for size in shape)
+        count = math.prod(sizes)
+        if count > LARGEST:
+            raise TranslationError(f"an array of {count} numbers is too large for the stack: take it as an argument")
+        self.counter += 1
+        name = self.c_name(f"a_{self.counter}")
+        self.locals[name] = Local(None, f"{dtype} {name}[{max(count, 1)}];")
+        return Array(dtype, sizes, arrays.contiguous(sizes), name, in_loop=self.loops > 0)
+
+    def fill(self, target: Array, value: Value) -> None:
+        """Write a number into all elements of an array, or an array expression of its shape."""
+        source = arrays.lazy(value, self.table)
+        if source is not None and source.shape != target.shape:
+            raise TranslationError(f"an array of shape {target.shape} cannot take one of {source.shape}")
+        if source is None and isinstance(value, Scalar):
+            value = self.kept(value)
+        self.counter += 1
+        names = [f"e{axis}_{self.counter}" for axis in range(len(target.shape))]
+        for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
+            indent = "    " * depth
+            self.write(f"{indent}for (int32_t {name} = 0; {name} < {bare(arrays.text(size))}; ++{name}) {{")
+        number = value if source is None else source.at(names)
+        place = arrays.element(target, names)
+        self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")
+        for depth in range(len(names) - 1, -1, -1):
+            self.write(f"{'    ' * depth}}}")
+
+
+def _ordered(
+    names: tuple[str, ...], defaults: dict[str, Any], given: list[Value], named: dict[str, Value]
+) -> list[Any]:
+    """Arguments in the order of the parameters."""
+    if len(given) > len(names):
+        raise TranslationError(f"{len(given)} arguments for {len(names)} parameters")
+    values = list(given)
+    for name in names[len(given) :]:
+        if name in named:
+            values.append(named[name])
+        elif name in defaults:
+            values.append(Const(defaults[name]))
+        else:
+            raise TranslationError(f"argument {name!r} is missing")
+    return values
+
+
+def _largest(self: Calls, *values: Value) -> Value:
+    return _chosen(self, "max", max, values)
+
+
+def _least(self: Calls, *values: Value) -> Value:
+    return _chosen(self, "min", min, values)
+
+
+def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[Value, ...]) -> Value:
+    """The largest or least of some numbers, as Python and numba choose it: the later one only if it is beyond."""
+    if all(isinstance(value, Const) for value in values):
+        return Const(function(constant(value) for value in values))
+    found: Value = values[0]
+    for value in values[1:]:
+        dtype = joined(scalar(found).dtype, scalar(value).dtype)
+        a, b = cast(found, dtype), cast(value, dtype)
+        kind = {REAL: "real", SINGLE: "float", INT: "int"}[dtype]
+        found = Scalar(dtype, f"{kind}_{name}({bare(a.code)}, {bare(b.code)})")
+    return found
+
+
+def _absolute(self: Calls, value: Value) -> Value:
+    if isinstance(value, Const):
+        return Const(abs(value.value))
+    number = scalar(value)
+    names = {REAL: "real_abs", SINGLE: "fabsf", INT: "int_abs"}
+    return Scalar(number.dtype, f"{names[number.dtype]}({bare(number.code)})")
+
+
+def _length(self: Calls, value: Value) -> Value:
+    if isinstance(value, Const):
+        return Const(len(value.value))
+    if isinstance(value, Array):
+        return arrays.sized(value.shape[0])
+    return Const(len(parts_of(value)))
+
+
+def _converts(dtype: str) -> Callable[..., Value]:
+    def convert(self: Calls, value: Value) -> Value:
+        if isinstance(value, Const) and dtype != SINGLE:
+            return Const({INT: int, REAL: float, BOOL: bool}[dtype](value.value))
+        if isinstance(value, Const):
+            return Const(np.float32(value.value))
+        if dtype == BOOL:
+            return Scalar(BOOL, f"({scalar(value).code} != 0)")
+        return cast(value, dtype)
+
+    return convert
+
+
+def _of_real(name: str, function: Callable[..., Any], dtype: str = REAL) -> Callable[..., Value]:
+    def of_real(self: Calls, value: Value) -> Value:
+        if isinstance(value, Const):
+            return Const(function(value.value))
+        over = arrays.over_elements(lambda one: of_real(self, one), [value], self.table)
+        if over is not None:
+            return over
+        number = cast(value, REAL)
+        return cast(Scalar(BOOL if dtype == BOOL else REAL, f"{name}({bare(number.code)})"), dtype)
+
+    return of_real
+
+
+_FLOAT64 = Const(np.float64)
+
+
+def _empty(self: Calls, shape: Value, dtype: Value = _FLOAT64) -> Value:
+    several = isinstance(shape, Group) or (isinstance(shape, Const) and isinstance(shape.value, tuple))
+    sizes = parts_of(shape) if several else [shape]
+    return self.allocate(sizes, dtype_of(constant(dtype)))
+
+
+def _zeros(self: Calls, shape: Value, dtype: Value = _FLOAT64) -> Value:
+    return _full(self, shape, Const(0), dtype)
+
+
+def _ones(self: Calls, shape: Value, dtype: Value = _FLOAT64) -> Value:
+    return _full(self, shape, Const(1), dtype)
+
+
+def _full(self: Calls, shape: Value, value: Value, dtype: Value = _FLOAT64) -> Value:
+    made = _empty(self, shape, dtype)
+    assert isinstance(made, Array)
+    self.fill(made, value)
+    return made
+
+
+def _square(self: Calls, value: Value) -> Value:
+    return binary(ast.Pow, value, Const(2))
+
+
+TRANSLATED: dict[Any, Callable[..., Value]] = {
+    **{max: _largest, min: _least, abs: _absolute, len: _length, np.abs: _absolute, math.fabs: _absolute},
+    **{int: _converts(INT), float: _converts(REAL), bool: _converts(BOOL)},
+    **{np.float64: _converts(REAL), np.float32: _converts(SINGLE), np.int64: _converts(INT)},
+    **{math.sqrt: _of_real("real_sqrt", math.sqrt), np.sqrt: _of_real("real_sqrt", math.sqrt)},
+    **{np.floor: _of_real("real_floor", math.floor), np.ceil: _of_real("real_ceil", math.ceil)},
+    **{math.floor: _of_real("real_floor", math.floor, INT), math.ceil: _of_real("real_ceil", math.ceil, INT)},
+    **{np.sign: _of_real("real_sign", np.sign)},
+    **{of: _of_real("isfinite", math.isfinite, BOOL) for of in (math.isfinite, np.isfinite)},
+    **{of: _of_real("isnan", math.isnan, BOOL) for of in (math.isnan, np.isnan)},
+    **{np.empty: _empty, np.zeros: _zeros, np.ones: _ones, np.square: _square},
+}
+"""Functions of Python, math and NumPy, and how each is translated."""

@@ -1,0 +1,263 @@
+"""Expressions of a kernel, from Python's syntax tree to values of the translation."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+from typing import Any
+
+import numpy as np
+
+from eval.translation import arrays
+from eval.translation.numbers import NUMBERS, bare, binary, cast, condition, constant, scalar, unary
+from eval.translation.scope import Scope
+from eval.translation.types import (
+    BOOL,
+    Array,
+    Const,
+    Group,
+    Lazy,
+    Record,
+    RecordType,
+    Scalar,
+    TranslationError,
+    Value,
+    is_named_tuple,
+    joined,
+)
+
+
+class Expressions(Scope):
+    """Evaluation of expressions; statements that they need, such as calls, are written on the way."""
+
+    def value(self, node: ast.expr) -> Value:
+        """Evaluate an expression."""
+        self.line = getattr(node, "lineno", self.line)
+        method = getattr(self, f"_{type(node).__name__.lower()}", None)
+        if method is None:
+            raise TranslationError(f"{type(node).__name__} is not translated: {ast.unparse(node)}")
+        return method(node)
+
+    def _constant(self, node: ast.Constant) -> Value:
+        return Const(node.value)
+
+    def _name(self, node: ast.Name) -> Value:
+        if node.id in self.names:
+            return self.read(node.id)
+        if node.id in self.outside:
+            return Const(self.outside[node.id], node.id)
+        if hasattr(builtins, node.id):
+            return Const(getattr(builtins, node.id), node.id)
+        raise TranslationError(f"{node.id} is used before it is set")
+
+    def _attribute(self, node: ast.Attribute) -> Value:
+        owner = self.value(node.value)
+        if isinstance(owner, Const):
+            if isinstance(owner.value, np.ndarray) and node.attr == "shape":
+                return Const(owner.value.shape)
+            if node.attr in self.overrides:
+                return Const(self.overrides[node.attr], node.attr)
+            prefix = f"{owner.name}_" if is_named_tuple(owner.value) else ""
+            return Const(getattr(owner.value, node.attr), f"{prefix}{node.attr}")
+        if isinstance(owner, Array) and node.attr == "shape":
+            return Group(None, tuple((f"f{k}", arrays.sized(size)) for k, size in enumerate(owner.shape)))
+        return field_of(owner, node.attr)
+
+    def _subscript(self, node: ast.Subscript) -> Value:
+        owner = self.value(node.value)
+        index = self.indices(node.slice)
+        known = arrays.known_array(owner)
+        if known is not None:
+            found = arrays.known_element(known, index)
+            if found is not None and isinstance(found.value, NUMBERS):
+                return found
+            owner = self.table(known, owner.name if isinstance(owner, Const) else "")
+        if isinstance(owner, Array):
+            return arrays.view(owner, index)
+        if isinstance(owner, Lazy):
+            raise TranslationError(f"an array expression cannot be indexed: {ast.unparse(node)}")
+        (at,) = index
+        if not isinstance(at, Const):
+            if isinstance(owner, Const) and all(isinstance(entry, NUMBERS) for entry in owner.value):
+                return arrays.view(self.table(np.array(owner.value), owner.name), index)
+            raise TranslationError(f"a tuple is indexed by what is known only: {ast.unparse(node)}")
+        if isinstance(owner, Const):
+            return Const(owner.value[at.value])
+        return parts_of(owner)[at.value]
+
+    def indices(self, node: ast.expr) -> list[Any]:
+        """Evaluate an index: values, and pairs of start and stop."""
+        nodes = node.elts if isinstance(node, ast.Tuple) else [node]
+        return [self._index(entry) for entry in nodes]
+
+    def _index(self, node: ast.expr) -> Any:
+        if isinstance(node, ast.Slice):
+            if node.step is not None:
+                raise TranslationError(f"slices with a step are not translated: {ast.unparse(node)}")
+            return tuple(None if part is None else self.value(part) for part in (node.lower, node.upper))
+        found = self.value(node)
+        if isinstance(found, Const) and isinstance(found.value, slice):
+            return tuple(None if part is None else Const(part) for part in (found.value.start, found.value.stop))
+        return found
+
+    def _tuple(self, node: ast.Tuple) -> Value:
+        return self.tuple_of([self.value(entry) for entry in node.elts])
+
+    def tuple_of(self, entries: list[Value], make: Any = None) -> Value:
+        """Make a tuple, or a named tuple, from its entries."""
+        known = [entry.value for entry in entries if isinstance(entry, Const)]
+        if len(known) == len(entries) and not any(isinstance(value, np.ndarray) for value in known):
+            return Const(tuple(known) if make is None else make(*known))
+        names = make._fields if make is not None else tuple(f"f{k}" for k in range(len(entries)))
+        return Group(make, tuple(zip(names, entries, strict=True)))
+
+    def _binop(self, node: ast.BinOp) -> Value:
+        left, right = self.value(node.left), self.value(node.right)
+        return self.combined(type(node.op), left, right)
+
+    def combined(self, kind: type, left: Value, right: Value) -> Value:
+        """Combine two values by an operator, element by element if they are arrays."""
+        if kind is ast.Add and isinstance(left, Const) and isinstance(left.value, tuple):
+            return Const(left.value + constant(right))
+        over = arrays.over_elements(lambda a, b: binary(kind, a, b), [left, right], self.table)
+        return binary(kind, left, right) if over is None else over
+
+    def _unaryop(self, node: ast.UnaryOp) -> Value:
+        operand = self.value(node.operand)
+        kind = type(node.op)
+        if kind is ast.Not:
+            asked = condition(operand)
+            return Const(not asked.value) if isinstance(asked, Const) else unary(kind, asked)
+        over = arrays.over_elements(lambda a: unary(kind, a), [operand], self.table)
+        return unary(kind, operand) if over is None else over
+
+    def _compare(self, node: ast.Compare) -> Value:
+        left, found = self.value(node.left), None
+        for operation, right_node in zip(node.ops, node.comparators, strict=True):
+            right = self.value(right_node)
+            one = self._compared(type(operation), left, right)
+            if len(node.ops) > 1 and isinstance(right, Scalar):
+                right = self.kept(right)
+            if found is None:
+                found = one
+            elif isinstance(found, Const):
+                found = one if found.value else found
+            elif isinstance(one, Const):
+                found = found if one.value else one
+            else:
+                found = Scalar(BOOL, f"({scalar(found).code} && {scalar(one).code})")
+            left = right
+        assert found is not None
+        return found
+
+    def _compared(self, kind: type, left: Value, right: Value) -> Value:
+        if kind in (ast.Is, ast.IsNot):
+            if not (isinstance(right, Const) and right.value is None):
+                raise TranslationError("`is` compares with None only")
+            is_none = isinstance(left, Const) and left.value is None
+            return Const(is_none == (kind is ast.Is))
+        return binary(kind, left, right)
+
+    def _boolop(self, node: ast.BoolOp) -> Value:
+        conjunction = isinstance(node.op, ast.And)
+        found: Any = None
+        for operand in node.values:
+            if isinstance(found, Const):
+                if found.value != conjunction:
+                    return found
+                found = None
+            if found is None:
+                found = condition(self.value(operand))
+                continue
+            later, written = self.apart(lambda operand=operand: condition(self.value(operand)))
+            if isinstance(later, Const):
+                if later.value != conjunction:
+                    return later
+                continue
+            if written:  # what has to run first runs only if it is asked for
+                name = self.fresh(BOOL, "asked")
+                self.write(f"{name} = {bare(found.code)};")
+                self.write(f"if ({name if conjunction else f'!{name}'}) {{")
+                self.lines += [f"    {line}" for line in written]
+                self.write(f"    {name} = {bare(later.code)};")
+                self.write("}")
+                found = Scalar(BOOL, name)
+            else:
+                found = Scalar(BOOL, f"({found.code} {'&&' if conjunction else '||'} {later.code})")
+        return found
+
+    def _ifexp(self, node: ast.IfExp) -> Value:
+        asked = condition(self.value(node.test))
+        if isinstance(asked, Const):
+            return self.value(node.body if asked.value else node.orelse)
+        first, before_first = self.apart(lambda: self.value(node.body))
+        second, before_second = self.apart(lambda: self.value(node.orelse))
+        if isinstance(first, Group) or isinstance(second, Group):
+            first_parts, second_parts = parts_of(first), parts_of(second)
+            if before_first or before_second:
+                raise TranslationError("a choice between tuples takes no calls")
+            asked = self.kept(asked)
+            chosen = [self._either(asked, a, b) for a, b in zip(first_parts, second_parts, strict=True)]
+            return self.tuple_of(chosen, first.make if isinstance(first, Group) else None)
+        if not (before_first or before_second):
+            return self._either(asked, first, second)
+        dtype = joined(scalar(first).dtype, scalar(second).dtype)
+        name = self.fresh(dtype, "chosen")
+        self.write(f"if ({bare(asked.code)}) {{")
+        self.lines += [f"    {line}" for line in before_first]
+        self.write(f"    {name} = {bare(cast(first, dtype).code)};")
+        self.write("} else {")
+        self.lines += [f"    {line}" for line in before_second]
+        self.write(f"    {name} = {bare(cast(second, dtype).code)};")
+        self.write("}")
+        return Scalar(dtype, name)
+
+    def _either(self, asked: Scalar, first: Value, second: Value) -> Value:
+        if isinstance(first, Array) and isinstance(second, Array):
+            if (first.shape, first.strides, first.dtype) != (second.shape, second.strides, second.dtype):
+                raise TranslationError("a choice between arrays takes arrays of one shape")
+            code = f"({asked.code} ? {first.code} : {second.code})"
+            return Array(first.dtype, first.shape, first.strides, code, first.constant or second.constant)
+        if isinstance(first, Record) and isinstance(second, Record):
+            return Record(joined(first.type, second.type), f"({asked.code} ? {first.code} : {second.code})")
+        dtype = joined(scalar(first).dtype, scalar(second).dtype)
+        return Scalar(dtype, f"({asked.code} ? {cast(first, dtype).code} : {cast(second, dtype).code})")
+
+    def _call(self, node: ast.Call) -> Value:
+        raise NotImplementedError
+
+
+def field_of(owner: Value, name: str) -> Value:
+    """Field of a named tuple, by name."""
+    if isinstance(owner, Record):
+        for field, kind in owner.type.fields:
+            if field == name:
+                return _member(f"{owner.code}.{name}", kind)
+    if isinstance(owner, Group):
+        for field, value in owner.fields:
+            if field == name:
+                return value
+    raise TranslationError(f"no field {name!r}")
+
+
+def known_group(value: Const) -> Group:
+    """A known tuple as its entries, each known."""
+    make = type(value.value) if is_named_tuple(value.value) else None
+    names = make._fields if make else tuple(f"f{k}" for k in range(len(value.value)))
+    return Group(make, tuple(zip(names, parts_of(value), strict=True)))
+
+
+def parts_of(value: Value) -> list[Value]:
+    """Entries of a tuple."""
+    if isinstance(value, Group):
+        return [part for _, part in value.fields]
+    if isinstance(value, Record):
+        return [_member(f"{value.code}.{name}", kind) for name, kind in value.type.fields]
+    if isinstance(value, Const) and isinstance(value.value, tuple):
+        names = getattr(value.value, "_fields", [""] * len(value.value))
+        return [Const(part, f"{value.name}_{name}") for part, name in zip(value.value, names, strict=True)]
+    raise TranslationError("a tuple is expected")
+
+
+def _member(code: str, kind: Any) -> Value:
+    return Record(kind, code) if isinstance(kind, RecordType) else Scalar(kind, code)

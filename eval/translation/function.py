@@ -1,0 +1,71 @@
+"""One function of C: the statements of a kernel, and what it returns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eval.translation.expressions import known_group
+from eval.translation.numbers import NUMBERS, bare, cast, scalar
+from eval.translation.scope import type_of
+from eval.translation.statements import Statements
+from eval.translation.types import (
+    Const,
+    ConstType,
+    Group,
+    Record,
+    RecordType,
+    Scalar,
+    TranslationError,
+    Value,
+    joined,
+)
+
+
+class NotReturnableError(TranslationError):
+    """A function returns what C cannot: it is written out where it is called."""
+
+
+class Function(Statements):
+    """Translation of one function."""
+
+    def give(self, value: Value) -> None:
+        """Return a value."""
+        if isinstance(value, Const) and not _all_numbers(value.value):
+            if self.returned not in (None, ConstType(key_of(value.value))):
+                raise TranslationError("a function returns either a number or what is known, not both")
+            self.returned, self.known = ConstType(key_of(value.value)), value
+            self.write("return;")
+            return
+        if isinstance(value, Const):
+            value = scalar(value) if isinstance(value.value, NUMBERS) else known_group(value)
+        if isinstance(value, Group):
+            record = self.record(value)
+            if record is None:
+                raise NotReturnableError("it returns arrays")
+            value = record
+        if not isinstance(value, Scalar | Record):
+            raise NotReturnableError("it returns arrays")
+        kind = joined(self.returned, type_of(value)) if self.returned is not None else type_of(value)
+        if kind != self.returned:
+            self.changed, self.returned = True, kind
+        if isinstance(kind, RecordType):
+            self.write(f"return {bare(self.as_record(value, kind))};")
+        else:
+            self.write(f"return {bare(cast(value, kind).code)};")
+
+    known: Const | None = None
+
+
+def _all_numbers(value: Any) -> bool:
+    if isinstance(value, NUMBERS):
+        return True
+    return isinstance(value, tuple) and len(value) > 0 and all(map(_all_numbers, value))
+
+
+def key_of(value: Any) -> Any:
+    """What tells known values apart."""
+    if value is None or isinstance(value, str | int | float | bool):
+        return (type(value).__name__, value)
+    if isinstance(value, tuple):
+        return (type(value).__name__, *map(key_of, value))
+    return id(value)

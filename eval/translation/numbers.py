@@ -1,0 +1,167 @@
+"""Arithmetic of translated expressions: types as numba has them, and the text of C."""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from beltarm_env.physics.trigonometry import ROUNDER
+from eval.translation.types import BOOL, INT, REAL, SINGLE, Const, NotConstantError, Scalar, TranslationError, joined
+
+PYTHON_OPERATORS: dict[type, Callable[..., Any]] = {
+    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
+    **{ast.FloorDiv: operator.floordiv, ast.Mod: operator.mod, ast.Pow: operator.pow},
+    **{ast.BitAnd: operator.and_, ast.BitOr: operator.or_, ast.BitXor: operator.xor},
+    **{ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le},
+    **{ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not},
+    **{ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: operator.not_},
+    **{ast.LShift: operator.lshift, ast.RShift: operator.rshift},
+}
+C_OPERATORS: dict[type, str] = {
+    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitAnd: "&", ast.BitOr: "|"},
+    **{ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="},
+}
+NUMBERS: tuple[type, ...] = (int, float, bool, np.integer, np.floating, np.bool_)
+
+
+def dtype_of_number(value: Any) -> str:
+    """Find the type of a known number."""
+    if isinstance(value, bool | np.bool_):
+        return BOOL
+    if isinstance(value, int | np.integer):
+        return INT
+    return SINGLE if isinstance(value, np.float32) else REAL
+
+
+def literal(value: Any, dtype: str) -> str:
+    """Write a known number as a literal of C."""
+    if dtype == BOOL:
+        return "true" if value else "false"
+    if dtype == INT:
+        return str(int(value))
+    number = float(value)
+    if number == ROUNDER:
+        return "ROUNDER"
+    if math.isnan(number):
+        return "NAN"
+    if math.isinf(number):
+        return "INFINITY" if number > 0 else "(-INFINITY)"
+    text = f"R({number!r})" if dtype == REAL else f"(float){number!r}"
+    return text if math.copysign(1.0, number) > 0 or dtype == REAL else f"({text})"
+
+
+def scalar(value: Any) -> Scalar:
+    """Turn a value into a number of the program.
+
+    Raises:
+        TranslationError: If it is none.
+    """
+    if isinstance(value, Scalar):
+        return value
+    if isinstance(value, Const) and isinstance(value.value, NUMBERS):
+        dtype = dtype_of_number(value.value)
+        return Scalar(dtype, literal(value.value, dtype))
+    raise TranslationError(f"a number is expected, not {value}")
+
+
+def cast(value: Any, dtype: str) -> Scalar:
+    """Convert a number to a type."""
+    if isinstance(value, Const) and isinstance(value.value, NUMBERS):
+        return Scalar(dtype, literal(np.float32(value.value) if dtype == SINGLE else value.value, dtype))
+    number = scalar(value)
+    return number if number.dtype == dtype else Scalar(dtype, f"({dtype}){grouped(number.code)}")
+
+
+def grouped(code: str) -> str:
+    """Put an expression in parentheses, unless it is one name, literal or call."""
+    return code if bare(code) != code or code.replace("_", "").replace(".", "").isalnum() else f"({code})"
+
+
+def bare(code: str) -> str:
+    """Take off parentheses around a whole expression."""
+    while code.startswith("(") and code.endswith(")"):
+        depth = 0
+        for k, character in enumerate(code):
+            depth += (character == "(") - (character == ")")
+            if depth == 0 and k < len(code) - 1:
+                return code
+        code = code[1:-1]
+    return code
+
+
+def constant(value: Any) -> Any:
+    """Return the Python value of something known.
+
+    Raises:
+        NotConstantError: If it is not.
+    """
+    if isinstance(value, Const):
+        return value.value
+    raise NotConstantError(f"this has to be known when the program is written, and is {value}")
+
+
+def binary(kind: type, left: Any, right: Any) -> Any:
+    """Translate `left kind right` for numbers, with the types of numba.
+
+    Raises:
+        TranslationError: If there is no such operation.
+    """
+    if isinstance(left, Const) and isinstance(right, Const):
+        with np.errstate(all="ignore"):
+            return Const(PYTHON_OPERATORS[kind](left.value, right.value))
+    a, b = scalar(left), scalar(right)
+    if kind is ast.Pow:
+        return _power(a, right)
+    common = joined(a.dtype, b.dtype)
+    if kind is ast.Div:
+        common = REAL if common in (INT, BOOL) else common
+    elif kind in (ast.Add, ast.Sub, ast.Mult, ast.FloorDiv, ast.Mod) and common == BOOL:
+        common = INT
+    a, b = cast(left, common), cast(right, common)
+    if kind in (ast.Mod, ast.FloorDiv):
+        if common == INT:
+            return Scalar(INT, f"{'floor_mod' if kind is ast.Mod else 'floor_div'}({bare(a.code)}, {bare(b.code)})")
+        if kind is ast.Mod and common == REAL:
+            return Scalar(REAL, f"real_mod({bare(a.code)}, {bare(b.code)})")
+    if kind not in C_OPERATORS or (kind in (ast.BitAnd, ast.BitOr) and common not in (BOOL, INT)):
+        raise TranslationError(f"no operation {kind.__name__} on {a.dtype} and {b.dtype}")
+    if common == INT and (kind, "1") in ((ast.Mult, a.code), (ast.Mult, b.code)):
+        return b if a.code == "1" else a
+    compares = kind in (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+    return Scalar(BOOL if compares else common, f"({a.code} {C_OPERATORS[kind]} {b.code})")
+
+
+def _power(base: Scalar, exponent: Any) -> Scalar:
+    """Square, cube or fourth power, in numba's order of multiplications."""
+    power = constant(exponent)
+    names = {2: "square", 3: "cube", 4: "fourth_power"}
+    if power not in names or base.dtype not in (REAL, INT):
+        raise TranslationError(f"only the powers 2, 3 and 4 of float64 are translated, not {power} of {base.dtype}")
+    if base.dtype == INT:
+        raise TranslationError("powers of whole numbers are not translated")
+    return Scalar(REAL, f"{names[power]}({bare(base.code)})")
+
+
+def unary(kind: type, operand: Any) -> Any:
+    """Translate `kind operand` for a number."""
+    if isinstance(operand, Const):
+        return Const(PYTHON_OPERATORS[kind](operand.value))
+    a = scalar(operand)
+    if kind is ast.Not:
+        return Scalar(BOOL, f"(!{grouped(a.code)})")
+    if kind is ast.USub and a.dtype != BOOL:
+        return Scalar(a.dtype, f"(-{grouped(a.code)})")
+    raise TranslationError(f"no operation {kind.__name__} on {a.dtype}")
+
+
+def condition(value: Any) -> Any:
+    """Turn a value into what an `if` asks: a known bool, or an expression."""
+    if isinstance(value, Const):
+        return Const(bool(value.value))
+    number = scalar(value)
+    return number if number.dtype == BOOL else Scalar(BOOL, f"({number.code} != 0)")

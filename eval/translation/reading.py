@@ -1,0 +1,66 @@
+"""Source text of a kernel: its syntax tree, its variables, its place."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from eval.translation.types import TranslationError
+
+
+def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
+    """Parse a kernel.
+
+    Raises:
+        TranslationError: If it has no source text, or takes any number of arguments.
+    """
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        raise TranslationError(f"{function.__name__} has no source text that could be translated") from None
+    tree = ast.parse(source).body[0]
+    if not isinstance(tree, ast.FunctionDef) or tree.args.vararg or tree.args.kwarg:
+        raise TranslationError(f"{place(function)} is not a plain function")
+    tree.args.args = [*tree.args.posonlyargs, *tree.args.args, *tree.args.kwonlyargs]
+    return tree
+
+
+def assignments(tree: ast.FunctionDef) -> dict[str, int]:
+    """How often each name is assigned in a function, but by loops."""
+    found: dict[str, int] = {argument.arg: 0 for argument in tree.args.args}
+
+    def note(target: ast.expr, times: int) -> None:
+        for node in ast.walk(target):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                found[node.id] = found.get(node.id, 0) + times
+
+    parameters = set(found)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign):
+            for target in node.targets:
+                note(target, 1)
+        elif isinstance(node, ast.AugAssign | ast.AnnAssign):
+            note(node.target, 2 if isinstance(node, ast.AugAssign) else 1)
+        elif isinstance(node, ast.For) and not isinstance(node.iter, ast.Call):
+            note(node.target, 2)
+    return {name: count + (1 if name in parameters and count else 0) for name, count in found.items()}
+
+
+def place(function: Callable[..., Any]) -> str:
+    """Name file, line and function."""
+    path = Path(inspect.getsourcefile(function) or "?")
+    module = function.__module__.replace(".", "/") + ".py"
+    return f"{module if path.name != '<string>' else path.name}:{function.__code__.co_firstlineno} {function.__name__}"
+
+
+def placed(error: TranslationError, function: Callable[..., Any], line: int) -> TranslationError:
+    """Error with the function and line that it is about, once."""
+    if " (in " in str(error):
+        return error
+    at = function.__code__.co_firstlineno + line - 1
+    module = function.__module__.replace(".", "/") + ".py"
+    return type(error)(f"{error} (in {function.__name__}, {module}, line {at})")

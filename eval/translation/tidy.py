@@ -1,0 +1,60 @@
+"""Tidying of a translated function: variables where they are first assigned, none that nobody reads."""
+
+from __future__ import annotations
+
+import re
+
+from eval.translation.scope import PREFIX, Scope
+
+
+def without_unused(body: Scope) -> list[str]:
+    """Declarations and lines, without variables that are never read, or that only pass a value on."""
+    lines = list(body.lines)
+    for name in body.locals:
+        if name.startswith("t_"):
+            lines = _passed_on(lines, name)
+    while True:
+        text = "\n".join(lines)
+        unread = {
+            name
+            for name, local in body.locals.items()
+            if local.kind is not None and not re.search(rf"\b{name}\b(?! = )|= .*\b{name}\b", text)
+        }
+        kept = []
+        for line in lines:
+            target, _, source = line.strip().partition(" = ")
+            if target in unread and source:
+                if re.match(rf"{PREFIX}\w+\(", source):
+                    kept.append(line.replace(f"{target} = ", "(void)", 1))
+                continue
+            kept.append(line)
+        if kept == lines:
+            break
+        lines = kept
+    declared = []
+    for name, local in body.locals.items():
+        uses = [k for k, line in enumerate(lines) if re.search(rf"\b{name}\b", line)]
+        if not uses:
+            continue
+        first = lines[uses[0]]
+        if local.kind is not None and re.match(rf"{name} = (?!.*\b{name}\b)", first):  # where it is assigned first
+            lines[uses[0]] = f"{local.text.partition(' = ')[0].removesuffix(name)}{first}"
+        else:
+            declared.append(local.text)
+    return [*declared, *lines]
+
+
+def _passed_on(lines: list[str], name: str) -> list[str]:
+    """Join `t = f(); x = t;` to `x = f();` where t is read nowhere else."""
+    uses = [k for k, line in enumerate(lines) if re.search(rf"\b{name}\b", line)]
+    if len(uses) != 2 or uses[1] != uses[0] + 1:
+        return lines
+    made, used = lines[uses[0]], lines[uses[1]]
+    indent = made[: len(made) - len(made.lstrip())]
+    source = made.strip().removeprefix(f"{name} = ").removesuffix(";")
+    if not made.strip().startswith(f"{name} = "):
+        return lines
+    if used.strip() in (f"return {name};",) or used.strip().endswith(f" = {name};"):
+        target = used.strip().removesuffix(f"{name};")
+        return [*lines[: uses[0]], f"{indent}{target}{source};", *lines[uses[1] + 1 :]]
+    return lines

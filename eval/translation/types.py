@@ -1,0 +1,165 @@
+"""Types and values of the translation: what is known of an expression before the program runs.
+
+Const      a Python value that is known: a number, a named tuple, a table, a function, a module, None
+Scalar     a number that the program computes, by an expression of C
+Record     a named tuple, or a tuple, of numbers: a struct of C
+Array      a view of numbers in memory: a pointer, with shape and strides; fixed when the program is written, but
+for lengths of one-dimensional slices
+Group      a named tuple of anything else: exists while translating only, its parts are passed one by one
+Lazy       elements of an expression over arrays, computed one by one where it is written into an array
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+REAL, SINGLE, INT, BOOL = "real", "float", "int32_t", "bool"
+"""Types of numbers in C. `real` stands for float64, and for float32 in a program of single precision."""
+
+DTYPES = {np.dtype(np.float64): REAL, np.dtype(np.float32): SINGLE, np.dtype(np.bool_): BOOL}
+Size = int | str  # a number, or an expression of C
+
+
+class TranslationError(ValueError):
+    """Error about a construct that cannot be translated; names function, file, line and construct."""
+
+
+class NotConstantError(TranslationError):
+    """Error about an expression that has to be known when translating, and is not."""
+
+
+@dataclass(frozen=True)
+class RecordType:
+    """Type of a struct of C."""
+
+    name: str
+    fields: tuple[tuple[str, Any], ...]  # name and type of each, a number's or a struct's
+    make: Any = None  # class of the named tuple; None for a tuple
+
+
+@dataclass(frozen=True)
+class ArrayType:
+    """Type of a view; a shape of None is of a length that the program computes."""
+
+    dtype: str
+    shape: tuple[int | None, ...]
+    strides: tuple[int, ...]
+    constant: bool
+
+
+@dataclass(frozen=True)
+class GroupType:
+    """Types of the parts of a group."""
+
+    make: Any
+    fields: tuple[tuple[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class ConstType:
+    """Type of a known value, which is known in the function that it is passed to as well."""
+
+    key: Any
+
+
+@dataclass(frozen=True)
+class Const:
+    """Known value; `name` is what a table is called in the program."""
+
+    value: Any
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """Number that the program computes."""
+
+    dtype: str
+    code: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """Struct that the program computes."""
+
+    type: RecordType
+    code: str
+
+
+@dataclass(frozen=True)
+class Array:
+    """View of memory."""
+
+    dtype: str
+    shape: tuple[Size, ...]
+    strides: tuple[int, ...]
+    code: str
+    constant: bool = False
+    in_loop: bool = False  # allocated anew in each turn of a loop: must not be kept beyond it
+
+
+@dataclass(frozen=True)
+class Group:
+    """Parts of a named tuple."""
+
+    make: Any
+    fields: tuple[tuple[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class Lazy:
+    """Elements of an array expression."""
+
+    dtype: str
+    shape: tuple[Size, ...]
+    at: Callable[[list[str]], Scalar]
+
+
+Value = Const | Scalar | Record | Array | Group | Lazy
+
+
+def dtype_of(dtype: Any) -> str:
+    """Name the type of C for a type of NumPy; whole numbers of any width are `int32_t`."""
+    dtype = np.dtype(dtype)
+    if dtype.kind in "iu":
+        return INT
+    return DTYPES[dtype]
+
+
+def joined(a: Any, b: Any) -> Any:
+    """Find the type that two types of one variable have in common: that of the wider number."""
+    if a == b:
+        return a
+    order = [BOOL, INT, SINGLE, REAL]
+    if a in order and b in order:
+        if {a, b} == {INT, SINGLE}:
+            return REAL
+        return max(a, b, key=order.index)
+    if isinstance(a, ArrayType) and isinstance(b, ArrayType) and len(a.shape) == len(b.shape) and a.dtype == b.dtype:
+        shape = tuple(m if m == n else None for m, n in zip(a.shape, b.shape, strict=True))
+        if a.strides == b.strides and None not in shape[1:]:
+            return ArrayType(a.dtype, shape, a.strides, a.constant or b.constant)
+    if isinstance(a, RecordType) and isinstance(b, RecordType) and len(a.fields) == len(b.fields):
+        fields = zip(a.fields, b.fields, strict=True)
+        return record_type(a.make or b.make, tuple((m, joined(s, t)) for (m, s), (_, t) in fields))
+    raise TranslationError(f"a variable changes its type from {a} to {b}")
+
+
+def record_type(make: Any, fields: tuple[tuple[str, Any], ...]) -> RecordType:
+    """Make the type of a struct; named after its class where its fields are plain reals, else after its types too."""
+    short = {REAL: "r", SINGLE: "f", INT: "i", BOOL: "b"}
+    codes = "".join(short.get(kind, "") if isinstance(kind, str) else f"_{kind.name}_" for _, kind in fields)
+    if make is None:
+        return RecordType(f"Tuple_{codes}".replace("__", "_").rstrip("_"), fields)
+    plain = all(not isinstance(kind, str) or kind == REAL for _, kind in fields)
+    name = make.__name__.lstrip("_")
+    return RecordType(name if plain else f"{name}_{codes}".replace("__", "_").rstrip("_"), fields, make)
+
+
+def is_named_tuple(value: Any) -> bool:
+    """Tell whether a Python value is a named tuple."""
+    return isinstance(value, tuple) and hasattr(value, "_fields")
