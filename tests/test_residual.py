@@ -16,7 +16,8 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combine
 from agents.residual.env import ResidualEnv, ResidualVecEnv
-from agents.residual.knowledge import ENTRIES, InformedBase, residual_observation_space
+from agents.residual.informed import InformedBase
+from agents.residual.knowledge import ENTRIES, residual_observation_space
 from baselines import CONTROLLERS, PaperController
 from baselines.optimal.adaptive import tuned_identifier
 from baselines.optimal.felt import FeltAdaptiveController

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.observer.network import Estimate, Observer
-from agents.residual.knowledge import InformedBase, InformedMemory
+from agents.residual.informed import InformedBase, InformedMemory
 from baselines.reading import chosen
 from beltarm_env import observation as layout
 from beltarm_env.arrays import Flags, Singles

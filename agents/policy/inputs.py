@@ -52,7 +52,8 @@ class SelectedInputs:
         self.policy = policy
         self._offered = len(offered)
         all_names = [entry.name for entry in offered]
-        self._columns = np.array([all_names.index(name) for name in names])
+        self.columns = np.array([all_names.index(name) for name in names])
+        """Place of each input in the observation."""
 
     def predict(
         self,
@@ -71,4 +72,4 @@ class SelectedInputs:
                 f"the policy chooses from {self._offered} entries, got shape {observation.shape}: run it with the "
                 "--sensors that it was trained with"
             )
-        return self.policy.predict(observation[:, self._columns], state, episode_start, deterministic)
+        return self.policy.predict(observation[:, self.columns], state, episode_start, deterministic)

@@ -7,25 +7,41 @@ another episode follows. Here every sum is taken in the order of its terms,
     y_j = (...((b_j + w_1j x_1) + w_2j x_2) + ...)
 
 in single precision without fused steps, and tanh is a quotient of polynomials in double precision. So a residual is the
-same alone and in any batch, bit for bit.
+same alone and in any batch, bit for bit. The kernel `evaluate` takes one row or several, which then share the weights.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from agents.policy.actor import ACTIVATIONS, FARTHEST, Actor, begun
+from agents.residual.limits import cut
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import compiled, inlined
 
 _TILE = 8  # rows that share the weights once they are loaded
+_LANES = 16  # numbers that a processor takes at once at most: rows begin at multiples of them, to be read faster
 _FEEDFORWARD, _GRU, _LSTM = range(3)
 _TANH, _RELU, _ELU = (list(ACTIVATIONS).index(name) for name in ("tanh", "relu", "elu"))
 _MOST = 7.90531110763549805  # from here on tanh is 1 in single precision
+
+
+class Network(NamedTuple):
+    """An actor's numbers, as kernels read them."""
+
+    weights: Singles  # matrices by input, each before its bias, the recurrent ones first
+    widths: NDArray[np.int64]  # from the first layer's input on
+    kind: int  # feedforward, GRU or LSTM
+    remembered: int  # width of the GRU or LSTM
+    activation: int  # place in `ACTIVATIONS`
+    squashed: bool  # tanh at the end instead of a cut
+    standardised: bool  # whether inputs are, by the following
+    mean: Singles  # of the inputs, shape (k,)
+    deviation: Singles  # likewise
 
 
 class NetworkPolicy:
@@ -36,14 +52,12 @@ class NetworkPolicy:
     """
 
     def __init__(self, actor: Actor) -> None:
-        self.shape = actor.shape
-        self._weights, self._widths = _packed(actor)
-        self._activation = list(ACTIVATIONS).index(self.shape.activation)
-        self._kind = _LSTM if self.shape.lstm else _GRU if self.shape.gru else _FEEDFORWARD
-        self._memory = (2, self.shape.lstm) if self.shape.lstm else (self.shape.gru,)  # shape per row
-        self._scales: tuple[Singles, Singles] | None = None
-        if actor.shape.standardised:
-            self._scales = _array(actor.mean), _array(actor.deviation)
+        self.shape = shape = actor.shape
+        self.network = _network(actor)
+        self.memory = (2, shape.lstm) if shape.lstm else (shape.gru,)
+        """Shape of a row's memory."""
+        self.widest = max(_GATES[self.network.kind] * self.network.remembered, *self.network.widths.tolist())
+        """Width of the widest layer, gates side by side."""
 
     def predict(
         self,
@@ -65,23 +79,22 @@ class NetworkPolicy:
                 f"the policy observes {shape.inputs} entries, got shape {observation.shape}: run it with the "
                 "--sensors that it was trained with"
             )
-        inputs = np.ascontiguousarray(observation, np.float32)
-        if self._scales is not None:
-            mean, deviation = self._scales
-            inputs = np.clip((inputs - mean) / deviation, -FARTHEST, FARTHEST)
-        memory = np.ascontiguousarray(begun(state, episode_start, (count, *self._memory)), np.float32)
-        residuals, following = _evaluate(
-            inputs, memory.reshape(count, -1), self._weights, self._widths, self._kind, self._activation, shape.squashed
-        )
-        return residuals, following.reshape(count, *self._memory) if self._kind != _FEEDFORWARD else None
+        inputs = np.array(observation, np.float32, order="C")
+        memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
+        residuals = np.empty((count, 1), np.float32)
+        _evaluate_tiles(self.network, inputs, memory.reshape(count, -1), self.widest, residuals)
+        return residuals, memory if self.network.kind != _FEEDFORWARD else None
+
+
+_GATES = (0, 3, 4)  # of each kind of memory
 
 
 def _array(tensor: torch.Tensor) -> Singles:
     return tensor.detach().cpu().numpy().astype(np.float32, order="C")
 
 
-def _packed(actor: Actor) -> tuple[Singles, NDArray[np.int64]]:
-    """All weights, matrices by input and each before its bias, and the widths from the first layer's input on."""
+def _network(actor: Actor) -> Network:
+    shape = actor.shape
     blocks: list[tuple[Any, Any]] = []
     recurrent = actor.lstm or actor.gru
     if recurrent is not None:
@@ -90,8 +103,17 @@ def _packed(actor: Actor) -> tuple[Singles, NDArray[np.int64]]:
     linear = [layer for layer in actor.layers if isinstance(layer, torch.nn.Linear)]
     blocks += [(layer.weight, layer.bias) for layer in linear]
     flat = [part for weight, bias in blocks for part in (_array(weight).T.ravel(), _array(bias))]
-    widths = [linear[0].in_features, *(layer.out_features for layer in linear)]
-    return np.concatenate(flat), np.array(widths)
+    return Network(
+        weights=np.concatenate(flat),
+        widths=np.array([linear[0].in_features, *(layer.out_features for layer in linear)]),
+        kind=_LSTM if shape.lstm else _GRU if shape.gru else _FEEDFORWARD,
+        remembered=shape.lstm or shape.gru,
+        activation=list(ACTIVATIONS).index(shape.activation),
+        squashed=shape.squashed,
+        standardised=shape.standardised,
+        mean=_array(actor.mean) if shape.standardised else np.zeros(shape.inputs, np.float32),
+        deviation=_array(actor.deviation) if shape.standardised else np.ones(shape.inputs, np.float32),
+    )
 
 
 @inlined
@@ -134,43 +156,51 @@ def _activated(x: float, activation: int) -> float:
 
 
 @compiled
-def _affine(inputs: Singles, weights: Singles, start: int, outputs: Singles) -> int:
-    """Write b + x W into rows of outputs; weights W, then b, begin at `start`. Return where the next ones begin."""
-    size, width = inputs.shape[1], outputs.shape[1]
-    bias = start + size * width
-    outputs[:] = weights[bias : bias + width]
+def _affine(inputs: Singles, size: int, weights: Singles, start: int, outputs: Singles, width: int, rows: int) -> int:
+    """Write b + x W into the first rows of outputs, of whose entries the first `width` count, and `size` of x.
+
+    Weights W, then b, begin at `start`. Return where the next ones begin.
+    """
+    end = start + size * width
+    bias = weights[end : end + width]
+    for r in range(rows):
+        for j in range(width):
+            outputs[r, j] = bias[j]
     for k in range(size):
         row = weights[start + k * width : start + (k + 1) * width]
-        for r in range(len(inputs)):
+        for r in range(rows):
             factor = inputs[r, k]
             for j in range(width):
                 outputs[r, j] += row[j] * factor
-    return bias + width
+    return end + width
 
 
 @compiled
-def _gru(inputs: Singles, memory: Singles, weights: Singles, following: Singles) -> int:
-    """Gated recurrent unit, as PyTorch has it: gates r, z and n side by side."""
-    rows, width = memory.shape
-    seen, remembered = np.empty((rows, 3 * width), np.float32), np.empty((rows, 3 * width), np.float32)
-    start = _affine(inputs, weights, 0, seen)
-    start = _affine(memory, weights, start, remembered)
+def _gru(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
+    """Gated recurrent unit, as PyTorch has it: gates r, z and n side by side. Return where further weights begin."""
+    rows, size = inputs.shape
+    width, seen, remembered = net.remembered, work[0], work[1]
+    start = _affine(inputs, size, net.weights, 0, seen, 3 * width, rows)
+    start = _affine(memory, width, net.weights, start, remembered, 3 * width, rows)
     for r in range(rows):
         for j in range(width):
             reset = _sigmoid(np.float64(seen[r, j]) + np.float64(remembered[r, j]))
             update = _sigmoid(np.float64(seen[r, width + j]) + np.float64(remembered[r, width + j]))
             new = _tanh(np.float64(seen[r, 2 * width + j]) + reset * np.float64(remembered[r, 2 * width + j]))
-            following[r, j] = (1 - update) * new + update * np.float64(memory[r, j])
+            memory[r, j] = (1 - update) * new + update * np.float64(memory[r, j])
     return start
 
 
 @compiled
-def _lstm(inputs: Singles, memory: Singles, weights: Singles, following: Singles) -> int:
-    """Long short-term memory, as PyTorch has it: gates i, f, g and o side by side; hidden state, then cell state."""
-    rows, width = len(memory), memory.shape[1] // 2
-    seen, remembered = np.empty((rows, 4 * width), np.float32), np.empty((rows, 4 * width), np.float32)
-    start = _affine(inputs, weights, 0, seen)
-    start = _affine(memory[:, :width], weights, start, remembered)
+def _lstm(net: Network, inputs: Singles, memory: Singles, work: Singles) -> int:
+    """Long short-term memory, as PyTorch has it: gates i, f, g and o side by side; hidden state, then cell state.
+
+    Return where further weights begin.
+    """
+    rows, size = inputs.shape
+    width, seen, remembered = net.remembered, work[0], work[1]
+    start = _affine(inputs, size, net.weights, 0, seen, 4 * width, rows)
+    start = _affine(memory, width, net.weights, start, remembered, 4 * width, rows)
     for r in range(rows):
         for j in range(width):
             taken = _sigmoid(np.float64(seen[r, j]) + np.float64(remembered[r, j]))
@@ -178,47 +208,55 @@ def _lstm(inputs: Singles, memory: Singles, weights: Singles, following: Singles
             new = _tanh(np.float64(seen[r, 2 * width + j]) + np.float64(remembered[r, 2 * width + j]))
             shown = _sigmoid(np.float64(seen[r, 3 * width + j]) + np.float64(remembered[r, 3 * width + j]))
             cell = kept * np.float64(memory[r, width + j]) + taken * new
-            following[r, width + j] = cell
-            following[r, j] = shown * _tanh(cell)
+            memory[r, width + j] = cell
+            memory[r, j] = shown * _tanh(cell)
     return start
 
 
 @compiled
-def _evaluate(
-    inputs: Singles,
-    memory: Singles,
-    weights: Singles,
-    widths: NDArray[np.int64],
-    kind: int,
-    activation: int,
-    squashed: bool,
-) -> tuple[Singles, Singles]:
-    """Residuals, shape (n, 1), and the memories after them."""
+def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, residuals: Singles) -> None:
+    """Write the residuals of some rows, and their memories after them.
+
+    Args:
+        net: The network.
+        inputs: Shape (rows, k). They are standardised in place.
+        memory: Written; of a GRU shape (rows, width), of an LSTM (rows, 2 width). Else nothing in it counts.
+        work: Space for two layers, shape (2, rows or more, `NetworkPolicy.widest` or more).
+        residuals: Written, shape (rows, 1).
+    """
+    rows, size = inputs.shape
+    if net.standardised:
+        for r in range(rows):
+            for k in range(size):
+                inputs[r, k] = cut(float((inputs[r, k] - net.mean[k]) / net.deviation[k]), FARTHEST)
+    start, last = 0, len(net.widths) - 1
+    if net.kind == _GRU:
+        start = _gru(net, inputs, memory, work)
+    elif net.kind == _LSTM:
+        start = _lstm(net, inputs, memory, work)
+    seen = 0 if net.kind == _LSTM else size  # entries of the first layer that are inputs; the memory follows
+    for r in range(rows):
+        for k in range(seen):
+            work[0, r, k] = inputs[r, k]
+        for k in range(net.widths[0] - seen):
+            work[0, r, seen + k] = memory[r, k]
+    for layer in range(1, last + 1):
+        width, outputs = net.widths[layer], work[layer % 2]
+        start = _affine(work[(layer - 1) % 2], net.widths[layer - 1], net.weights, start, outputs, width, rows)
+        if layer < last:
+            for r in range(rows):
+                for j in range(width):
+                    outputs[r, j] = _activated(np.float64(outputs[r, j]), net.activation)
+    for r in range(rows):
+        output = np.float64(work[last % 2, r, 0])
+        residuals[r, 0] = _tanh(output) if net.squashed else cut(output, 1.0)
+
+
+@compiled
+def _evaluate_tiles(net: Network, inputs: Singles, memory: Singles, widest: int, residuals: Singles) -> None:
+    """Evaluate any number of rows, see `evaluate`; some at a time share the weights."""
     count = len(inputs)
-    residuals, following = np.empty((count, 1), np.float32), np.empty_like(memory)
+    work = np.empty((2, min(count, _TILE), -(-widest // _LANES) * _LANES), np.float32)
     for first in range(0, count, _TILE):
         tile = slice(first, min(first + _TILE, count))
-        seen, start = inputs[tile], 0
-        now = np.empty((len(seen), widths[0]), np.float32)
-        if kind == _GRU:
-            start = _gru(seen, memory[tile], weights, following[tile])
-            now[:, : seen.shape[1]] = seen
-            now[:, seen.shape[1] :] = following[tile]
-        elif kind == _LSTM:
-            start = _lstm(seen, memory[tile], weights, following[tile])
-            now[:] = following[tile][:, : widths[0]]
-        else:
-            now[:] = seen
-        last = len(widths) - 1
-        for layer in range(1, last + 1):
-            outputs = np.empty((len(seen), widths[layer]), np.float32)
-            start = _affine(now, weights, start, outputs)
-            if layer < last:
-                for r in range(len(outputs)):
-                    for j in range(outputs.shape[1]):
-                        outputs[r, j] = _activated(np.float64(outputs[r, j]), activation)
-            now = outputs
-        for r in range(len(now)):
-            output = np.float64(now[r, 0])
-            residuals[first + r, 0] = _tanh(output) if squashed else min(max(output, -1.0), 1.0)
-    return residuals, following
+        evaluate(net, inputs[tile], memory[tile], work, residuals[tile])

@@ -14,9 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.residual.knowledge import KNOWLEDGE, InformedBase, InformedMemory, Knowledge
+from agents.residual.informed import InformedBase, InformedMemory
+from agents.residual.knowledge import KNOWLEDGE, Knowledge
+from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.rollout import Controller
 
 
@@ -44,9 +47,23 @@ class ResidualSettings:
             raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {self.knowledge!r}")
 
 
+@inlined
+def combined(base_action: float, residual: float, limit: float) -> float:
+    """Add a residual to the base's action, in single precision, and cut; a zero residual gives the base's."""
+    return cut(float(np.float32(base_action) + np.float32(limit) * np.float32(residual)), 1.0)
+
+
 def combine(base_action: Singles, residual: Singles, limit: float) -> Singles:
-    """Add a residual to the base's action and clip; a zero residual gives the base's, bit for bit."""
-    return (base_action + np.float32(limit) * residual).clip(-1, 1)
+    """Add residuals to the base's actions, see `combined`; arrays of one shape (n, 1)."""
+    actions = np.empty_like(base_action)
+    _combine_all(base_action, residual, limit, actions)
+    return actions
+
+
+@compiled
+def _combine_all(base_actions: Singles, residuals: Singles, limit: float, actions: Singles) -> None:
+    for i in range(len(actions)):
+        actions[i, 0] = combined(base_actions[i, 0], residuals[i, 0], limit)
 
 
 def checked_residual(residual: object, count: int) -> Singles:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.residual.controller import ResidualSettings, checked_residual, combine
-from agents.residual.knowledge import InformedBase, InformedMemory, residual_observation_space
+from agents.residual.informed import InformedBase, InformedMemory
+from agents.residual.knowledge import residual_observation_space
 from beltarm_env import EPISODE_STEPS, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_table
 from beltarm_env.arrays import Flags, Floats, Singles

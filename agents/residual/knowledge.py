@@ -15,22 +15,24 @@ learned late or never.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+import math
+from itertools import accumulate
+from typing import Literal, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 
-from baselines.estimation.believed_arm import DISTURBANCE, IDENTIFIED, LOGS
-from baselines.estimation.identification import Belief, IdentifyingController
-from baselines.optimal.adaptive import tuned_identifier
-from baselines.reading import Reading, beginning, read
-from beltarm_env import ArmParams, design_model
+from agents.residual.limits import cut
+from baselines.estimation.believed_arm import IDENTIFIED, LOGS
+from baselines.estimation.identification import Belief
+from baselines.reading import Sample
 from beltarm_env import observation as layout
-from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats, Singles
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.observation import Entry
-from beltarm_env.physics.kinematics import tip_errors
-from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params
+from beltarm_env.physics.kinematics import tip_error, tip_motion
+from beltarm_env.physics.state import ArmState
 
 Knowledge = Literal["belief", "none"]
 
@@ -61,18 +63,23 @@ _DOUBTS = (
     Entry("doubt_of_torsion_speed", "rad/s", 0.03, 0.3),
     *(entry._replace(name=entry.name.replace("believed", "doubt_of")) for entry in _CONSTANTS),
 )
-_IDENTIFIED = slice(LOGS.start, DISTURBANCE)  # of z: all constants but those of the ripple
-_DOUBTED = slice(2, DISTURBANCE)
+_IDENTIFIED = LOGS.start  # of z: from here up to d, all constants but those of the ripple
+_DOUBTED = 2  # of z: from here up to d
 _SURPRISE = Entry("surprise", "-", 1.0, 8.0)
-_RECENT = 4  # samples
-_UNEXPLAINED = tuple(Entry(f"unexplained_angle_{k}", "rad", 0.0002, 0.01) for k in range(_RECENT))
-_COMMANDS = tuple(Entry(f"command_{k}_before_last", "of limit", 1.0, 1.0) for k in range(1, _RECENT))
+RECENT = 4
+"""Samples whose unexplained angles, and commands, the agent is told."""
+_UNEXPLAINED = tuple(Entry(f"unexplained_angle_{k}", "rad", 0.0002, 0.01) for k in range(RECENT))
+_COMMANDS = tuple(Entry(f"command_{k}_before_last", "of limit", 1.0, 1.0) for k in range(1, RECENT))
+_PARTS = ((_BASE_TORQUE,), _STATE, _TIP, _CONSTANTS, _DOUBTS, (_SURPRISE,), _UNEXPLAINED, _COMMANDS)
 ENTRIES: dict[Knowledge, tuple[Entry, ...]] = {
-    "belief": (_BASE_TORQUE, *_STATE, *_TIP, *_CONSTANTS, *_DOUBTS, _SURPRISE, *_UNEXPLAINED, *_COMMANDS),
+    "belief": tuple(entry for part in _PARTS for entry in part),
     "none": (_BASE_TORQUE,),
 }
 """Entries appended to the observation, in order; scaled and bounded as the observation's own."""
 KNOWLEDGE: tuple[Knowledge, ...] = ("belief", "none")
+_BASE_AT, _STATE_AT, _TIP_AT, _CONSTANTS_AT, _DOUBTS_AT, _SURPRISE_AT, _UNEXPLAINED_AT, _COMMANDS_AT = accumulate(
+    map(len, _PARTS[:-1]), initial=0
+)
 
 
 def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = "belief") -> spaces.Box:
@@ -82,95 +89,78 @@ def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = 
     return spaces.Box(-bounds, bounds, dtype=np.float32)
 
 
-@dataclass(frozen=True, slots=True)
-class InformedMemory:
-    """Memory of an `InformedBase`, up to date with one sample."""
+class Filters(NamedTuple):
+    """Part of a `Belief` about m arms that the agent is told of."""
 
-    base: Any  # the base controller's own
-    action: Singles  # of the base, shape (n, 1)
-    reading: Reading | None  # the decoded observation; None without knowledge
-    belief: Belief | None  # about the arms; None without knowledge
-    unexplained: Floats | None  # measured less believed angles of the last samples, latest first [rad], (n, _RECENT)
+    mean: Floats  # of z, shape (SIZE, m)
+    covariance: Floats  # shape (SIZE, SIZE, m)
+    surprise: Floats  # shape (m,)
+    angle: Floats  # last measured [rad], shape (m,)
+    commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
 
 
-class InformedBase:
-    """Base controller with the identification whose belief the agent observes.
+class Telling(NamedTuple):
+    """Constants of `tell_torque` and `tell_belief`."""
+
+    plant: Plant  # whose lengths the tip's errors follow from, and whose limit commands are scaled by
+    scales: Floats  # of the entries
+    bounds: Floats  # likewise
+
+
+def filters_of(belief: Belief) -> Filters:
+    """Pick what the agent is told of."""
+    tracks = belief.tracks
+    return Filters(tracks.mean, tracks.covariance, tracks.surprise, belief.angle, belief.commands)
+
+
+@inlined
+def _write(told: Singles, k: int, value: float, telling: Telling) -> None:
+    """Write an entry, bounded and scaled."""
+    told[k] = cut(value, telling.bounds[k]) / telling.scales[k]
+
+
+@inlined
+def tell_torque(telling: Telling, action: float, told: Singles) -> None:
+    """Write the first of the entries: the base's torque over the limit."""
+    _write(told, _BASE_AT, np.float64(action), telling)
+
+
+@compiled
+def tell_belief(telling: Telling, now: Sample, filters: Filters, i: int, unexplained: Floats, told: Singles) -> None:
+    """Write what an agent with a belief is told besides, see `ENTRIES`.
 
     Args:
-        base: The base controller. One that identifies its arm shares its belief.
-        knowledge: "belief" for the identified arm, "none" for the base's torque alone.
-
-    Attributes:
-        params: Arm that base and identification are made for, see `Controller`; None if they take any.
+        telling: Constants.
+        now: What is measured.
+        filters: At this sample.
+        i: Which of them is this arm's.
+        unexplained: From `note_unexplained`, shape (RECENT,).
+        told: Written, shape (entries,).
     """
-
-    def __init__(self, base: Controller, knowledge: Knowledge = "belief") -> None:
-        if knowledge not in ENTRIES:
-            raise ValueError(f"knowledge must be one of {', '.join(KNOWLEDGE)}, got {knowledge!r}")
-        self.base = base
-        self.knowledge: Knowledge = knowledge
-        self.params = nominal_params(base) or (ArmParams() if knowledge == "belief" else None)
-        self._plant = (self.params or ArmParams()).plant()
-        sheet = {name: getattr(self.params or ArmParams(), name) for name in DATA_SHEET}
-        self._identifier = tuned_identifier(replace(design_model(), **sheet)) if knowledge == "belief" else None
-        entries = ENTRIES[knowledge]
-        self._scales = np.array([entry.scale for entry in entries])
-        self._bounds = np.array([entry.bound for entry in entries])
-
-    def advance(self, observation: Singles, memory: InformedMemory | None, start: Flags | None) -> InformedMemory:
-        """Run base and identification for one sample; observations of shape (n, size)."""
-        action, base = self.base.predict(observation, memory.base if memory else None, start)
-        if self._identifier is None:
-            return InformedMemory(base, action, None, None, None)
-        reading, before = read(observation, self._identifier.params), memory.belief if memory else None
-        begins = beginning(before, start, len(observation))
-        if isinstance(self.base, IdentifyingController):
-            belief = self.base.belief(base)
-        else:
-            belief = self._identifier.update(before, reading, begins)
-        return InformedMemory(base, action, reading, belief, _unexplained(belief, memory, begins))
-
-    def ended(
-        self, last: Singles, observation: Singles, memory: InformedMemory, ended: Flags
-    ) -> tuple[InformedMemory, InformedMemory]:
-        """Advance a batch in which some episodes end: to their last sample, and to the first of the next episode.
-
-        Args:
-            last: Observations, of arms that ended those of their last sample.
-            observation: Observations, of arms that ended those of their next episode's first sample.
-            memory: Of the sample before.
-            ended: Which arms, shape (n,).
-        """
-        final = self.advance(last, memory, None)
-        if self._identifier is None or final.belief is None or isinstance(self.base, IdentifyingController):
-            return final, self.advance(observation, memory, ended)
-        action, base = self.base.predict(observation, memory.base, ended)
-        reading = read(observation, self._identifier.params)
-        belief = self._identifier.reset(final.belief, reading.motor_angle, ended)
-        return final, InformedMemory(base, action, reading, belief, _unexplained(belief, memory, ended))
-
-    def seen(self, observation: Singles, memory: InformedMemory) -> Singles:
-        """Observation of the agent, shape (n, size + told), at the sample that `memory` has advanced to."""
-        told = memory.action.astype(np.float64)
-        if memory.belief is not None and memory.reading is not None and memory.unexplained is not None:
-            believed = self._believed(memory.belief, memory.reading)
-            commands = memory.belief.commands[:, 1:_RECENT] / self._plant.torque_limit
-            told = np.concatenate([told, believed, memory.unexplained, commands], axis=1)
-        scaled = np.clip(told, -self._bounds, self._bounds) / self._scales
-        return np.concatenate([observation, scaled.astype(np.float32)], axis=1)
-
-    def _believed(self, belief: Belief, reading: Reading) -> Floats:
-        """Entries of the belief: estimated state, tip errors, constants and standard deviations."""
-        doubts = np.sqrt(np.maximum(belief.variance[:, _DOUBTED], 0.0))
-        reference = np.stack([reading.reference_angle, reading.reference_speed], axis=1)
-        errors = tip_errors(belief.state, reference, self._plant)
-        constants = belief.tracks.mean[_IDENTIFIED].T
-        return np.concatenate([belief.state[:, 1:], errors, constants, doubts, belief.tracks.surprise[:, None]], axis=1)
+    z, plant = filters.mean, telling.plant
+    x = ArmState(z[0, i], z[1, i], z[2, i], z[3, i])
+    error = tip_error(tip_motion(x, plant), now.reference_angle, now.reference_speed, plant)
+    for k in range(_TIP_AT - _STATE_AT):
+        _write(told, _STATE_AT + k, z[1 + k, i], telling)
+    _write(told, _TIP_AT, error.x, telling)
+    _write(told, _TIP_AT + 1, error.y, telling)
+    _write(told, _TIP_AT + 2, error.x_speed, telling)
+    _write(told, _TIP_AT + 3, error.y_speed, telling)
+    for k in range(_DOUBTS_AT - _CONSTANTS_AT):
+        _write(told, _CONSTANTS_AT + k, z[_IDENTIFIED + k, i], telling)
+    for k in range(_SURPRISE_AT - _DOUBTS_AT):
+        variance = filters.covariance[_DOUBTED + k, _DOUBTED + k, i]
+        _write(told, _DOUBTS_AT + k, math.sqrt(0.0 if variance < 0.0 else variance), telling)
+    _write(told, _SURPRISE_AT, filters.surprise[i], telling)
+    for k in range(RECENT):
+        _write(told, _UNEXPLAINED_AT + k, unexplained[k], telling)
+    for k in range(RECENT - 1):
+        _write(told, _COMMANDS_AT + k, filters.commands[i, 1 + k] / plant.torque_limit, telling)
 
 
-def _unexplained(belief: Belief, memory: InformedMemory | None, begins: Flags) -> Floats:
-    """What the filter could not explain of the measured angles, of the latest sample and of those before."""
-    now = (belief.angle - belief.tracks.mean[0])[:, None]
-    if memory is None or memory.unexplained is None:
-        return np.concatenate([now, np.zeros((len(now), _RECENT - 1))], axis=1)
-    return np.concatenate([now, np.where(begins[:, None], 0.0, memory.unexplained[:, :-1])], axis=1)
+@inlined
+def note_unexplained(filters: Filters, i: int, begins: bool, unexplained: Floats) -> None:
+    """Put what a filter could not explain of the latest angle before that of earlier samples, shape (RECENT,)."""
+    for k in range(RECENT - 1, 0, -1):
+        unexplained[k] = 0.0 if begins else unexplained[k - 1]
+    unexplained[0] = filters.angle[i] - filters.mean[0, i]

@@ -12,7 +12,8 @@ from agents.observer.episodes import Source
 from agents.observer.files import SHIPPED, load_observer
 from agents.observer.network import Estimate, offered
 from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, SCALES, truth
-from agents.residual.knowledge import InformedBase, Knowledge
+from agents.residual.informed import InformedBase
+from agents.residual.knowledge import Knowledge
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.rollout import Controller, rollout
 from eval.comparison.splits import Split

@@ -1,0 +1,130 @@
+"""A learned residual as a kernel for one arm: what `ResidualController` adds to its base, without its batches.
+
+    every `hold` samples:   o = [observation, what the agent is told],  r = policy(o[columns])
+    every sample:           action = combined(base's action, r, limit)
+
+The base's own law, and the filter whose belief the agent is told, are kernels beside this one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.policy.inputs import SelectedInputs
+from agents.policy.network import Network, NetworkPolicy, evaluate
+from agents.residual.controller import ResidualController
+from agents.residual.knowledge import ENTRIES, RECENT, Filters, Telling, note_unexplained, tell_belief, tell_torque
+from baselines.estimation.identification import ArmIdentifier
+from baselines.reading import Sample
+from beltarm_env import observation as layout
+from beltarm_env.arrays import Floats, Singles
+from beltarm_env.jit import compiled
+
+
+class Correction(NamedTuple):
+    """Constants of `correct`."""
+
+    network: Network
+    telling: Telling
+    columns: NDArray[np.int64]  # place of each of the policy's inputs in what the agent observes
+    hold: int  # samples per residual
+    limit: float  # of `combined`: largest residual, as a share of the torque limit
+
+
+class CorrectionMemory(NamedTuple):
+    """Memory of `correct`; the last three hold nothing from one sample to the next."""
+
+    recurrent: Singles  # the policy's, shape (1, numbers that it remembers)
+    residual: Singles  # held, shape (1, 1)
+    age: NDArray[np.int64]  # samples since the episode's start, shape (1,)
+    unexplained: Floats  # angles of the last samples [rad], shape (RECENT,)
+    seen: Singles  # what the agent observes, shape (size + told,)
+    inputs: Singles  # of the policy, shape (1, inputs)
+    layers: Singles  # work of `evaluate`
+
+
+class CorrectionKernel(NamedTuple):
+    """What one arm needs beside the base's own law."""
+
+    design: Correction  # for `correct` and `combined`
+    memory: CorrectionMemory  # a template; nothing in it counts where an episode begins
+    identifier: ArmIdentifier | None  # that runs beside the base; None if the base shares its belief or none is told
+
+
+@compiled
+def correct(
+    design: Correction,
+    observation: Singles,
+    action: float,
+    now: Sample,
+    filters: Filters | None,
+    begins: bool,
+    memory: CorrectionMemory,
+) -> float:
+    """Residual of one sample, from -1 to 1; with `combined` the action.
+
+    Args:
+        design: Constants.
+        observation: Of the environment, shape (size,).
+        action: Of the base: its torque over the limit, cut and in single precision.
+        now: What is measured.
+        filters: One filter, at this sample; None if the agent is told of none.
+        begins: Whether an episode begins.
+        memory: Written.
+    """
+    if begins:
+        memory.age[0] = 0
+        memory.recurrent[:] = 0.0
+    if filters is not None:
+        note_unexplained(filters, 0, begins, memory.unexplained)
+    if memory.age[0] % design.hold == 0:
+        size = len(observation)
+        for k in range(size):
+            memory.seen[k] = observation[k]
+        told = memory.seen[size:]
+        tell_torque(design.telling, action, told)
+        if filters is not None:
+            tell_belief(design.telling, now, filters, 0, memory.unexplained, told)
+        for k in range(len(design.columns)):
+            memory.inputs[0, k] = memory.seen[design.columns[k]]
+        evaluate(design.network, memory.inputs, memory.recurrent, memory.layers, memory.residual)
+    memory.age[0] += 1
+    return memory.residual[0, 0]
+
+
+def correction(controller: ResidualController, sensors: str = "encoder") -> CorrectionKernel:
+    """Constants and memory with which `correct` gives the residuals of a controller.
+
+    Args:
+        controller: Whose policy is a network.
+        sensors: Of its arm.
+
+    Raises:
+        TypeError: If the policy is none of `NetworkPolicy` and `SelectedInputs`.
+        ValueError: If it was trained with other sensors.
+    """
+    policy, settings, informed = controller.policy, controller.settings, controller.informed
+    offered = layout.size(sensors) + len(ENTRIES[settings.knowledge])
+    columns = np.arange(offered)
+    if isinstance(policy, SelectedInputs):
+        policy, columns = policy.policy, policy.columns
+    if not isinstance(policy, NetworkPolicy):
+        raise TypeError(f"a policy that is a kernel is a NetworkPolicy, got {type(policy).__name__}")
+    if len(columns) != policy.shape.inputs:
+        raise ValueError(
+            f"the policy observes {policy.shape.inputs} entries, with sensors={sensors!r} there are {len(columns)}"
+        )
+    memory = CorrectionMemory(
+        recurrent=np.zeros((1, max(1, int(np.prod(policy.memory)))), np.float32),  # C has no empty arrays
+        residual=np.zeros((1, 1), np.float32),
+        age=np.zeros(1, np.int64),
+        unexplained=np.zeros(RECENT),
+        seen=np.zeros(offered, np.float32),
+        inputs=np.zeros((1, len(columns)), np.float32),
+        layers=np.zeros((2, 1, policy.widest), np.float32),
+    )
+    design = Correction(policy.network, informed.telling, columns, settings.hold, settings.limit)
+    return CorrectionKernel(design, memory, informed.identifier)
