@@ -106,7 +106,7 @@ def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
     """
     if actor.shape != spec.shape():
         raise ValueError(f"the actor's layers are {actor.shape}, the bundle's are {spec.shape()}")
-    _require_finite(actor, "the policy")
+    require_finite(actor, "the policy")
     weights = save_weights({name: value.contiguous() for name, value in actor.state_dict().items()})
     if len(weights) > MAX_BYTES:
         raise ValueError(f"a bundle's weights take at most {MAX_BYTES} bytes, these {len(weights)}: use smaller layers")
@@ -222,7 +222,15 @@ def _spec_of(content: dict[str, Any]) -> BundleSpec:
 
 
 def load_controller(folder: Path | str) -> tuple[ResidualController, BundleSpec]:
-    """Load a bundle as a controller on the environment's observation.
+    """Load a bundle as a controller on the environment's observation; raises the errors of `read_actor`."""
+    actor, spec, _ = read_actor(folder)
+    network = NetworkPolicy(actor)
+    policy = network if spec.inputs is None else SelectedInputs(network, spec.inputs, spec.offered())
+    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual), spec
+
+
+def read_actor(folder: Path | str) -> tuple[Actor, BundleSpec, dict[str, Any]]:
+    """Read a bundle whole: its actor, its description and its manifest.
 
     Raises:
         BundleError: If it is missing, damaged, or foreign.
@@ -240,10 +248,8 @@ def load_controller(folder: Path | str) -> tuple[ResidualController, BundleSpec]
         actor.load_state_dict(load_weights(data))
     except (SafetensorError, RuntimeError) as error:
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {error}") from None
-    _require_finite(actor, str(path))
-    network = NetworkPolicy(actor)
-    policy = network if spec.inputs is None else SelectedInputs(network, spec.inputs, spec.offered())
-    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual), spec
+    require_finite(actor, str(path))
+    return actor, spec, content
 
 
 def _read(path: Path) -> bytes:
@@ -252,7 +258,8 @@ def _read(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def _require_finite(actor: Actor, owner: str) -> None:
+def require_finite(actor: Actor, owner: str) -> None:
+    """Raise a `BundleError` if some weights of an actor are no finite numbers."""
     for name, value in actor.state_dict().items():
         if not torch.isfinite(value).all():
             raise BundleError(f"{owner} has weights that are not finite numbers, in {name}")

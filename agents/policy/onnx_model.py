@@ -1,0 +1,174 @@
+"""A bundle's network as an ONNX model: standard operators, for runtimes that know nothing of this project.
+
+    observation   the policy's own entries, scaled as in `beltarm_env.observation`, float32, shape (n, entries)
+    state         what it remembers: of a GRU shape (n, width), of an LSTM hidden and cell state, (n, 2, width); zero
+                  where an episode begins; without either there is none
+    residual      from -1 to 1, shape (n, 1): a share of `limit`, held for `hold` samples
+    next_state    for the next call, `hold` samples later
+
+Standardisation is inside; base controller and identification are not. Metadata says what they are: the manifest whole
+("policy.json"), and from it "base", "hold", "limit", "edition", "sensors" and "entries" (JSON: name, unit, scale and
+bound of each). tanh and the logistic function are the runtime's, those of `agents.policy.network` quotients of
+polynomials: residuals agree within 1e-6 or so, not bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from agents.policy.actor import FARTHEST, Actor
+from agents.policy.bundle import MANIFEST, read_actor, require_finite
+from baselines.tools.files import write_atomically
+from beltarm_env.arrays import Singles
+
+if TYPE_CHECKING:
+    import onnx
+
+OPSET = 17
+"""Version of ONNX's operators."""
+_IR = 8  # version of the file's format that goes with it
+_ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu", "elu": "Elu"}
+
+
+def onnx_model(folder: Path | str) -> onnx.ModelProto:
+    """Make the ONNX model of a bundle.
+
+    Raises:
+        BundleError: If the bundle is missing, damaged, or foreign.
+        ImportError: If the package onnx is not installed.
+    """
+    actor, spec, content = read_actor(folder)
+    told = {name: content[name] for name in ("base", "edition", "sensors", "entries")}
+    told |= {"hold": spec.residual.hold, "limit": spec.residual.limit, MANIFEST: content}
+    texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()}
+    return model_of(actor, texts)
+
+
+def write_onnx(folder: Path | str, path: Path) -> None:
+    """Write the ONNX model of a bundle to a file; raises the errors of `onnx_model`, and OSError."""
+    data = onnx_model(folder).SerializeToString()
+    write_atomically(path, lambda file: file.write_bytes(data))
+
+
+def model_of(actor: Actor, metadata: Mapping[str, str]) -> onnx.ModelProto:
+    """Make the ONNX model of an actor.
+
+    Raises:
+        BundleError: If weights are not finite.
+        ImportError: If the package onnx is not installed.
+    """
+    require_finite(actor, "the policy")
+    try:
+        from onnx import TensorProto, checker, helper
+    except ImportError:
+        raise ImportError("an ONNX model needs the package onnx: pip install -e '.[onnx]'") from None
+    shape, graph = actor.shape, _Graph()
+    _write_network(graph, actor)
+
+    def described(name: str, *sizes: int) -> onnx.ValueInfoProto:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", *sizes])
+
+    memory = (2, shape.lstm) if shape.lstm else (shape.gru,)
+    inputs, outputs = [described("observation", shape.inputs)], [described("residual", 1)]
+    if shape.lstm or shape.gru:
+        inputs, outputs = [*inputs, described("state", *memory)], [*outputs, described("next_state", *memory)]
+    model = helper.make_model(
+        helper.make_graph(graph.nodes, "residual_policy", inputs, outputs, graph.constants),
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=_IR,
+        producer_name="beltarm",
+    )
+    helper.set_model_props(model, dict(metadata))
+    checker.check_model(model, full_check=True)
+    return model
+
+
+class _Graph:
+    """Nodes and constants of a graph that is being written."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def add(self, kind: str, *inputs: str, outputs: Sequence[str] = (), **attributes: Any) -> str:
+        """Add a node, with one output of its own if none are named. Return the name of the first."""
+        from onnx import helper
+
+        name = f"{kind.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, inputs, outputs := outputs or (name,), name, **attributes))
+        return outputs[0]
+
+    def constant(self, name: str, value: object) -> str:
+        """Add a constant. Return its name."""
+        from onnx import numpy_helper
+
+        array = value.detach().cpu().numpy() if isinstance(value, torch.Tensor) else np.asarray(value)
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        return name
+
+
+def _write_network(graph: _Graph, actor: Actor) -> None:
+    """Write the nodes from the observation, and the state, to the residual, and the next state."""
+    shape, features = actor.shape, "observation"
+    if shape.standardised:
+        centred = graph.add("Sub", features, graph.constant("mean", actor.mean))
+        ratio = graph.add("Div", centred, graph.constant("deviation", actor.deviation))
+        features = _cut(graph, ratio, "farthest", FARTHEST)
+    if shape.gru:
+        features = graph.add("Concat", features, _remembered(graph, actor, features), axis=1)
+    elif shape.lstm:
+        features = _remembered(graph, actor, features)
+    linear = [layer for layer in actor.layers if isinstance(layer, torch.nn.Linear)]
+    for k, layer in enumerate(linear):
+        weight, bias = graph.constant(f"weight_{k}", layer.weight), graph.constant(f"bias_{k}", layer.bias)
+        features = graph.add("Gemm", features, weight, bias, transB=1)
+        if layer is not linear[-1]:
+            features = graph.add(_ACTIVATIONS[shape.activation], features)
+    if shape.squashed:
+        graph.add("Tanh", features, outputs=["residual"])
+    else:
+        _cut(graph, features, "limit", 1.0, outputs=["residual"])
+
+
+def _cut(graph: _Graph, features: str, name: str, most: float, outputs: Sequence[str] = ()) -> str:
+    bounds = [graph.constant(f"{side}_{name}", np.float32(bound)) for side, bound in (("minus", -most), ("plus", most))]
+    return graph.add("Clip", features, *bounds, outputs=outputs)
+
+
+def _remembered(graph: _Graph, actor: Actor, features: str) -> str:
+    """Write the GRU or LSTM, for one step. Return its hidden state, shape (n, width).
+
+    ONNX has the gates of a GRU in the order z, r, n and those of an LSTM in the order i, o, f, g, and one axis for the
+    steps before, and one for the directions beside the rows.
+    """
+    recurrent, order = (actor.gru, (1, 0, 2)) if actor.gru is not None else (actor.lstm, (0, 3, 1, 2))
+    assert recurrent is not None
+    width = recurrent.hidden_size
+
+    def gates(name: str) -> Singles:
+        rows = getattr(recurrent, f"{name}_l0").detach().cpu().numpy()
+        return np.concatenate([rows[gate * width : (gate + 1) * width] for gate in order])[None]
+
+    first = graph.constant("first", np.array([0]))
+    steps = graph.add("Unsqueeze", features, first)
+    weights = [
+        graph.constant("recurrent_weight", gates("weight_ih")),
+        graph.constant("hidden_weight", gates("weight_hh")),
+    ]
+    weights.append(graph.constant("recurrent_bias", np.concatenate([gates("bias_ih"), gates("bias_hh")], axis=1)))
+    if actor.gru is not None:
+        before = graph.add("Unsqueeze", "state", first)
+        hidden = ["", "hidden"]
+        graph.add("GRU", steps, *weights, "", before, outputs=hidden, hidden_size=width, linear_before_reset=1)
+        return graph.add("Squeeze", "hidden", first, outputs=["next_state"])
+    parts, states = ["hidden_before", "cell_before"], ["hidden", "cell"]
+    graph.add("Split", graph.add("Transpose", "state", perm=[1, 0, 2]), outputs=parts, axis=0)
+    graph.add("LSTM", steps, *weights, "", *parts, outputs=["", *states], hidden_size=width)
+    graph.add("Transpose", graph.add("Concat", *states, axis=0), outputs=["next_state"], perm=[1, 0, 2])
+    return graph.add("Squeeze", "hidden", first)
