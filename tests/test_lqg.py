@@ -22,7 +22,7 @@ from baselines.models.flatness import Corners, FlatMotion, flat_motion, smoothed
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.planning.plan import Weights
-from baselines.planning.tip_error import bounded_sine, softened_sine, tip_error_rows
+from baselines.planning.tip_error import bounded_sine, softened_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.physics.sampled import sampled_state_space
 from beltarm_env.rollout import rollout
@@ -153,7 +153,9 @@ class TestFlatInverse:
 
 def tip_errors(angle: float, speed: float = 0.0) -> Floats:
     """C of the nominal arm, about a joint at this angle [rad] that turns at this speed [rad/s]."""
-    return np.array(tip_error_rows(angle, speed, bounded_sine(angle), ArmParams().plant()))
+    errors = np.empty((4, 4))
+    write_tip_errors(angle, speed, bounded_sine(angle), ArmParams().plant(), errors)
+    return errors
 
 
 def with_last_torque(transition: Floats, by_torque: Floats) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from baselines.gains import Gains, tunable, tuned
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.optimal.preview import PreviewController, PreviewGains
-from baselines.planning.plan import Weights, plan_moves, planned_torque, replanned
+from baselines.planning.plan import GAIN, TORQUE, Weights, planned, planned_torque, replanned
 from baselines.reading import read
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, observation, state_space
@@ -144,7 +144,7 @@ WEIGHTS = Weights(0.3, 2.0, 20.0)
 def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WEIGHTS) -> tuple[float, Floats]:
     """Cost of the plan's own problem, by simulating its linear model along the move: independent of its recursion."""
     arm = ArmParams()
-    plan = plan_moves(MOVE, params_table([arm]), weights)
+    plan = planned(MOVE[0], arm.row(), weights)
     tables = linear_arm(arm)
     times = CONTROL_PERIOD * np.arange(EPISODE_STEPS + 1)
     env = batch(1)
@@ -155,7 +155,7 @@ def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WE
         angle, speed = references[k]
         a, b, e = (at_angle(part, np.array([angle]))[0] for part in tables)
         m2 = 0.01 + 0.06 * math.sin(angle) ** 2
-        torque = plan.torque[0, k] - gains * plan.gain[0, k] @ np.append(x - plan.reference[0, k], last)
+        torque = plan[k, TORQUE] - gains * plan[k, GAIN:TORQUE] @ np.append(x - plan[k, :GAIN], last)
         torque = torque if torques is None else torques[k]
         x = a @ x + b * torque + e * 0.06 * math.sin(angle) * math.cos(angle) * speed**2 / m2
         applied[k] = torque
@@ -183,7 +183,7 @@ class TestPlan:
         assert linear_run(None, gains=0.8)[0] > best
 
     def test_gain_at_rest_is_that_of_the_infinite_horizon(self):
-        plan = plan_moves(np.array([[0.3, 0.8, 0.5, 0.1]]), params_table([ArmParams()]), WEIGHTS)
+        plan = planned(np.array([0.3, 0.8, 0.5, 0.1]), ArmParams().row(), WEIGHTS)
         tables = linear_arm(ArmParams())
         by_state, by_torque = (at_angle(part, np.array([0.8]))[0] for part in tables[:2])
         a, b = np.eye(5), np.append(by_torque, 1.0)  # the last torque as fifth state, its change as input
@@ -197,7 +197,7 @@ class TestPlan:
         state_cost = (state_cost + state_cost.T) / 2
         price = np.array([[WEIGHTS.change + b @ q @ b]])
         gain, _, _ = control.dlqr(a, b[:, None], state_cost, price, (a.T @ q @ b)[:, None])
-        np.testing.assert_allclose(plan.gain[0, 500], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
+        np.testing.assert_allclose(plan[500, GAIN:TORQUE], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
 
     def test_is_read_between_samples(self):
         table = params_table([ArmParams()])
@@ -215,10 +215,12 @@ class TestPlan:
     def test_every_arm_has_its_own(self):
         table = params_table([ArmParams(), ArmParams(payload_mass=0.2)])
         moves = np.repeat(MOVE, 2, axis=0)
-        both, second = plan_moves(moves, table, Weights()), plan_moves(MOVE, table[1:], Weights())
-        for part, single in zip(both, second, strict=True):
-            np.testing.assert_array_equal(part[1], single[0])
-        assert np.abs(both.torque[0] - both.torque[1]).max() > 1e-3
+        both, second = (
+            replanned(None, np.ones(2, np.bool_), moves, table, Weights()),
+            planned(MOVE[0], table[1], Weights()),
+        )
+        np.testing.assert_array_equal(both[1], second)
+        assert np.abs(both[0] - both[1])[:, TORQUE].max() > 1e-3
 
 
 class TestObserver:

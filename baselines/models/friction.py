@@ -116,21 +116,24 @@ def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: fl
     return np.minimum(np.maximum(motor_speed / slow + torque / width, -1.0), 1.0)
 
 
-@compiled
-def sliding_torques(table: Floats, states: Floats) -> tuple[Floats, Floats]:
-    """Return dry friction of motors that slide forward, as it varies over the turn, and torque ripple [N m].
+@inlined
+def sliding_torque(row: Any, state: Floats) -> tuple[float, float]:
+    """Return dry friction of a motor that slides forward, as it varies over the turn, and torque ripple [N m].
 
     Args:
-        table: Constants of n arms, columns as `ArmParams`, shape (n, len(FIELDS)).
-        states: x at the beginning of a sample, shape (n, 4); torques are those in its middle.
-
-    Returns:
-        Both of shape (n,).
+        row: Constants of the arm, as the fields of `ArmParams`, shape (len(FIELDS),).
+        state: x at the beginning of a sample, shape (4,); torques are those in its middle.
     """
+    plant, drive, speed = plant_of(row), drive_of(row), state[1]
+    x = ArmState(state[0] + 0.5 * CONTROL_PERIOD * speed, speed, state[2], state[3])
+    coupled = coupling(x, angles_of(x, plant, drive), plant, drive)
+    return plant.coulomb_friction * coupled.friction, coupled.ripple
+
+
+@compiled
+def sliding_torques(table: Floats, states: Floats) -> tuple[Floats, Floats]:
+    """Return `sliding_torque` of n arms, two arrays of shape (n,); table and states with a row for each."""
     friction, ripple = np.empty(len(states)), np.empty(len(states))
     for i in range(len(states)):
-        plant, drive, speed = plant_of(table[i]), drive_of(table[i]), states[i, 1]
-        x = ArmState(states[i, 0] + 0.5 * CONTROL_PERIOD * speed, speed, states[i, 2], states[i, 3])
-        coupled = coupling(x, angles_of(x, plant, drive), plant, drive)
-        friction[i], ripple[i] = plant.coulomb_friction * coupled.friction, coupled.ripple
+        friction[i], ripple[i] = sliding_torque(table[i], states[i])
     return friction, ripple

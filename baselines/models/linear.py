@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import COLUMN, Plant, params_table
+from beltarm_env.arm import Plant, params_table, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.linear import sample_models
+from beltarm_env.physics.linear import write_sampled_models
 from beltarm_env.physics.trigonometry import sine_cosine
 
 ANGLES = np.linspace(0.0, np.pi / 2, 46)
@@ -28,11 +28,27 @@ class LinearArms(NamedTuple):
     by_acceleration: Floats  # e, shape (n, 46, 4): of a torsional acceleration alpha [rad/s^2], held
 
 
+@compiled
+def write_linear_arm(row: Any, arm: LinearArms) -> None:
+    """Write the linear model of one arm, the belt with its mean stiffness, from its row of constants.
+
+    Args:
+        row: As the fields of `ArmParams`, shape (len(FIELDS),).
+        arm: Without the axis of n arms, written.
+    """
+    plant = plant_of(row)
+    write_sampled_models(
+        plant, plant.stiffness, ANGLES, CONTROL_PERIOD, arm.transition, arm.by_torque, arm.by_acceleration
+    )
+
+
 def linear_arms(table: Floats) -> LinearArms:
     """Linear models of n arms, the belt with its mean stiffness; columns of `table` as `ArmParams`."""
-    mean = table.copy()
-    mean[:, COLUMN.belt_stiffening] = 0.0
-    return LinearArms(*sample_models(mean, ANGLES, CONTROL_PERIOD))
+    count, size = len(table), len(ANGLES)
+    arms = LinearArms(np.empty((count, size, 4, 4)), np.empty((count, size, 4)), np.empty((count, size, 4)))
+    for i in range(count):
+        write_linear_arm(table[i], LinearArms(*(part[i] for part in arms)))
+    return arms
 
 
 def linear_arm(params: ArmParams) -> LinearArms:

@@ -89,7 +89,7 @@ def _backward(p: Problem, change_weight: float) -> None:
             by_input[i] = p.transition[k, i, SIZE - 1]
             for j in range(SIZE):
                 to_go.matrix[i, j] += p.weight[k, i, j]
-        slope_in_input(SIZE, to_go, p.transition[k], by_input, p.offset[k], (change_weight, 0.0), p.slope[k])
+        slope_in_input(SIZE, to_go, p.transition[k], by_input, p.offset[k], change_weight, 0.0, p.slope[k])
         _choose(p, k)
         step_back(SIZE, to_go, p.transition[k], p.slope[k], p.gain[k], p.constant[k])
 

@@ -28,7 +28,7 @@ from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
 from baselines.gains import Gains, tunable, tuned
 from baselines.models.friction import sliding_torques
-from baselines.planning.plan import Weights, plan_moves, planned_torque
+from baselines.planning.plan import GAIN, Weights, planned, planned_torque
 from baselines.planning.replanning import STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import ArmParams, design_model
@@ -117,9 +117,8 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
 
     def resting_gain(self, joint: float) -> Floats:
         """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
-        move = np.array([[joint, joint, 0.5, 0.2]])
-        table = planned_for(nominal_row(self.params)[None])
-        return plan_moves(move, table, self._weights).gain[0, 0, :4]
+        (row,) = planned_for(nominal_row(self.params)[None])
+        return planned(np.array([joint, joint, 0.5, 0.2]), row, self._weights)[0, GAIN : GAIN + 4]
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""

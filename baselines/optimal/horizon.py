@@ -32,7 +32,7 @@ from scipy.linalg import solve_discrete_are
 from baselines.models.linear import ANGLES, between, linear_arm, place, turning_load
 from baselines.optimal.active_set import SIZE, Problem, empty_problem, minimise
 from baselines.planning.plan import Weights
-from baselines.planning.tip_error import add_tip_cost, error_weights, softened_sine
+from baselines.planning.tip_error import ErrorWeights, add_tip_cost, error_weights, softened_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
@@ -52,7 +52,7 @@ class Horizon(NamedTuple):
     transition: Floats  # F    (lengths, 46, 5, 5)
     by_acceleration: Floats  # a    (lengths, 46, 4)
     final: Floats  # cost-to-go after the last step    (46, 5, 5)
-    error_weights: tuple[float, float]  # of squared position [1/m^2] and velocity errors [s^2/m^2]
+    error_weights: ErrorWeights
     torque_weight: float  # rho    [1/(N m)^2]
     change_weight: float  # R    [1/(N m)^2]
 
@@ -68,8 +68,9 @@ def horizon(params: ArmParams, weights: Weights, lengths: NDArray[np.int64] = ST
     powers = np.stack([np.linalg.matrix_power(single, int(length)) for length in different])
     final = np.empty((len(ANGLES), SIZE, SIZE))
     for k, angle in enumerate(ANGLES):
-        weight = np.zeros((SIZE, SIZE))
-        add_tip_cost(weight, float(angle), 0.0, softened_sine(float(angle)), plant, of_errors)
+        weight, errors = np.zeros((SIZE, SIZE)), np.empty((4, 4))
+        write_tip_errors(float(angle), 0.0, softened_sine(float(angle)), plant, errors)
+        add_tip_cost(weight, errors, of_errors)
         weight[4, 4] = weights.torque
         step = single[k, :SIZE, :SIZE]
         final[k] = solve_discrete_are(step, step[:, 4:], weight, [[weights.change]]) - weight
@@ -104,11 +105,11 @@ def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Refe
     p.offset[k, 0] -= gear * end.angle
     p.offset[k, 1] -= gear * end.speed
     p.offset[k, 4] = 0.0
-    position, velocity = ahead.error_weights
-    length = float(ahead.lengths[k])
-    sine, weights = softened_sine(end.angle), (length * position, length * velocity)
+    length, errors = float(ahead.lengths[k]), np.empty((4, 4))
+    weights = ErrorWeights(length * ahead.error_weights.position, length * ahead.error_weights.velocity)
     p.weight[k, 4, 4] = length * ahead.torque_weight
-    add_tip_cost(p.weight[k], end.angle, end.speed, sine, ahead.plant, weights)
+    write_tip_errors(end.angle, end.speed, softened_sine(end.angle), ahead.plant, errors)
+    add_tip_cost(p.weight[k], errors, weights)
 
 
 @compiled

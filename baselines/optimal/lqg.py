@@ -32,7 +32,7 @@ from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothe
 from baselines.models.linear import ANGLES, at_angle, linear_arm
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
-from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
+from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
 from baselines.reading import Reading, chosen, last_share
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
@@ -57,12 +57,13 @@ def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
     """Steady-state gains K of the torque on [x - x_ref; tau_last] at each of `ANGLES`, shape (46, 5)."""
     arm = linear_arm(params)
     gains = np.empty((len(ANGLES), 5))
-    weigh, plant = error_weights(weights.velocity), params.plant()
+    weigh, plant, errors = error_weights(weights.velocity), params.plant(), np.empty((4, 4))
     transition, state_cost, price = np.zeros((5, 5)), np.zeros((5, 5)), np.array([[weights.change]])
     transition[4, 4] = 1.0
     for k, angle in enumerate(ANGLES):
         state_cost[:] = 0.0
-        add_tip_cost(state_cost, float(angle), 0.0, bounded_sine(float(angle)), plant, weigh)
+        write_tip_errors(float(angle), 0.0, bounded_sine(float(angle)), plant, errors)
+        add_tip_cost(state_cost, errors, weigh)
         state_cost[4, 4] = weights.torque
         transition[:4, :4], transition[:4, 4] = arm.transition[k], arm.by_torque[k]
         by_change = transition[:, 4:]

@@ -42,7 +42,7 @@ from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.planning.plan import Weights
-from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
+from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, ArmParams, sampled_state_space
 from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import design_model
@@ -153,8 +153,9 @@ def _fed_back(
 def _cost(params: ArmParams, angle: float, weights: Weights, size: int) -> Floats:
     """Q: of the tip's errors, of v, and of the torque's change, with tau = v - d."""
     d, v, last = size - 5, size - 4, size - 3
-    cost, change = np.zeros((size, size)), np.zeros(size)
-    add_tip_cost(cost, angle, 0.0, bounded_sine(angle), params.plant(), error_weights(weights.velocity))
+    cost, change, errors = np.zeros((size, size)), np.zeros(size), np.empty((4, 4))
+    write_tip_errors(angle, 0.0, bounded_sine(angle), params.plant(), errors)
+    add_tip_cost(cost, errors, error_weights(weights.velocity))
     change[[v, d, last]] = 1.0, -1.0, -1.0
     cost += weights.change * np.outer(change, change)
     cost[v, v] += weights.torque

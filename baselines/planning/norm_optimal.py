@@ -128,7 +128,7 @@ def _solve(
             for j in range(states):
                 f[i, j] = trial.transition[k, i, j]
         smoothness, jump = weights.smoothness[k], torque[k] - (torque[k - 1] if k > 0 else before)
-        slope_in_input(size, to_go, f, g, nothing, (smoothness, smoothness * jump), slope)
+        slope_in_input(size, to_go, f, g, nothing, smoothness, smoothness * jump, slope)
         curvature[k] = slope[size + 1]
         change[k] = free_input(size, slope, gain[k])
         left = min(max(change[k], -limit - torque[k]), limit - torque[k])

@@ -23,16 +23,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import LinearArms, between, linear_arms, place, turning_load
-from baselines.planning.riccati import free_input, no_cost, slope_in_input, step_back
-from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights
-from beltarm_env import EPISODE_STEPS
+from baselines.models.linear import ANGLES, LinearArms, between, place, turning_load, write_linear_arm
+from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
+from baselines.planning.tip_error import ErrorWeights, add_tip_cost, bounded_sine, error_weights, write_tip_errors
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.task.reference import sampled_moves
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
-Quadruple = tuple[float, float, float, float]
+GAIN, TORQUE = 4, 9
+"""Columns of a plan's row at which the gain and the torque begin; the reference comes first."""
+PLAN_COLUMNS = 10
 
 
 class Weights(NamedTuple):
@@ -43,106 +45,174 @@ class Weights(NamedTuple):
     change: float = 1.0  # R, of its change from sample to sample [1/(N m)^2]
 
 
-class Plan(NamedTuple):
-    """Optimal control of n moves: tau = torque - gain [x - reference; tau_last], dry friction left out."""
+class PlanCost(NamedTuple):
+    """Weights of the plan's cost as its recursion adds it up."""
 
-    reference: Floats  # x_ref, shape (n, 1200, 4)
-    gain: Floats  # K, shape (n, 1200, 5)
-    torque: Floats  # tau_ff [N m], shape (n, 1200)
+    errors: ErrorWeights
+    torque: float  # rho [1/(N m)^2]
+    change: float  # R [1/(N m)^2]
+
+
+def plan_cost(weights: Weights) -> PlanCost:
+    """Weights of errors [1/m^2, s^2/m^2] and torque."""
+    return PlanCost(error_weights(weights.velocity), weights.torque, weights.change)
 
 
 @inlined
-def set_step(now: Floats, after: Floats, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats) -> None:
-    """Write A (4, 4), b and d (4,) of the step between two samples of the reference, each an angle and a speed."""
-    row, weight = place(now[0])
-    m2, turning = turning_load(now[0], now[1], plant)
+def set_step(
+    now: Reference, after: Reference, plant: Plant, model: LinearArms, a: Floats, b: Floats, d: Floats
+) -> None:
+    """Write A (4, 4), b and d (4,) of the step between two samples of the reference, by the model of one arm."""
+    row, weight = place(now.angle)
+    m2, turning = turning_load(now.angle, now.speed, plant)
     for i in range(4):
         b[i] = between(model.by_torque[row, i], model.by_torque[row + 1, i], weight)
         d[i] = between(model.by_acceleration[row, i], model.by_acceleration[row + 1, i], weight) * (turning / m2)
         for j in range(4):
             a[i, j] = between(model.transition[row, i, j], model.transition[row + 1, i, j], weight)
     for i in range(4):
-        d[i] += plant.gear * (a[i, 0] * now[0] + a[i, 1] * now[1])
-    d[0] -= plant.gear * after[0]
-    d[1] -= plant.gear * after[1]
+        d[i] += plant.gear * (a[i, 0] * now.angle + a[i, 1] * now.speed)
+    d[0] -= plant.gear * after.angle
+    d[1] -= plant.gear * after.speed
 
 
 @compiled
-def _plan_move(task: Floats, plant: Plant, model: LinearArms, weights: Quadruple, plan: Plan) -> None:
-    to_go, slope = no_cost(5), np.empty(7)
-    f, g, h = np.zeros((5, 5)), np.ones(5), np.zeros(5)
-    f[4, 4] = 1.0
-    for k in range(len(plan.torque) - 1, -1, -1):
-        angle, speed = task[k + 1, 0], task[k + 1, 1]
-        add_tip_cost(to_go.matrix, angle, speed, bounded_sine(angle), plant, (weights[0], weights[1]))
-        to_go.matrix[4, 4] += weights[2]
-        set_step(task[k], task[k + 1], plant, model, f, g, h)
-        for i in range(4):
-            f[i, 4] = g[i]
-        slope_in_input(5, to_go, f, g, h, (weights[3], 0.0), slope)
-        plan.torque[k] = free_input(5, slope, plan.gain[k])
-        step_back(5, to_go, f, slope, plan.gain[k], plan.torque[k])
-        plan.gain[k, 4] -= 1.0  # from a law for the change to one for the torque
-        plan.reference[k, 0], plan.reference[k, 1] = plant.gear * task[k, 0], plant.gear * task[k, 1]
-        plan.reference[k, 2] = plan.reference[k, 3] = 0.0
-
-
-@compiled
-def _plan_moves(tasks: Floats, table: Floats, models: LinearArms, weights: Quadruple, plans: Plan) -> None:
-    for i in range(len(tasks)):
-        own = i if len(table) > 1 else 0
-        model = LinearArms(models.transition[own], models.by_torque[own], models.by_acceleration[own])
-        plan = Plan(plans.reference[i], plans.gain[i], plans.torque[i])
-        _plan_move(tasks[i], plant_of(table[own]), model, weights, plan)
-
-
-def plan_moves(moves: Floats, table: Floats, weights: Weights) -> Plan:
-    """Plan n moves.
+def plan_backwards(
+    move: MoveShape,
+    plant: Plant,
+    model: LinearArms,
+    cost: PlanCost,
+    to_go: CostToGo,
+    first: int,
+    last: int,
+    rows: Floats,
+) -> None:
+    """Plan samples `first` to `last` - 1 of a move, the last one first; so a plan may be made piece by piece.
 
     Args:
-        moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        table: Constants of the arms, columns as `ArmParams`: shape (n, len(FIELDS)), or of one row for all of them.
-        weights: Of the errors and of the torque.
+        move: Of the joint.
+        plant: Coefficients of the arm.
+        model: Linear model of this one arm.
+        cost: What is minimised.
+        to_go: Cost after sample `last` - 1: `no_cost` at the end of the plan. Turned into that before `first`.
+        first: Sample, from 0 on.
+        last: Sample, up to the number of rows.
+        rows: A sample each, [x_ref, K, tau_ff] of tau = tau_ff - K [x - x_ref; tau_last], dry friction left out; shape
+            (1200, 10), written.
     """
-    count = len(moves)
-    plan = Plan(
-        np.empty((count, EPISODE_STEPS, 4)), np.empty((count, EPISODE_STEPS, 5)), np.empty((count, EPISODE_STEPS))
-    )
-    of_cost = (*error_weights(weights.velocity), weights.torque, weights.change)
-    _plan_moves(sampled_moves(moves), table, linear_arms(table), of_cost, plan)
-    return plan
+    f, g, h, slope, errors = np.zeros((5, 5)), np.ones(5), np.zeros(5), np.empty(7), np.empty((4, 4))
+    f[4, 4] = 1.0
+    after = reference_at(TRAPEZOID, move, last * CONTROL_PERIOD)
+    for k in range(last - 1, first - 1, -1):
+        now = reference_at(TRAPEZOID, move, k * CONTROL_PERIOD)
+        write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, errors)
+        add_tip_cost(to_go.matrix, errors, cost.errors)
+        to_go.matrix[4, 4] += cost.torque
+        set_step(now, after, plant, model, f, g, h)
+        for i in range(4):
+            f[i, 4] = g[i]
+        slope_in_input(5, to_go, f, g, h, cost.change, 0.0, slope)
+        gain = rows[k, GAIN:TORQUE]
+        rows[k, TORQUE] = free_input(5, slope, gain)
+        step_back(5, to_go, f, slope, gain, rows[k, TORQUE])
+        gain[4] -= 1.0  # from a law for the change to one for the torque
+        rows[k, 0], rows[k, 1] = plant.gear * now.angle, plant.gear * now.speed
+        rows[k, 2], rows[k, 3] = 0.0, 0.0
+        after = now
+
+
+@compiled
+def plan_rows(move: MoveShape, plant: Plant, model: LinearArms, cost: PlanCost, rows: Floats) -> None:
+    """Plan a whole move at once, see `plan_backwards`."""
+    plan_backwards(move, plant, model, cost, no_cost(5), 0, rows.shape[0], rows)
+
+
+@inlined
+def torque_between(low: Floats, high: Floats, share: float, x: Floats, last: float) -> float:
+    """Torque tau_ff - K [x - x_ref; tau_last] [N m] by a plan between two of its rows, each of shape (10,).
+
+    Args:
+        low: The earlier row.
+        high: The later one.
+        share: Of the time between them that has passed.
+        x: State then, shape (4,).
+        last: Torque before it, that of the plan [N m].
+    """
+    feedback = 0.0
+    for i in range(4):
+        gain = low[GAIN + i] + share * (high[GAIN + i] - low[GAIN + i])
+        feedback += gain * (x[i] - (low[i] + share * (high[i] - low[i])))
+    of_last = low[TORQUE - 1] + share * (high[TORQUE - 1] - low[TORQUE - 1])
+    return low[TORQUE] + share * (high[TORQUE] - low[TORQUE]) - feedback - of_last * last
+
+
+@inlined
+def step_of_plan(time: float) -> tuple[int, float]:
+    """Row of a plan at or before a time since the episode's start [samples], and how far the time is beyond it."""
+    step = min(int(time), EPISODE_STEPS - 2)
+    return step, min(time - step, 1.0)
+
+
+@inlined
+def torque_of_plan(rows: Floats, time: float, x: Floats, last: float) -> float:
+    """Torque [N m] by the plan of one arm; between samples its rows are interpolated.
+
+    Args:
+        rows: The plan, shape (1200, 10).
+        time: At which the torque acts, since the episode's start [samples].
+        x: State then, shape (4,).
+        last: Torque before it, that of the plan [N m].
+    """
+    step, share = step_of_plan(time)
+    return torque_between(rows[step], rows[step + 1], share, x, last)
 
 
 Plans = list[Floats]
-"""Plans of n arms, each of shape (1200, 10), a row a sample: reference, gain, torque. A list, so that a new plan for
-some arms leaves those of the others where they are; never changed in place, since a memory that was returned stays
-valid."""
+"""Plans of n arms, each of shape (1200, 10) as `plan_backwards` writes them. A list, so that a new plan for some arms
+leaves those of the others where they are; never changed in place, since a memory that was returned stays valid."""
+
+
+def planned(move: Floats, row: Floats, weights: Weights) -> Floats:
+    """Plan of one move, shape (1200, 10).
+
+    Args:
+        move: Start, goal [rad], duration, ramp time [s]; shape (4,).
+        row: Constants of the arm, as the fields of `ArmParams`.
+        weights: Of the errors and of the torque.
+    """
+    size = len(ANGLES)
+    model = LinearArms(np.empty((size, 4, 4)), np.empty((size, 4)), np.empty((size, 4)))
+    write_linear_arm(row, model)
+    rows = np.empty((EPISODE_STEPS, PLAN_COLUMNS))
+    plan_rows(MoveShape(*map(float, move)), plant_of(row), model, plan_cost(weights), rows)
+    return rows
 
 
 def replanned(plans: Plans | None, which: Flags, moves: Floats, table: Floats, weights: Weights) -> Plans:
     """Plans with new ones for some arms; `table` has a row for every arm, or one for all."""
     if plans is not None and not which.any():
         return plans
-    new = plan_moves(moves[which], table[which] if len(table) > 1 else table, weights)
-    rows = np.concatenate([new.reference, new.gain, new.torque[:, :, None]], axis=2)
     merged = [np.empty(0)] * len(which) if plans is None else plans.copy()
-    for arm, of_arm in zip(np.flatnonzero(which), rows, strict=True):
-        merged[arm] = of_arm.copy()  # a view would keep the plans of all arms alive
+    for arm in np.flatnonzero(which):
+        merged[arm] = planned(moves[arm], table[arm if len(table) > 1 else 0], weights)
     return merged
 
 
-def planned_torque(plans: Plans, time: Floats, ahead: Floats, last: Floats) -> Floats:
-    """Torque tau_ff - K [x - x_ref; tau_last] [N m] of n arms, each at its time; between samples interpolated.
+def rows_at(plans: Plans, time: Floats) -> Floats:
+    """Rows of n plans before and after their times [samples], shape (n, 2, 10)."""
+    steps = [step_of_plan(at)[0] for at in time.tolist()]
+    return np.array([plan[k : k + 2] for plan, k in zip(plans, steps, strict=True)])
 
-    Args:
-        plans: Of the arms.
-        time: At which the torque acts, since the episode's start [samples], shape (n,).
-        ahead: State x then, shape (n, 4).
-        last: Torque before it, that of the plan [N m], shape (n,).
-    """
-    step = np.minimum(time.astype(np.intp), EPISODE_STEPS - 2)
-    share = np.minimum(time - step, 1.0)[:, None]
-    pairs = np.array([plan[k : k + 2] for plan, k in zip(plans, step, strict=True)])
-    rows = pairs[:, 0] + share * (pairs[:, 1] - pairs[:, 0])
-    feedback = rows[:, 4:8] * (ahead - rows[:, :4])
-    return rows[:, 9] - (feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3]) - rows[:, 8] * last
+
+@compiled
+def _planned_torques(pairs: Floats, time: Floats, ahead: Floats, last: Floats, torques: Floats) -> None:
+    for i in range(len(time)):
+        _, share = step_of_plan(time[i])
+        torques[i] = torque_between(pairs[i, 0], pairs[i, 1], share, ahead[i], last[i])
+
+
+def planned_torque(plans: Plans, time: Floats, ahead: Floats, last: Floats) -> Floats:
+    """Torques [N m] of n arms by their plans, see `torque_of_plan`; times and last torques of shape (n,), x (n, 4)."""
+    torques = np.empty(len(time))
+    _planned_torques(rows_at(plans, time), time, ahead, last, torques)
+    return torques

@@ -44,7 +44,7 @@ def no_cost(size: int) -> CostToGo:
 
 @inlined
 def slope_in_input(
-    size: int, to_go: CostToGo, f: Floats, g: Floats, h: Floats, price: tuple[float, float], slope: Floats
+    size: int, to_go: CostToGo, f: Floats, g: Floats, h: Floats, price: float, pull: float, slope: Floats
 ) -> None:
     """Write half the cost's slope in the input, `slope[:n] z + slope[n] + slope[n + 1] v`.
 
@@ -54,7 +54,8 @@ def slope_in_input(
         f: F, shape (n, n).
         g: Shape (n,).
         h: Shape (n,).
-        price: R and q of the input.
+        price: R, of the input.
+        pull: q, of the input.
         slope: Shape (n + 2,).
     """
     for i in range(size):
@@ -67,7 +68,7 @@ def slope_in_input(
                 total += to_go.matrix[i, m] * f[m, j]
             to_go.by_state[i, j] = total
         to_go.by_input[i], to_go.by_offset[i] = by_input, by_offset
-    curvature, constant = price[0], price[1]
+    curvature, constant = price, pull
     for i in range(size):
         curvature += g[i] * to_go.by_input[i]
         constant += g[i] * to_go.by_offset[i]

@@ -23,14 +23,14 @@ import numpy as np
 from baselines.models.linear import LinearArms, linear_arms
 from baselines.planning.norm_optimal import Trial, followed, norm_weights, optimal_change
 from baselines.planning.plan import Plans, set_step
-from baselines.planning.tip_error import bounded_sine, tip_error_rows
+from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import sampled_moves
+from beltarm_env.task.reference import Reference, sampled_moves
 
 _SOFT = 0.01, 0.05  # shares of the errors' scales, and of the torque limit, below which norms count as squares
 _EFFORT = 1.0  # [1/(N m)^2] on a step's change of the torque: which keeps the step's problem well posed
@@ -45,6 +45,12 @@ class _Problem(NamedTuple):
     plant: Plant
     model: LinearArms
     room: float  # torque that the limit leaves beside friction [N m]
+
+
+@inlined
+def _reference(problem: _Problem, k: int) -> Reference:
+    """Reference at a sample."""
+    return Reference(problem.task[k, 0], problem.task[k, 1], problem.task[k, 2])
 
 
 @compiled
@@ -66,14 +72,9 @@ def _trial(errors: Floats, problem: _Problem) -> Trial:
     transition, by_torque, of_state = np.empty((steps, 4, 4)), np.empty((steps, 4)), np.empty((steps, 4, 4))
     unused = np.empty(4)
     for k in range(steps):
-        now, after = problem.task[k], problem.task[k + 1]
+        now, after = _reference(problem, k), _reference(problem, k + 1)
         set_step(now, after, problem.plant, problem.model, transition[k], by_torque[k], unused)
-        along, across, along_rate, across_rate = tip_error_rows(
-            after[0], after[1], bounded_sine(after[0]), problem.plant
-        )
-        for j in range(4):
-            of_state[k, 0, j], of_state[k, 1, j] = along[j], across[j]
-            of_state[k, 2, j], of_state[k, 3, j] = along_rate[j], across_rate[j]
+        write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), problem.plant, of_state[k])
     return Trial(transition, by_torque, errors, of_state)
 
 
@@ -92,7 +93,8 @@ def _anchor(rows: Floats, share: float, state: Floats, problem: _Problem) -> Non
         z[i] = state[i] - (rows[0, i] + share * (rows[1, i] - rows[0, i]))
     for k in range(-1, len(rows) - 1):
         now = max(k, 0)
-        set_step(problem.task[now], problem.task[now + 1], problem.plant, problem.model, a, b, d)
+        after = _reference(problem, now + 1)
+        set_step(_reference(problem, now), after, problem.plant, problem.model, a, b, d)
         torque = rows[now, 9]
         for i in range(4):
             torque -= rows[now, 4 + i] * z[i]

@@ -14,11 +14,13 @@ for the optimal plan and LQG, `softened_sine` for predictive control.
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from typing import NamedTuple
 
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
+from beltarm_env.physics.trigonometry import sine_cosine
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 
 _LEAST, _SOFTENING = 0.1, 0.05
@@ -27,71 +29,65 @@ _LEAST, _SOFTENING = 0.1, 0.05
 @inlined
 def bounded_sine(angle: float) -> float:
     """max(sin(angle), 0.1)."""
-    return max(np.sin(angle), _LEAST)
+    sine, _ = sine_cosine(angle)
+    return max(sine, _LEAST)
 
 
 @inlined
 def softened_sine(angle: float) -> float:
     """sqrt(sin(angle)^2 + 0.05^2)."""
-    sine = np.sin(angle)
-    return np.sqrt(sine * sine + _SOFTENING * _SOFTENING)
+    sine, _ = sine_cosine(angle)
+    return math.sqrt(sine * sine + _SOFTENING * _SOFTENING)
 
 
-Pair = tuple[float, float]
-Row = tuple[float, float, float, float]
+class ErrorWeights(NamedTuple):
+    """Weights of the tip's squared errors."""
+
+    position: float  # [1/m^2]
+    velocity: float  # [s^2/m^2]
 
 
 @inlined
-def tip_error_rows(angle: float, speed: float, sine: float, plant: Plant) -> tuple[Row, Row, Row, Row]:
-    """Rows of C, of the errors C z: radial and lateral position [m], then radial and lateral velocity [m/s].
+def write_tip_errors(angle: float, speed: float, bounded: float, plant: Plant, errors: Floats) -> None:
+    """Write C, of the errors C z: radial and lateral position [m], then radial and lateral velocity [m/s].
 
     Args:
         angle: Joint angle of the reference [rad].
         speed: Its rate [rad/s].
-        sine: s, the bounded sine of the angle.
+        bounded: s, the bounded sine of the angle.
         plant: Coefficients of the arm.
+        errors: C, shape (4, 4), written.
     """
-    cosine = np.cos(angle)
-    radial, reach = plant.double_link * sine, plant.double_link * cosine + plant.hand
-    change, shortening = plant.double_link * cosine * speed, plant.double_link * np.sin(angle) * speed
-    return (
-        (-radial / plant.gear, 0.0, radial, 0.0),
-        (0.0, 0.0, reach, 0.0),
-        (-change / plant.gear, -radial / plant.gear, change, radial),
-        (0.0, 0.0, -shortening, reach),
-    )
+    sine, cosine = sine_cosine(angle)
+    radial, reach = plant.double_link * bounded, plant.double_link * cosine + plant.hand
+    change, shortening = plant.double_link * cosine * speed, plant.double_link * sine * speed
+    errors[0, 0], errors[0, 1], errors[0, 2], errors[0, 3] = -radial / plant.gear, 0.0, radial, 0.0
+    errors[1, 0], errors[1, 1], errors[1, 2], errors[1, 3] = 0.0, 0.0, reach, 0.0
+    errors[2, 0], errors[2, 1] = -change / plant.gear, -radial / plant.gear
+    errors[2, 2], errors[2, 3] = change, radial
+    errors[3, 0], errors[3, 1], errors[3, 2], errors[3, 3] = 0.0, 0.0, -shortening, reach
 
 
 @inlined
-def add_tip_cost(cost: Floats, angle: float, speed: float, sine: float, plant: Plant, weights: Pair) -> None:
+def add_tip_cost(cost: Floats, errors: Floats, weights: ErrorWeights) -> None:
     """Add the squares of the tip's errors to a quadratic cost z'Qz: C'WC to the first four rows and columns of Q.
 
     Args:
         cost: Q, shape (n, n); of a state of which z is the beginning.
-        angle: Joint angle of the reference [rad].
-        speed: Its rate [rad/s].
-        sine: s, the bounded sine of the angle.
-        plant: Coefficients of the arm.
-        weights: Of squared position [1/m^2] and velocity errors [s^2/m^2], see `error_weights`.
+        errors: C, shape (4, 4), see `write_tip_errors`.
+        weights: Diagonal of W, see `error_weights`.
     """
-    radial, lateral, radial_rate, lateral_rate = tip_error_rows(angle, speed, sine, plant)
-    _add_square(cost, radial, weights[0])
-    _add_square(cost, lateral, weights[0])
-    _add_square(cost, radial_rate, weights[1])
-    _add_square(cost, lateral_rate, weights[1])
+    for k in range(4):
+        weight = weights.position if k < 2 else weights.velocity
+        for i in range(4):
+            for j in range(4):
+                cost[i, j] += weight * (errors[k, i] * errors[k, j])  # in this order it stays symmetric, bit for bit
 
 
-@inlined
-def _add_square(cost: Floats, row: Row, weight: float) -> None:
-    for i in range(4):
-        for j in range(4):
-            cost[i, j] += weight * (row[i] * row[j])  # in this order it stays symmetric, bit for bit
-
-
-def error_weights(velocity: float) -> Pair:
-    """Weights of squared position [1/m^2] and velocity errors [s^2/m^2], relative to the scales of the task's cost.
+def error_weights(velocity: float) -> ErrorWeights:
+    """Weights of the tip's squared errors, relative to the scales of the task's cost.
 
     Args:
         velocity: Weight of the velocity's error, where the position's has 1.
     """
-    return 1 / POSITION_SCALE**2, velocity / VELOCITY_SCALE**2
+    return ErrorWeights(1 / POSITION_SCALE**2, velocity / VELOCITY_SCALE**2)

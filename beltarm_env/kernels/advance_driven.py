@@ -68,8 +68,8 @@ def begin_drive(block: Floats, lane: int, row: Floats) -> None:
     """Put an arm's drive into its lane, with a motor without torque, from a row of constants, shape (len(FIELDS),)."""
     store_drive(block, lane, drive_of(row))
     effect = 0.0
-    for k in DRIVE_COLUMNS:
-        effect = 1.0 if row[k] != 0.0 else effect
+    for k in range(len(DRIVE_COLUMNS)):
+        effect = 1.0 if row[DRIVE_COLUMNS[k]] != 0.0 else effect
     block[at.DRIVEN * LANES + lane] = effect
     lag = float(row[COLUMN.current_loop_time_constant])
     rate = 1 / lag if lag > 0.0 else 0.0

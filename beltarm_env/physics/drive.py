@@ -14,7 +14,6 @@ nothing of all this in their loops.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.state import ArmState, belt_torque
-from beltarm_env.physics.trigonometry import sin_cos, wrapped
+from beltarm_env.physics.trigonometry import sin_cos, sine_cosine, wrapped
 
 DRIVE_COLUMNS = tuple(FIELDS.index(name) for name in DRIVE_EFFECTS)
 """Columns of a table of arms that are all zero where the drive is ideal."""
@@ -57,19 +56,20 @@ class Transmission(NamedTuple):
 @inlined
 def drive_of(row: Any) -> Drive:
     """Derive the coefficients of a drive from a row of constants, shape (len(FIELDS),); in kernels too."""
-    variation, variation_phase = row[COLUMN.friction_variation], row[COLUMN.friction_variation_phase]
-    error, error_phase = row[COLUMN.kinematic_error], row[COLUMN.kinematic_error_phase]
+    variation, error = row[COLUMN.friction_variation], row[COLUMN.kinematic_error]
+    variation_sine, variation_cosine = sine_cosine(row[COLUMN.friction_variation_phase])
+    error_sine, error_cosine = sine_cosine(row[COLUMN.kinematic_error_phase])
     knee = row[COLUMN.belt_stiffening_torsion]
     return Drive(
         static_excess=row[COLUMN.static_friction_excess],
         inverse_stribeck_speed=1 / row[COLUMN.stribeck_speed],
-        friction_sin=variation * math.cos(variation_phase),
-        friction_cos=variation * math.sin(variation_phase),
+        friction_sin=variation * variation_cosine,
+        friction_cos=variation * variation_sine,
         ripple=row[COLUMN.torque_ripple],
         ripple_order=row[COLUMN.torque_ripple_order],
         ripple_phase=row[COLUMN.torque_ripple_phase],
-        error_sin=error * math.cos(error_phase),
-        error_cos=error * math.sin(error_phase),
+        error_sin=error * error_cosine,
+        error_cos=error * error_sine,
         softening=row[COLUMN.belt_stiffening] * row[COLUMN.belt_stiffness],
         knee=knee * knee,
     )

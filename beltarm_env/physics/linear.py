@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from beltarm_env.arm import COLUMN, ArmParams, Plant, plant_of
 from beltarm_env.jit import compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
+from beltarm_env.physics.trigonometry import sine_cosine
 
 Floats = NDArray[np.float64]
 
+_SIZE = 6  # four states, and two inputs that are held
 _TERMS = 9  # of the exponential's series: at 100 rad/s and 1.5 ms the next one is 0.15^10 / 10! = 2e-15
 
 
@@ -35,19 +37,66 @@ def _slack_stiffness(row: Any) -> float:
 
 
 @compiled
+def write_exponential(matrix: Floats, scale: float, result: Floats) -> None:
+    """Write the first m rows of exp(scale * matrix) by its Taylor series, for small arguments.
+
+    Args:
+        matrix: Shape (6, 6).
+        scale: Of the matrix.
+        result: Shape (m, 6), written.
+    """
+    term, following = np.empty(_SIZE), np.empty(_SIZE)
+    for i in range(result.shape[0]):
+        for j in range(_SIZE):
+            term[j] = 1.0 if j == i else 0.0
+            result[i, j] = term[j]
+        for order in range(1, _TERMS + 1):
+            for j in range(_SIZE):
+                following[j] = 0.0
+                for m in range(_SIZE):
+                    following[j] += term[m] * matrix[m, j] * (scale / order)
+            for j in range(_SIZE):
+                term[j] = following[j]
+                result[i, j] += term[j]
+
+
 def exponential(matrix: Floats, scale: float) -> Floats:
-    """Compute exp(scale * matrix) by its Taylor series, for small arguments."""
-    size = len(matrix)
-    total, term = np.eye(size), np.eye(size)
-    for order in range(1, _TERMS + 1):
-        following = np.zeros((size, size))
-        for i in range(size):
-            for j in range(size):
-                for m in range(size):
-                    following[i, j] += term[i, m] * matrix[m, j] * (scale / order)
-        term = following
-        total += term
-    return total
+    """Compute exp(scale * matrix) of a matrix of shape (6, 6), for small arguments."""
+    result = np.empty((_SIZE, _SIZE))
+    write_exponential(matrix, scale, result)
+    return result
+
+
+@compiled
+def write_sampled_models(
+    plant: Plant,
+    stiffness: float,
+    angles: Floats,
+    period: float,
+    transition: Floats,
+    by_torque: Floats,
+    by_acceleration: Floats,
+) -> None:
+    """Write the linear models of one lumped arm from one sample to the next, see `sample_models`.
+
+    Args:
+        plant: Coefficients of the arm.
+        stiffness: Of the belt [N m/rad], in place of the plant's.
+        angles: theta_1 [rad], shape (m,).
+        period: Between samples [s].
+        transition: A, shape (m, 4, 4), written.
+        by_torque: b, shape (m, 4), written.
+        by_acceleration: e, shape (m, 4), written.
+    """
+    held, stepped = np.zeros((_SIZE, _SIZE)), np.empty((4, _SIZE))
+    for k in range(angles.shape[0]):
+        _, cosine = sine_cosine(angles[k])
+        _fill(held, plant, stiffness, cosine, LUMPED)
+        write_exponential(held, period, stepped)
+        for i in range(4):
+            for j in range(4):
+                transition[k, i, j] = stepped[i, j]
+            by_torque[k, i], by_acceleration[k, i] = stepped[i, 4], stepped[i, 5]
 
 
 @compiled
@@ -68,12 +117,8 @@ def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats,
     count, size = len(table), len(angles)
     a, b, e = np.empty((count, size, 4, 4)), np.empty((count, size, 4)), np.empty((count, size, 4))
     for i in range(count):
-        plant = plant_of(table[i])
-        for k in range(size):
-            held = np.zeros((6, 6))
-            _fill(held, plant, _slack_stiffness(table[i]), math.cos(angles[k]), LUMPED)
-            stepped = exponential(held, period)
-            a[i, k], b[i, k], e[i, k] = stepped[:4, :4], stepped[:4, 4], stepped[:4, 5]
+        plant, stiffness = plant_of(table[i]), _slack_stiffness(table[i])
+        write_sampled_models(plant, stiffness, angles, period, a[i], b[i], e[i])
     return a, b, e
 
 
@@ -119,7 +164,7 @@ def state_space(
             "actuator=True needs current_loop_time_constant > 0, got 0.0: the torque is the command times 1 + k, use "
             "actuator=False or sampled_state_space"
         )
-    held = np.zeros((6, 6))
+    held = np.zeros((_SIZE, _SIZE))
     _fill(held, params.plant(), _slack_stiffness(params.row()), math.cos(theta_1), MODELS[model])
     if not actuator:
         return held[:4, :4], held[:4, 4:5], np.array([[1.0, 0, 0, 0], [0, 1, 0, 0]])
