@@ -239,7 +239,8 @@ class TestFriction:
             np.array([0.0, 0.0, 0.0, 0.5, 9.0, 0.5, -9.0]),
             np.array([0.0, 0.01, -9.0, 0.0, -0.01, -0.01, 0.0]),
         )
-        np.testing.assert_allclose(smooth_direction(speed, torque, 1.0, 0.02), [0, 0.5, -1, 0.5, 1, 0, -1])
+        found = [smooth_direction(*asked, 1.0, 0.02) for asked in zip(speed, torque, strict=True)]
+        np.testing.assert_allclose(found, [0, 0.5, -1, 0.5, 1, 0, -1])
 
     def test_direction_is_commanded_while_moving_and_pushed_at_rest(self):
         speed, acceleration = np.array([2.0, -0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])

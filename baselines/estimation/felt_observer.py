@@ -27,7 +27,8 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation.felt import AXES, SPREAD, mean_acceleration, unfiltered
-from baselines.estimation.observer import AT_REST, QUANTUM, Estimate, Noise, StickSlipObserver
+from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.estimation.tracking import AT_REST, LARGEST, LARGEST_TORQUE, QUANTUM, SLIDES
 from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -130,9 +131,19 @@ class FeltObserver(StickSlipObserver):
         bias = np.where(begins[:, None], reading.acceleration, first)
         return FeltEstimate(found.arm, found.ahead, found.disturbance, found.simulation, reading.acceleration, bias)
 
-    def _correction(self, estimate: Estimate, reading: Reading, predicted: Floats, sticks: Flags) -> Floats:
+    def _correct(
+        self, estimate: Estimate, reading: Reading, begins: Flags, states: Floats, disturbances: Floats
+    ) -> None:
+        """Correct predicted states, see `StickSlipObserver`."""
+        assert isinstance(estimate, FeltEstimate)
+        correction = self._correction(estimate, reading, states)
+        states[:, :X] = np.clip(states[:, :X] + correction[:, :X], -LARGEST, LARGEST)
+        disturbances[:] = np.clip(estimate.disturbance + correction[:, X], -LARGEST_TORQUE, LARGEST_TORQUE)
+
+    def _correction(self, estimate: FeltEstimate, reading: Reading, predicted: Floats) -> Floats:
         """Correction of [x; d], shape (n, 5)."""
-        assert isinstance(estimate, FeltEstimate) and reading.acceleration is not None
+        assert reading.acceleration is not None
+        rests = (predicted[:, 1] == 0) & (np.abs(reading.motor_angle - predicted[:, 0]) <= SLIDES)
         felt, variance = unfiltered(reading.acceleration, estimate.felt)
         acceleration = felt.T - estimate.bias - felt_over(estimate.state, predicted[:, :X], self._plant)
         acceleration[variance.T > SPREAD**2] = 0.0
@@ -143,5 +154,5 @@ class FeltObserver(StickSlipObserver):
         tables, rows = at_angle(self._slides, angle), np.arange(len(angle))
         part = (place - low)[:, None, None]
         gains = (1 - part) * tables[rows, low] + part * tables[rows, low + 1]
-        gains[sticks] = at_angle(self._sticks, angle[sticks])
+        gains[rests] = at_angle(self._sticks, angle[rests])
         return np.einsum("nij,nj->ni", gains, innovation)

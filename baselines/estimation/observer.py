@@ -32,21 +32,14 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from baselines.estimation.tracking import QUANTUM, ObserverDesign, Track, correct_arms, finish_arms, predict_arms
 from baselines.models.actuator import dead_time
-from baselines.models.linear import ANGLES, LinearArms, at_angle, linear_arm
+from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.kernels.simulate import room_for_one, state_size
 from beltarm_env.simulation import ArmSimulation, X
-from beltarm_env.task.sensors import ENCODER_COUNTS
-
-QUANTUM = 2 * np.pi / ENCODER_COUNTS
-"""One count of the encoder [rad]."""
-_SLIDES = 2 * QUANTUM  # an innovation that a motor at rest cannot cause
-AT_REST = 0.2
-"""Correction of the angle of a motor at rest, per sample."""
-_LARGEST_TORQUE = 0.05  # of d [N m]; beyond any friction's error
-_LARGEST = np.array([300.0, 2000.0, 2.0, 200.0])  # of the state: keeps an estimate that has diverged finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +99,20 @@ def kalman_gains(params: ArmParams, noise: Noise) -> Floats:
 
 
 class StickSlipObserver:
-    """Kalman filter for arms with design parameters `params`."""
+    """Kalman filter for arms with design parameters `params`.
+
+    Many arms are predicted side by side; `track_arm` does the same for one arm, by the same kernels.
+    """
 
     def __init__(self, params: ArmParams, noise: Noise | None = None) -> None:
         self.params = params
-        self._gains = kalman_gains(params, noise or Noise())
-        self._delay = dead_time(params) / CONTROL_PERIOD
+        gains = kalman_gains(params, noise or Noise())
+        self.design = ObserverDesign(params.row(), gains, dead_time(params) / CONTROL_PERIOD)
+
+    def track(self) -> Track:
+        """Memory of `track_arm`."""
+        size = state_size(self.design.row[None])
+        return Track(np.zeros(size), np.zeros(X), np.zeros(1), np.zeros(size), room_for_one())
 
     def update(self, estimate: Estimate | None, reading: Reading, begins: Flags) -> Estimate:
         """Bring the estimate up to this sample.
@@ -121,35 +122,31 @@ class StickSlipObserver:
             reading: Measurements, and the torque commanded since the last sample.
             begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
         """
-        simulation = estimate.simulation if estimate else ArmSimulation(self.params, len(begins))
-        at_rest = simulation.at_rest(reading.motor_angle)
+        count = len(begins)
+        simulation = estimate.simulation if estimate else ArmSimulation(self.params, count)
+        states, ahead, disturbances = np.zeros((count, simulation.size)), np.empty((count, X)), np.zeros(count)
         if estimate is None:
-            return Estimate(at_rest, at_rest[:, :X], np.zeros(len(begins)), simulation)
-        arm, disturbance = self._corrected(estimate, reading)
-        arm, disturbance = np.where(begins[:, None], at_rest, arm), np.where(begins, 0.0, disturbance)
-        held = np.where(begins, 0.0, reading.last_command) + np.where(arm[:, 1] != 0, disturbance, 0.0)
-        ahead = simulation.ahead(arm, held, np.full(len(begins), self._delay))
-        return Estimate(arm, ahead, disturbance, simulation)
+            begins = np.ones(count, np.bool_)
+        else:
+            room, limits = simulation.room, simulation.limits
+            predict_arms(room, limits, estimate.arm, estimate.disturbance, reading.last_command, states)
+            self._correct(estimate, reading, begins, states, disturbances)
+        angles, commands = reading.motor_angle, reading.last_command
+        finish_arms(
+            self.design, simulation.room, simulation.limits, angles, commands, begins, disturbances, states, ahead
+        )
+        return Estimate(states, ahead, disturbances, simulation)
 
-    def _corrected(self, estimate: Estimate, reading: Reading) -> tuple[Floats, Floats]:
-        moving = estimate.arm[:, 1] != 0
-        torque = reading.last_command + np.where(moving, estimate.disturbance, 0.0)
-        predicted = estimate.simulation.advance(estimate.arm, torque)
-        sticks = (predicted[:, 1] == 0) & (np.abs(reading.motor_angle - predicted[:, 0]) <= _SLIDES)
-        correction = self._correction(estimate, reading, predicted, sticks)
-        predicted[:, :X] = np.clip(predicted[:, :X] + correction[:, :X], -_LARGEST, _LARGEST)
-        disturbance = estimate.disturbance + correction[:, X]
-        return predicted, np.clip(disturbance, -_LARGEST_TORQUE, _LARGEST_TORQUE)
-
-    def _correction(self, estimate: Estimate, reading: Reading, predicted: Floats, sticks: Flags) -> Floats:
-        """What the readings add to the predicted [x; d], shape (n, 5).
+    def _correct(
+        self, estimate: Estimate, reading: Reading, begins: Flags, states: Floats, disturbances: Floats
+    ) -> None:
+        """Correct predicted states, shape (n, size), and write the disturbances, shape (n,).
 
         Args:
             estimate: That of the last sample.
             reading: Measurements.
-            predicted: From `estimate`, shape (n, size).
-            sticks: Which motors stick, shape (n,).
+            begins: Arms whose numbers do not matter.
+            states: Predicted from `estimate`, written.
+            disturbances: Written.
         """
-        gains = at_angle(self._gains, predicted[:, 0] / self.params.gear_ratio)
-        gains[sticks] = AT_REST, 0.0, 0.0, 0.0, 0.0
-        return gains * (reading.motor_angle - predicted[:, 0])[:, None]
+        correct_arms(self.design, states, estimate.disturbance, reading.motor_angle, begins, disturbances)

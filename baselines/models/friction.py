@@ -104,16 +104,42 @@ class FrictionGains(Gains):
         return Compensation(dry_friction(params.row()), self.friction, self.rest_width)
 
 
-def smooth_direction(motor_speed: Floats, torque: Floats, slow: float, width: float) -> Floats:
+@inlined
+def smooth_direction(motor_speed: float, torque: float, slow: float, width: float) -> float:
     """Direction in which friction is to be overcome, from -1 to 1.
 
     Args:
-        motor_speed: Estimated [rad/s], shape (n,).
-        torque: Asked of the motor, friction left out [N m], shape (n,).
+        motor_speed: Estimated [rad/s].
+        torque: Asked of the motor, friction left out [N m].
         slow: omega_0, the speed that decides alone [rad/s].
         width: The torque that does [N m].
     """
-    return np.minimum(np.maximum(motor_speed / slow + torque / width, -1.0), 1.0)
+    return min(max(motor_speed / slow + torque / width, -1.0), 1.0)
+
+
+class SmoothCompensation(NamedTuple):
+    """Compensation by `smooth_direction`."""
+
+    friction: DryFriction  # of the design model
+    share: float  # c [-]
+    slow: float  # omega_0 [rad/s]
+    width: float  # [N m]
+
+
+@inlined
+def smooth_friction(by: SmoothCompensation, motor_speed: float, torque: float) -> float:
+    """Return tau_f [N m] at an estimated motor speed [rad/s], given the torque asked of the motor [N m]."""
+    direction = smooth_direction(motor_speed, torque, by.slow, by.width)
+    return by.share * friction_level(by.friction, motor_speed) * direction
+
+
+@compiled
+def smooth_frictions(by: SmoothCompensation, motor_speeds: Floats, torques: Floats) -> Floats:
+    """Return `smooth_friction` of n arms; arrays of shape (n,)."""
+    result = np.empty(len(torques))
+    for i in range(len(torques)):
+        result[i] = smooth_friction(by, motor_speeds[i], torques[i])
+    return result
 
 
 @inlined

@@ -5,6 +5,7 @@ A track of its own: what is compared with others has the encoder alone.
 
 from __future__ import annotations
 
+from baselines.controller import LawKernel
 from baselines.estimation.felt_observer import FeltObserver
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.optimal.preview import PreviewController
@@ -21,3 +22,7 @@ class FeltPreviewController(PreviewController):
 
     sensors = "accelerometer"
     observer = FeltObserver
+
+    def kernel(self) -> LawKernel:
+        """Refuse: a `Sample` has no accelerometer."""
+        raise TypeError("the law for one arm reads the encoder alone: take the kernel of PreviewController")

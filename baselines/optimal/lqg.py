@@ -21,35 +21,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve, solve_discrete_are
 
-from baselines.controller import ClassicalController
+from baselines.controller import ClassicalController, LawKernel
 from baselines.estimation.observer import Estimate, StickSlipObserver
-from baselines.models.actuator import dead_time
-from baselines.models.flatness import Corners, SpreadGains, flat_motion, smoothed
-from baselines.models.linear import ANGLES, at_angle, linear_arm
+from baselines.estimation.tracking import ObserverDesign, Track, track_arm
+from baselines.models.flatness import CORNERS, SpreadGains, flat_point, write_corners
+from baselines.models.friction import SmoothCompensation, smooth_friction
+from baselines.models.linear import ANGLES, between, linear_arm, place
 from baselines.optimal.preview import PreviewGains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
-from baselines.reading import Reading, chosen, last_share
+from baselines.reading import Reading, Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arm import Plant
+from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.jit import compiled
+from beltarm_env.kernels.simulate import Room
+from beltarm_env.task.reference import MoveShape
 
 
 @dataclass(frozen=True)
 class LqgGains(PreviewGains, SpreadGains):
     """Smoothness of the move; weights of the feedback, noise of the filter and friction compensation as in preview."""
-
-
-@dataclass(frozen=True)
-class LqgMemory:
-    """Smoothed move and estimate of n arms."""
-
-    corners: Corners
-    estimate: Estimate
-    added: Floats  # torque beside the feedback's [N m], shape (n,)
 
 
 @lru_cache(maxsize=64)
@@ -73,6 +70,107 @@ def feedback_gains(params: ArmParams, weights: Weights) -> Floats:
     return gains
 
 
+class LqgDesign(NamedTuple):
+    """What the law for one arm knows."""
+
+    observer: ObserverDesign
+    plant: Plant
+    first_spread: float  # of the move's corners, see `write_corners`
+    spread: float
+    feedback: Floats  # K at each of `ANGLES`, shape (46, 5)
+    friction: SmoothCompensation
+
+
+class LqgArm(NamedTuple):
+    """Memory of the law for one arm, written in place."""
+
+    state: Floats  # of the observer, see `Track`
+    ahead: Floats
+    disturbance: Floats
+    moved: Floats
+    block: Floats  # in which it simulates the arm, see `Room`
+    work: Floats
+    actions: Floats
+    corners: Floats  # of the smoothed move, shape (CORNERS,)
+    added: Floats  # torque beside the feedback's [N m], shape (1,)
+
+
+@compiled
+def _torques(
+    design: LqgDesign, corners: Floats, step: int, ahead: Floats, disturbance: float, last: float
+) -> tuple[float, float]:
+    """Torque v of the feedback, and what is added to it [N m].
+
+    Args:
+        design: Of the law.
+        corners: Of the smoothed move.
+        step: Samples since the move's start.
+        ahead: x when the command acts, as estimated; shape (4,).
+        disturbance: d [N m].
+        last: v of the last sample [N m].
+    """
+    time = CONTROL_PERIOD * step + CONTROL_PERIOD * design.observer.delay
+    wanted = flat_point(corners, time, design.plant)
+    held = flat_point(corners, time + 0.5 * CONTROL_PERIOD, design.plant)
+    row, weight = place(wanted.motor_angle / design.plant.gear)
+    low, high = design.feedback[row], design.feedback[row + 1]
+    feedback = between(low[0], high[0], weight) * (ahead[0] - wanted.motor_angle)
+    feedback += between(low[1], high[1], weight) * (ahead[1] - wanted.motor_speed)
+    feedback += between(low[2], high[2], weight) * (ahead[2] - wanted.torsion)
+    feedback += between(low[3], high[3], weight) * (ahead[3] - wanted.torsion_speed)
+    deviation = -feedback - between(low[4], high[4], weight) * last
+    friction = smooth_friction(design.friction, ahead[1], held.torque + deviation)
+    return deviation, held.torque + friction - disturbance
+
+
+@compiled
+def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: LqgArm) -> float:
+    """Torque [N m] of one sample of one arm, see `LawKernel`."""
+    room = Room(memory.block, memory.work, memory.actions)
+    track = Track(memory.state, memory.ahead, memory.disturbance, memory.moved, room)
+    track_arm(design.observer, now, begins, track)
+    if begins:
+        move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
+        write_corners(move, design.plant, design.first_spread, design.spread, memory.corners)
+    last = 0.0 if begins else now.last_command - memory.added[0]
+    deviation, added = _torques(design, memory.corners, now.step, memory.ahead, memory.disturbance[0], last)
+    memory.added[0] = added
+    return deviation + added
+
+
+@compiled
+def _law_of_arms(
+    design: LqgDesign,
+    moves: Floats,
+    steps: Integers,
+    commands: Floats,
+    begins: Flags,
+    ahead: Floats,
+    disturbances: Floats,
+    before: Floats,
+    corners: Floats,
+) -> tuple[Floats, Floats]:
+    """Torques of n arms, and what of them is beside the feedback [N m]; `before` is that of the last sample."""
+    torques, added = np.empty(len(steps)), np.empty(len(steps))
+    for i in range(len(steps)):
+        if begins[i]:
+            move = MoveShape(moves[i, 0], moves[i, 1], moves[i, 2], moves[i, 3])
+            write_corners(move, design.plant, design.first_spread, design.spread, corners[i])
+        last = 0.0 if begins[i] else commands[i] - before[i]
+        deviation, added[i] = _torques(design, corners[i], steps[i], ahead[i], disturbances[i], last)
+        torques[i] = deviation + added[i]
+    return torques, added
+
+
+@dataclass(frozen=True)
+class LqgMemory:
+    """Smoothed move and estimate of n arms."""
+
+    corners: Floats  # see `write_corners`, shape (n, CORNERS)
+    estimate: Estimate
+    added: Floats  # torque beside the feedback's [N m], shape (n,)
+
+
 class LqgController(ClassicalController[LqgMemory]):
     """Flatness feed-forward and gain-scheduled LQG on encoder observations.
 
@@ -84,32 +182,42 @@ class LqgController(ClassicalController[LqgMemory]):
     def __init__(self, gains: LqgGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or LqgGains()
-        self._row = self.params.row()
-        self._lead = dead_time(self.params)
-        self.feedback = feedback_gains(self.params, self.gains.weights())
+        self.feedback = self._feedback()
         """Gains K at each of `ANGLES`, shape (46, 5)."""
         self._observer = StickSlipObserver(self.params, self.gains.noise())
+        self._design = LqgDesign(
+            self._observer.design,
+            self.params.plant(),
+            self.gains.first_spread,
+            self.gains.spread,
+            self.feedback,
+            self.gains.compensation(self.params),
+        )
+
+    def _feedback(self) -> Floats:
+        """Gains K at each of `ANGLES`, shape (46, 5)."""
+        return feedback_gains(self.params, self.gains.weights())
+
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        state, ahead, disturbance, moved, room = self._observer.track()
+        memory = LqgArm(state, ahead, disturbance, moved, *room, np.zeros(CORNERS), np.zeros(1))
+        return LawKernel(lqg_law, self._design, memory)
 
     def law(self, reading: Reading, begins: Flags, memory: LqgMemory | None) -> tuple[Floats, LqgMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
+        count = len(begins)
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        corners = self._resmoothed(memory.corners if memory else None, begins, reading.move)
-        time = CONTROL_PERIOD * reading.step.astype(np.float64) + self._lead
-        wanted = flat_motion(corners, time, self.params).state
-        now = flat_motion(corners, time + 0.5 * CONTROL_PERIOD, self.params)
-        last = last_share(reading, memory.added if memory else None, begins)
-        gain = at_angle(self.feedback, wanted[:, 0] / self.params.gear_ratio)
-        feedback = gain[:, :4] * (estimate.ahead - wanted)
-        deviation = -(feedback[:, 0] + feedback[:, 1] + feedback[:, 2] + feedback[:, 3]) - gain[:, 4] * last
-        torque = now.torque + deviation
-        added = now.torque + self.gains.friction(self._row, estimate.ahead[:, 1], torque) - estimate.disturbance
-        return deviation + added, LqgMemory(corners, estimate, added)
-
-    def _resmoothed(self, corners: Corners | None, begins: Flags, moves: Floats) -> Corners:
-        """Smoothed moves, with new ones for arms that begin an episode."""
-        if corners is not None and not begins.any():
-            return corners
-        new = smoothed(moves, self.params, self.gains.first_spread, self.gains.spread)
-        if corners is None:
-            return new
-        return Corners(*(chosen(begins, *pair) for pair in zip(new, corners, strict=True)))
+        corners = memory.corners.copy() if memory else np.zeros((count, CORNERS))
+        torques, added = _law_of_arms(
+            self._design,
+            reading.move,
+            reading.step,
+            reading.last_command,
+            begins,
+            estimate.ahead,
+            estimate.disturbance,
+            memory.added if memory else np.zeros(count),
+            corners,
+        )
+        return torques, LqgMemory(corners, estimate, added)

@@ -21,6 +21,7 @@ import numpy as np
 from baselines.controller import ClassicalController
 from baselines.estimation.observer import Estimate, StickSlipObserver
 from baselines.models.actuator import dead_time
+from baselines.models.friction import smooth_frictions
 from baselines.optimal.horizon import horizon, plan
 from baselines.optimal.preview import PreviewGains
 from baselines.reading import Reading, last_share
@@ -52,7 +53,7 @@ class MpcController(ClassicalController[MpcMemory]):
     def __init__(self, gains: MpcGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or MpcGains()
-        self._row = self.params.row()
+        self._friction = self.gains.compensation(self.params)
         self._ahead = horizon(self.params, self.gains.weights())
         self._observer = StickSlipObserver(self.params, self.gains.noise())
 
@@ -63,5 +64,5 @@ class MpcController(ClassicalController[MpcMemory]):
         opposing = self.gains.friction_share * self.params.coulomb_friction
         time = CONTROL_PERIOD * reading.step.astype(np.float64) + dead_time(self.params)
         torque = plan(self._ahead, estimate.ahead, last, time, reading.move, opposing)[:, 0]
-        added = self.gains.friction(self._row, estimate.ahead[:, 1], torque) - estimate.disturbance
+        added = smooth_frictions(self._friction, estimate.ahead[:, 1], torque) - estimate.disturbance
         return torque + added, MpcMemory(estimate, added)

@@ -12,20 +12,35 @@ and parameters that differ break it, which is why the noise of the filter and th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from baselines.controller import ClassicalController
+from baselines.controller import ClassicalController, LawKernel
 from baselines.estimation.observer import Estimate, Noise, StickSlipObserver
+from baselines.estimation.tracking import ObserverDesign, Track, track_arm
 from baselines.gains import Gains, tunable
-from baselines.models.actuator import dead_time
-from baselines.models.friction import dry_friction, friction_level, smooth_direction
-from baselines.planning.plan import Plans, Weights, planned_torque, replanned
-from baselines.reading import Reading, last_share
-from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import params_table
+from baselines.models.friction import SmoothCompensation, dry_friction, smooth_friction
+from baselines.models.linear import LinearArms, linear_arm
+from baselines.planning.plan import (
+    PLAN_COLUMNS,
+    PlanCost,
+    Plans,
+    Weights,
+    plan_cost,
+    plan_rows,
+    replaced,
+    rows_at,
+    step_of_plan,
+    torque_between,
+)
+from baselines.reading import Reading, Sample
+from beltarm_env import EPISODE_STEPS, ArmParams
+from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.kernels.simulate import Room
+from beltarm_env.task.reference import MoveShape
 
 
 @dataclass(frozen=True)
@@ -50,13 +65,81 @@ class PreviewGains(Gains):
         """Process noise of the filter."""
         return Noise(self.torque_noise, self.acceleration_noise, self.disturbance_noise)
 
-    def friction(self, constants: Floats, motor_speed: Floats, torque: Floats) -> Floats:
-        """Compute tau_f [N m] of n arms at motor speeds [rad/s], given the torques asked of the motors [N m].
+    def compensation(self, params: ArmParams) -> SmoothCompensation:
+        """Compensation of the design model's friction."""
+        friction = dry_friction(params.row())
+        return SmoothCompensation(friction, self.friction_share, self.friction_speed, self.rest_width)
 
-        `constants` as for `friction_level`.
-        """
-        direction = smooth_direction(motor_speed, torque, self.friction_speed, self.rest_width)
-        return self.friction_share * friction_level(dry_friction(constants.T), motor_speed) * direction
+
+class PreviewDesign(NamedTuple):
+    """What the law for one arm knows."""
+
+    observer: ObserverDesign
+    plant: Plant
+    model: LinearArms  # of this one arm
+    cost: PlanCost
+    friction: SmoothCompensation
+
+
+class PreviewArm(NamedTuple):
+    """Memory of the law for one arm, written in place."""
+
+    state: Floats  # of the observer, see `Track`
+    ahead: Floats
+    disturbance: Floats
+    moved: Floats
+    block: Floats  # in which it simulates the arm, see `Room`
+    work: Floats
+    actions: Floats
+    plan: Floats  # shape (1200, 10)
+    added: Floats  # torque beside the plan's [N m], shape (1,)
+
+
+@inlined
+def _torques(
+    design: PreviewDesign, low: Floats, high: Floats, share: float, ahead: Floats, disturbance: float, last: float
+) -> tuple[float, float]:
+    """Torque by a plan between two of its rows, and what is added to it [N m]; see `torque_between`."""
+    torque = torque_between(low, high, share, ahead, last)
+    return torque, smooth_friction(design.friction, ahead[1], torque) - disturbance
+
+
+@compiled
+def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: PreviewArm) -> float:
+    """Torque [N m] of one sample of one arm, see `LawKernel`."""
+    room = Room(memory.block, memory.work, memory.actions)
+    track = Track(memory.state, memory.ahead, memory.disturbance, memory.moved, room)
+    track_arm(design.observer, now, begins, track)
+    if begins:
+        move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
+        plan_rows(move, design.plant, design.model, design.cost, memory.plan)
+    last = 0.0 if begins else now.last_command - memory.added[0]
+    step, share = step_of_plan(now.step + design.observer.delay)
+    low, high = memory.plan[step], memory.plan[step + 1]
+    torque, added = _torques(design, low, high, share, memory.ahead, memory.disturbance[0], last)
+    memory.added[0] = added
+    return torque + added
+
+
+@compiled
+def _law_of_arms(
+    design: PreviewDesign,
+    pairs: Floats,
+    time: Floats,
+    commands: Floats,
+    begins: Flags,
+    ahead: Floats,
+    disturbances: Floats,
+    before: Floats,
+) -> tuple[Floats, Floats]:
+    """Torques of n arms, and what of them is beside the plan [N m]; `before` is that of the last sample."""
+    torques, added = np.empty(len(time)), np.empty(len(time))
+    for i in range(len(time)):
+        _, share = step_of_plan(time[i])
+        last = 0.0 if begins[i] else commands[i] - before[i]
+        torque, added[i] = _torques(design, pairs[i, 0], pairs[i, 1], share, ahead[i], disturbances[i], last)
+        torques[i] = torque + added[i]
+    return torques, added
 
 
 @dataclass(frozen=True)
@@ -81,16 +164,45 @@ class PreviewController(ClassicalController[PreviewMemory]):
     def __init__(self, gains: PreviewGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(params)
         self.gains = gains or PreviewGains()
-        self._table = params_table([self.params])
-        self._delay = dead_time(self.params) / CONTROL_PERIOD
-        self._weights = self.gains.weights()
         self._observer = self.observer(self.params, self.gains.noise())
+        self._design = PreviewDesign(
+            self._observer.design,
+            self.params.plant(),
+            linear_arm(self.params),
+            plan_cost(self.gains.weights()),
+            self.gains.compensation(self.params),
+        )
+
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        state, ahead, disturbance, moved, room = self._observer.track()
+        plan = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
+        return LawKernel(
+            preview_law, self._design, PreviewArm(state, ahead, disturbance, moved, *room, plan, np.zeros(1))
+        )
 
     def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
-        plans = replanned(memory.plans if memory else None, begins, reading.move, self._table, self._weights)
-        last = last_share(reading, memory.added if memory else None, begins)
-        torque = planned_torque(plans, reading.step.astype(np.float64) + self._delay, estimate.ahead, last)
-        added = self.gains.friction(self._table[0], estimate.ahead[:, 1], torque) - estimate.disturbance
-        return torque + added, PreviewMemory(plans, estimate, added)
+        plans = replaced(memory.plans if memory else None, begins, lambda arm: self._planned(reading.move[arm]))
+        before, time = (
+            memory.added if memory else np.zeros(len(begins)),
+            reading.step.astype(np.float64) + self._design.observer.delay,
+        )
+        torques, added = _law_of_arms(
+            self._design,
+            rows_at(plans, time),
+            time,
+            reading.last_command,
+            begins,
+            estimate.ahead,
+            estimate.disturbance,
+            before,
+        )
+        return torques, PreviewMemory(plans, estimate, added)
+
+    def _planned(self, move: Floats) -> Floats:
+        """Plan of one move."""
+        rows, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
+        plan_rows(MoveShape(*move.tolist()), design.plant, design.model, design.cost, rows)
+        return rows

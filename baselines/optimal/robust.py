@@ -246,7 +246,11 @@ class RobustController(LqgController):
         params: The design model, about which the corners lie.
     """
 
+    gains: RobustGains
+
     def __init__(self, gains: RobustGains | None = None, params: ArmParams | None = None) -> None:
-        gains = gains or RobustGains()
-        super().__init__(gains, params)
-        self.feedback = robust_gains(self.params, gains.weights(), gains.noise(), gains.angle_noise)
+        super().__init__(gains or RobustGains(), params)
+
+    def _feedback(self) -> Floats:
+        gains = self.gains
+        return robust_gains(self.params, gains.weights(), gains.noise(), gains.angle_noise)

@@ -19,6 +19,7 @@ as states of the actuator's own in the plan, for the command held over the dead 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_i
 from baselines.planning.tip_error import ErrorWeights, add_tip_cost, bounded_sine, error_weights, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
@@ -190,29 +191,41 @@ def planned(move: Floats, row: Floats, weights: Weights) -> Floats:
 
 def replanned(plans: Plans | None, which: Flags, moves: Floats, table: Floats, weights: Weights) -> Plans:
     """Plans with new ones for some arms; `table` has a row for every arm, or one for all."""
+    return replaced(plans, which, lambda arm: planned(moves[arm], table[arm if len(table) > 1 else 0], weights))
+
+
+def replaced(plans: Plans | None, which: Flags, plan: Callable[[int], Floats]) -> Plans:
+    """Plans with new ones, as `plan` makes them, for some arms; all of them where there are none."""
     if plans is not None and not which.any():
         return plans
     merged = [np.empty(0)] * len(which) if plans is None else plans.copy()
     for arm in np.flatnonzero(which):
-        merged[arm] = planned(moves[arm], table[arm if len(table) > 1 else 0], weights)
+        merged[arm] = plan(int(arm))
     return merged
+
+
+@compiled
+def _steps_of_plans(time: Floats) -> Integers:
+    steps = np.empty(len(time), np.intp)
+    for i in range(len(time)):
+        steps[i], _ = step_of_plan(time[i])
+    return steps
 
 
 def rows_at(plans: Plans, time: Floats) -> Floats:
     """Rows of n plans before and after their times [samples], shape (n, 2, 10)."""
-    steps = [step_of_plan(at)[0] for at in time.tolist()]
-    return np.array([plan[k : k + 2] for plan, k in zip(plans, steps, strict=True)])
+    return np.array([plan[k : k + 2] for plan, k in zip(plans, _steps_of_plans(time).tolist(), strict=True)])
 
 
 @compiled
-def _planned_torques(pairs: Floats, time: Floats, ahead: Floats, last: Floats, torques: Floats) -> None:
+def _planned_torques(pairs: Floats, time: Floats, ahead: Floats, last: Floats) -> Floats:
+    torques = np.empty(len(time))
     for i in range(len(time)):
         _, share = step_of_plan(time[i])
         torques[i] = torque_between(pairs[i, 0], pairs[i, 1], share, ahead[i], last[i])
+    return torques
 
 
 def planned_torque(plans: Plans, time: Floats, ahead: Floats, last: Floats) -> Floats:
     """Torques [N m] of n arms by their plans, see `torque_of_plan`; times and last torques of shape (n,), x (n, 4)."""
-    torques = np.empty(len(time))
-    _planned_torques(rows_at(plans, time), time, ahead, last, torques)
-    return torques
+    return _planned_torques(rows_at(plans, time), time, ahead, last)

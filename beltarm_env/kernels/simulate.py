@@ -1,0 +1,214 @@
+"""Motion of arms without sensors, reference and episodes: for controllers and observers that simulate their arm.
+
+Of one arm, in lane 0 of a block of its own (`load_arm`, `rest_arm`, `advance_arm`, `look_ahead`), and of many side by
+side, as `beltarm_env.simulation` describes: the same steps, and the same numbers. A state has 4 entries, x, or 8 with
+the drive's beside them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from beltarm_env.arm import plant_of
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.advance import advance_block
+from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
+from beltarm_env.kernels.layout import (
+    LANES,
+    ROWS,
+    empty_blocks,
+    load_drive,
+    load_plant,
+    load_state,
+    store_plant,
+    store_state,
+)
+from beltarm_env.physics.drive import DRIVE_COLUMNS, resting
+from beltarm_env.physics.models import Model
+from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.substeps import integration_substeps
+from beltarm_env.timing import LATENCY_SAMPLES
+
+X = 4
+"""Entries of an arm's state x."""
+DRIVE_STATES = 1 + LATENCY_SAMPLES
+"""Entries beside x: torque of the motor and past commands, which are adjacent rows of a block."""
+
+
+class Room(NamedTuple):
+    """What the kernels of a simulation work in; the constants of the arms are in the blocks."""
+
+    blocks: Floats  # shape (blocks, ROWS * LANES); of one arm alone (ROWS * LANES,)
+    work: Floats
+    actions: Floats  # shape (LANES,)
+
+
+def room_for(count: int) -> Room:
+    """Room for n arms, whatever their drives."""
+    return Room(empty_blocks(count), np.zeros(DRIVEN_WORK_ROWS * LANES), np.zeros(LANES))
+
+
+def room_for_one() -> Room:
+    """Room for one arm alone."""
+    return room_for(1)._replace(blocks=np.zeros(ROWS * LANES))
+
+
+def state_size(table: Floats) -> int:
+    """Entries of the states of arms: 8 where one among them has a drive as it is built; columns as `ArmParams`."""
+    return X + DRIVE_STATES if table[:, DRIVE_COLUMNS].any() else X
+
+
+@compiled
+def load_arm(block: Floats, lane: int, row: Any, model: Model) -> None:
+    """Put an arm at the beginning of an episode into a lane, from its constants, the fields of `ArmParams`."""
+    plant = plant_of(row)
+    store_plant(block, lane, plant)
+    block[at.SUBSTEPS * LANES + lane] = integration_substeps(plant, model)
+    block[at.STEP * LANES + lane] = 0.0
+    begin_drive(block, lane, row)
+
+
+@inlined
+def hold_friction(block: Floats, lane: int) -> None:
+    """Let the friction of an arm be what it is at the beginning."""
+    block[at.DRIFT * LANES + lane] = 0.0
+
+
+@compiled
+def rest_arm(block: Floats, lane: int, motor_angle: float, state: Floats) -> None:
+    """Write the state at rest at a motor angle [rad], without torque in motor or belt; shape (size,)."""
+    x = resting(motor_angle, load_plant(block, lane), load_drive(block, lane))
+    state[:] = 0.0
+    state[0], state[1], state[2], state[3] = x.motor_angle, x.motor_speed, x.torsion, x.torsion_speed
+
+
+@inlined
+def _put(block: Floats, lane: int, state: Floats) -> None:
+    store_state(block, at.STATE, lane, ArmState(state[0], state[1], state[2], state[3]))
+    for column in range(X, state.shape[0]):
+        block[(at.TORQUE + column - X) * LANES + lane] = state[column]
+
+
+@inlined
+def _take(block: Floats, lane: int, state: Floats) -> None:
+    x = load_state(block, at.STATE, lane)
+    state[0], state[1], state[2], state[3] = x.motor_angle, x.motor_speed, x.torsion, x.torsion_speed
+    for column in range(X, state.shape[0]):
+        state[column] = block[(at.TORQUE + column - X) * LANES + lane]
+
+
+@inlined
+def _action(torque: float, limit: float) -> float:
+    return min(max(torque / limit, -1.0), 1.0)
+
+
+@compiled
+def advance_arm(room: Room, state: Floats, torque: float, limit: float, model: Model) -> None:
+    """Advance one arm by one control period, in place.
+
+    Args:
+        room: Of this arm alone, which is loaded.
+        state: x (rad, rad/s), and the drive's states [N m] beside it; shape (size,).
+        torque: Commanded for the period [N m]; cut at the limit.
+        limit: Of the torque [N m].
+        model: Whose equations of motion.
+    """
+    block = room.blocks
+    _put(block, 0, state)
+    room.actions[0] = _action(torque, limit)
+    if state.shape[0] > X:
+        advance_driven_block(block, room.work, room.actions, 1, model)
+    else:
+        advance_block(block, room.work, room.actions, 1, model)
+    _take(block, 0, state)
+
+
+@inlined
+def move_towards(x: Floats, before: Floats, after: Floats, samples: float, k: int) -> None:
+    """Move an arm's x on by what of a time ahead [samples] lies in the sample after k, from its states around that."""
+    share = min(max(samples - k, 0.0), 1.0)
+    for i in range(X):
+        x[i] += share * (after[i] - before[i])
+
+
+@compiled
+def look_ahead(
+    room: Room, state: Floats, torque: float, limit: float, samples: float, model: Model, x: Floats, moved: Floats
+) -> None:
+    """Write x of one arm at a time to come, with a command held until then; between samples by a straight line.
+
+    Args:
+        room: Of this arm alone, which is loaded.
+        state: Shape (size,).
+        torque: Command [N m].
+        limit: Of the torque [N m].
+        samples: How far ahead, in control periods.
+        model: Whose equations of motion.
+        x: Shape (4,), written.
+        moved: Room for a state, shape (size,).
+    """
+    before = np.empty(X)
+    moved[:] = state
+    for i in range(X):
+        x[i] = state[i]
+    for k in range(math.ceil(samples)):
+        for i in range(X):
+            before[i] = moved[i]
+        advance_arm(room, moved, torque, limit, model)
+        move_towards(x, before, moved, samples, k)
+
+
+@compiled
+def load_arms(blocks: Floats, table: Floats, steps: Floats, model: Model) -> None:
+    """Load n arms; `steps` are the samples of the episode that they are at, or empty for friction that is held."""
+    for i in range(len(table)):
+        block, lane = blocks[i // LANES], i % LANES
+        load_arm(block, lane, table[i], model)
+        if len(steps) == 0:
+            hold_friction(block, lane)
+        else:
+            block[at.STEP * LANES + lane] = steps[i]
+
+
+@compiled
+def rest_arms(blocks: Floats, angles: Floats, states: Floats) -> None:
+    """Write the states of n arms at rest, shape (n, size), see `rest_arm`."""
+    for i in range(len(angles)):
+        rest_arm(blocks[i // LANES], i % LANES, angles[i], states[i])
+
+
+@compiled
+def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, model: Model, result: Floats) -> None:
+    """Write the states of n arms one control period later, shape (n, size); see `ArmSimulation.advance`."""
+    count, size = states.shape
+    for k in range((count + LANES - 1) // LANES):
+        low, high = k * LANES, min(k * LANES + LANES, count)
+        block = room.blocks[k]
+        for i in range(low, high):
+            _put(block, i - low, states[i])
+            room.actions[i - low] = _action(torques[i], limits[i])
+        if size > X:
+            advance_driven_block(block, room.work, room.actions, high - low, model)
+        else:
+            advance_block(block, room.work, room.actions, high - low, model)
+        for i in range(low, high):
+            _take(block, i - low, result[i])
+
+
+@compiled
+def look_ahead_arms(
+    room: Room, states: Floats, torques: Floats, limits: Floats, samples: Floats, model: Model, ahead: Floats
+) -> None:
+    """Write x of n arms at times to come, shape (n, 4); see `ArmSimulation.ahead`."""
+    before, after = states.copy(), np.empty(states.shape)
+    ahead[:] = states[:, :X]
+    for k in range(math.ceil(samples.max())):
+        advance_arms(room, before, torques, limits, model, after)
+        for i in range(len(states)):
+            move_towards(ahead[i], before[i], after[i], samples[i], k)
+        before, after = after, before
