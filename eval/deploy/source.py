@@ -94,6 +94,7 @@ def sources(loop: Loop) -> dict[str, str]:
         "arithmetic.h": _TEMPLATES.get_template("arithmetic.h.j2").render(),
         f"{loop.name}.h": _TEMPLATES.get_template("controller.h.j2").render(given),
         f"{loop.name}.c": _TEMPLATES.get_template("controller.c.j2").render(given),
+        "in_the_loop.c": _TEMPLATES.get_template("in_the_loop.c.j2").render(given),
     }
 
 

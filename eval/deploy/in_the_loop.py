@@ -1,0 +1,112 @@
+"""Software in the loop: the generated sources, compiled, as a controller of simulated arms, over a pipe."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.observation import index, scales
+from eval.deploy.building import Toolchain
+
+_ANGLE = index("motor_angle")
+
+
+class StepTimes(NamedTuple):
+    """Time per sample of one arm [us]."""
+
+    samples: int
+    median: float
+    high: float  # 99th percentile
+    longest: float
+    longest_reset: float
+
+
+class InTheLoop:
+    """A generated controller as a `Controller`: from an observation it takes the encoder's count and nothing else.
+
+    Args:
+        folder: With the sources.
+        name: Of the controller.
+        moves: Asked of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4).
+        torque_limit: Of the arms [N m].
+        toolchain: To compile and run with.
+        counts_per_turn: Of their encoders.
+        flags: More for the compiler: `-DBELTARM_SINGLE`, sanitizers.
+
+    Raises:
+        ValueError: If the sources do not compile.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        moves: Floats,
+        torque_limit: float,
+        toolchain: Toolchain,
+        counts_per_turn: int,
+        flags: tuple[str, ...] = (),
+    ) -> None:
+        self._limit, self._moves = torque_limit, moves
+        self._quantum = 2 * np.pi / counts_per_turn
+        self._made = tempfile.TemporaryDirectory()
+        program = Path(self._made.name) / name
+        toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program, *flags)
+        command = [*toolchain.runner, str(program)]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._say(f"arms {len(moves)} {counts_per_turn}")
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Torque over its limit, shape (n, 1), see `Controller`; the memory is in the program."""
+        angles = observation[:, _ANGLE] * scales()[_ANGLE]
+        counts = np.rint(angles / self._quantum).astype(int)
+        begins = np.ones(len(counts), np.bool_) if state is None else episode_start
+        for arm in [] if begins is None else np.flatnonzero(begins):
+            move = " ".join(f"{number:.17g}" for number in self._moves[arm])
+            self._say(f"reset {arm} {move} {counts[arm]}")
+        self._say(f"step {' '.join(map(str, counts))}")
+        torques = np.array(self._answer(), np.float64)
+        return (torques / self._limit).astype(np.float32)[:, None], True
+
+    def times(self) -> StepTimes:
+        """Times of all samples so far."""
+        self._say("times")
+        samples, *rest = self._answer()
+        return StepTimes(int(samples), *map(float, rest))
+
+    def _say(self, line: str) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(line + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise ValueError(f"the program has ended, with status {self._process.wait()}") from None
+
+    def _answer(self) -> list[str]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise ValueError(f"the program has ended, with status {self._process.wait()}")
+        return line.split()
+
+    def __enter__(self) -> Self:
+        """Return the controller."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the program."""
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+        self._process.wait()
+        self._made.cleanup()
