@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines import CONTROLLERS
-from baselines.estimation.arm_ekf import Uncertainty
 from baselines.estimation.believed_arm import IDENTIFIED, LOGS, nominal_row
-from baselines.estimation.identification import ArmIdentifier, Belief, common_count
+from baselines.estimation.identification import ArmIdentifier, Belief
+from baselines.estimation.identify import common_count
+from baselines.estimation.uncertainty import Uncertainty
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.reading import Reading, read
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
@@ -132,7 +133,7 @@ class TestDrive:
         identifier, ahead, now, states, delays = ArmIdentifier(design_model()), [], [], [], []
         for _ in range(400):
             action, memory = controller.predict(observations, memory)
-            ahead.append(identifier.ahead(memory.belief)[:, 1])
+            ahead.append(identifier.estimate(memory.belief).states[:, 1])
             now.append(memory.belief.state[:, 1])
             delays.append(memory.belief.delay)
             states.append(env.state[:, 1])
@@ -215,7 +216,7 @@ class TestEncoder:
     )
     def test_resolution_is_the_common_divisor_of_what_the_encoder_moves(self, counts: int, moves: list[int]):
         quantum = 2 * math.pi / counts
-        count = np.zeros(1)
+        count = 0.0
         for move in moves:
-            count = common_count(count, np.array([abs(move) * quantum]))
-        assert count[0] == pytest.approx(quantum, rel=1e-6)
+            count = common_count(count, abs(move) * quantum)
+        assert count == pytest.approx(quantum, rel=1e-6)

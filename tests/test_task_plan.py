@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from baselines.planning.plan import Weights, planned_torque, replanned
+from baselines.planning.plan import Plans, Weights, plan_cost, planned_torque, replanned
 from baselines.planning.replanning import STEPS, PlanCache, Situation
-from baselines.planning.task_plan import anchored, improved
+from baselines.planning.task_plan import anchor, improve, plan_room, plan_squares, plan_task, problem_of
 from beltarm_env import ArmParams
 from beltarm_env.arm import params_table, plant_of
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import sampled_moves
+from beltarm_env.task.reference import MoveShape, sampled_moves
 
 MOVES = np.array([[0.2, 1.0, 0.7, 0.2], [1.3, 0.3, 0.8, 0.25], [0.05, 0.7, 0.6, 0.16]])
 ARM = ArmParams(coulomb_friction=0.0)
@@ -19,13 +19,12 @@ WEIGHTS = Weights(0.5, 10.0, 0.0)
 ALL = np.ones(len(MOVES), np.bool_)
 
 
-def planned(steps: int):
-    """Plans from rest, `anchored`, after some steps of improvement."""
-    rest = np.column_stack([ARM.gear_ratio * MOVES[:, 0], np.zeros((len(MOVES), 3))])
-    start, plans = np.zeros(len(MOVES)), replanned(None, ALL, MOVES, TABLE, WEIGHTS)
-    plans = anchored(plans, ALL, start, rest, MOVES, TABLE)
-    for _ in range(steps):
-        plans, _ = improved(plans, ALL, start, MOVES, TABLE)
+def planned(steps: int, time: float = 0.0) -> Plans:
+    """Plans after some steps of improvement, for arms that rest at their start at that time."""
+    plans, rest = [], np.array([ARM.gear_ratio, 0.0, 0.0, 0.0])
+    for move, row in zip(MOVES, TABLE, strict=True):
+        plans.append(np.empty((1200, 10)))
+        plan_task(MoveShape(*move), row, plan_cost(WEIGHTS), time, move[0] * rest, steps, plan_room(), plans[-1])
     return plans
 
 
@@ -63,7 +62,10 @@ def test_anchoring_changes_nothing_about_the_law():
     time = np.array([40.3, 200.0, 610.8])
     there = np.array([plan[int(t), :4] for plan, t in zip(before, time, strict=True)])
     there += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], there.shape)
-    after = anchored(before, ALL, time, there, MOVES, TABLE)
+    after, room = [plan.copy() for plan in before], plan_room()
+    for arm, move in enumerate(MOVES):
+        plan_squares(MoveShape(*move), TABLE[arm], plan_cost(WEIGHTS), room, np.empty((1200, 10)))
+        anchor(after[arm], time[arm], there[arm], problem_of(MoveShape(*move), TABLE[arm]), room.model)
     for later in (1, 2, 100):
         whole = np.floor(time) + later
         x = np.array([plan[int(t), :4] for plan, t in zip(before, whole, strict=True)])
@@ -76,21 +78,18 @@ def test_anchoring_changes_nothing_about_the_law():
         assert (np.abs(now - there[arm]) < [0.02, 0.3, 1e-4, 5e-3]).all()
 
 
-def test_plans_are_improved_alone_as_beside_others():
-    together, _ = improved(planned(0), ALL, np.full(3, 5.0), MOVES, TABLE)
-    for i in range(3):
-        one = slice(i, i + 1)
-        alone, _ = improved(planned(0)[one], ALL[one], np.full(1, 5.0), MOVES[one], TABLE[one])
-        assert alone[0].tobytes() == together[i].tobytes()
+def test_what_is_past_stays():
+    (before, *_), room, move = planned(0), plan_room(), MoveShape(*MOVES[0])
+    plan_squares(move, TABLE[0], plan_cost(WEIGHTS), room, np.empty((1200, 10)))
+    after = before.copy()
+    assert improve(after, 101, problem_of(move, TABLE[0]), room)
+    assert (after[:101, 9] == before[:101, 9]).all() and (after[:102, :4] == before[:102, :4]).all()
+    assert not (after[101:, 9] == before[101:, 9]).all()
 
 
-def test_what_is_past_or_not_asked_for_stays():
-    before = planned(0)
-    after, gained = improved(before, np.array([True, False, True]), np.array([100.0, 0.0, 1199.0]), MOVES, TABLE)
-    assert gained.tolist() == [True, False, False]
-    assert (after[0][:101, 9] == before[0][:101, 9]).all() and (after[0][:102, :4] == before[0][:102, :4]).all()
-    assert not (after[0][101:, 9] == before[0][101:, 9]).all()
-    assert all((after[i] == before[i]).all() for i in (1, 2))
+def test_nothing_is_left_to_improve_at_the_end():
+    for plan, squares in zip(planned(6, 1199.0), replanned(None, ALL, MOVES, TABLE, WEIGHTS), strict=True):
+        assert (plan == squares).all()
 
 
 class TestReplanning:
@@ -114,6 +113,12 @@ class TestReplanning:
         after = before.renewed(self.situation(20, np.array([[0.03], [0.01], [-0.03]])), WEIGHTS)
         assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
         assert after.logs.tolist() == [[0.03], [0.0], [-0.03]]
+
+    def test_what_does_not_begin_stays(self):
+        begins, before = np.array([True, False, True]), self.begun()
+        after = before.begun(begins, self.situation(0, np.ones((3, 1))), WEIGHTS)
+        assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
+        assert after.logs.tolist() == [[1.0], [0.0], [1.0]]
 
     def test_plans_are_not_made_anew_between_times(self):
         before = self.begun()

@@ -39,40 +39,27 @@ begins anew with the nominal constants, and does not listen to the accelerometer
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
-import numpy as np
-
-from baselines.estimation import believed_arm as arm_of
 from baselines.estimation.believed_arm import (
     BIAS,
-    DELAY,
     DIFFERENCED,
     DISTURBANCE,
     ERROR_SINE,
-    FELT_SIZE,
     HIGHEST,
-    LAG,
-    LOGS,
     LOWEST,
     ORDERS,
     RIPPLE,
-    SHORTEST,
     SIZE,
     STEPS,
     ripple_shape,
-    simulated,
 )
+from baselines.estimation.believed_motion import simulate
 from baselines.estimation.felt import AXES
-from baselines.models.linear import at_angle, linear_arms
-from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arrays import Flags, Floats
+from baselines.estimation.filter_design import Design, Room, Tracks
+from baselines.models.linear import between, place
+from beltarm_env.arm import COLUMN
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
-from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
-UNFELT = np.empty((0, 0)), np.empty((0, 0))
-"""What is felt without an accelerometer."""
 _SLIDES = 2  # counts that a motor at rest cannot move by
 _LOOSE = 1e-2  # torque noise that lets a simulated motor go [N m]
 _WATCH = 0.05  # share of the last innovation in w
@@ -80,76 +67,15 @@ _LOST = 8.0  # of w
 _SHOCK = 10.0  # most of nu^2 / S that counts in one reading of the accelerometer
 _MISTRUSTED = 100.0  # of W
 _DEAF = 1e6  # W of an accelerometer that is not listened to
-_FRICTION = LOGS.start + arm_of.IDENTIFIED.index("motor_viscous_friction")  # the Coulomb friction follows
-
-
-@dataclass(frozen=True, slots=True)
-class Uncertainty:
-    """Standard deviations: of the constants before anything is measured, their drift, and the process noise."""
-
-    swing: float = 0.3  # of ln S: most of it is the payload
-    stiffness: float = 0.3  # of ln K_s
-    motor_inertia: float = 0.06  # of ln M_a1
-    friction: float = 0.2  # of ln V_a1 and ln tau_c
-    inertia: float = 0.12  # of ln M2(0)
-    torque_constant: float = 0.06  # of ln(1 + k), which all of these have in common
-    delay: float = 0.5  # of D [samples]
-    lag: float = 0.2  # of T_i [samples]
-    variation: float = 0.1  # of p and q
-    excess: float = 0.14  # of s
-    stiffening: float = 0.1  # of b
-    ripple: float = 1e-3  # of s_n and c_n [N m]
-    drift: float = 0.01  # growth of all but the ripple's [1/sqrt(s)]
-    friction_drift: float = 0.06  # further growth of ln V_a1 and ln tau_c, which drift [1/sqrt(s)]
-    torque: float = 3e-3  # at the motor, white [N m]
-    acceleration: float = 1.0  # torsional, white [rad/s^2]
-    disturbance: float = 5e-4  # of d [N m]
-    memory: float = 0.02  # time in which d decays [s]
-    kinematic_error: float = 1.2e-4  # of e_s and e_c [rad]
-
-    def covariance(self, resolution: float) -> Floats:
-        """Initial covariance of z, shape (SIZE, SIZE), at rest, for an encoder of `resolution` [rad]."""
-        constants = [self.swing, self.stiffness, self.motor_inertia, self.friction, self.friction, self.inertia]
-        drive = [self.delay, self.lag, self.variation, self.variation, self.excess, self.stiffening, self.disturbance]
-        ripple = [self.ripple] * (2 * len(ORDERS))
-        result = np.diag(np.square([resolution / 12**0.5, 0.0, 1e-4, 1e-4, *constants, *drive, *ripple]))
-        result[LOGS, LOGS] += self.torque_constant**2
-        return result
-
-    def covariance_felt(self, resolution: float) -> Floats:
-        """Initial covariance of z with an accelerometer, shape (FELT_SIZE, FELT_SIZE)."""
-        result = np.diag(np.square([*[0.0] * SIZE, *[self.kinematic_error] * 2, *[ZERO_G / 3**0.5] * AXES]))
-        result[:SIZE, :SIZE] = self.covariance(resolution)
-        return result
-
-    @property
-    def kept(self) -> float:
-        """Share of d that is left after a sample."""
-        return float(np.exp(-CONTROL_PERIOD / self.memory))
-
-    def growth(self) -> Floats:
-        """Variance that each entry of z gains in a sample, but for x: shape (FELT_SIZE,)."""
-        result = np.zeros(FELT_SIZE)
-        result[LOGS.start : DISTURBANCE] = self.drift**2 * CONTROL_PERIOD
-        result[_FRICTION : _FRICTION + 2] += self.friction_drift**2 * CONTROL_PERIOD
-        result[DISTURBANCE] = (1 - self.kept**2) * self.disturbance**2
-        return result
-
-
-class Tracks(NamedTuple):
-    """State of m filters, each of one arm, along the last axis: kernels process many of them side by side."""
-
-    mean: Floats  # z, shape (SIZE or FELT_SIZE, m)
-    covariance: Floats  # of it, shape (SIZE, SIZE, m) or (FELT_SIZE, FELT_SIZE, m)
-    surprise: Floats  # w, shape (m,)
-    unrest: Floats  # W of the accelerometer, shape (m,); 1 without one
+_ROUNDING = 12**0.5  # resolution over the standard deviation of rounding to it
+_LESS_SURE = (1e-4, 1.0, 1e-4, 0.09)  # variances of x of a filter that begins anew
 
 
 @compiled
-def _jacobian(before: Floats, predicted: Floats, rows: int) -> Floats:
-    """Derivatives by z of x after a sample, and of what is felt over it, shape (rows, size, m); see `_prior`."""
-    size, count = before.shape
-    jacobian = np.zeros((rows, size, count))
+def _write_jacobian(before: Floats, room: Room) -> None:
+    """Write the derivatives by z, before it, of x after a sample and of what is felt over it, see `_propagate`."""
+    jacobian, predicted = room.jacobian, room.predicted
+    rows, size, count = jacobian.shape
     for i in range(rows):
         for j in range(DIFFERENCED):
             for arm in range(count):
@@ -162,49 +88,47 @@ def _jacobian(before: Floats, predicted: Floats, rows: int) -> Floats:
                 jacobian[i, RIPPLE.start + 2 * k + 1, arm] = jacobian[i, DISTURBANCE, arm] * cosine
     if size > SIZE:
         for j in range(2):
+            k = DIFFERENCED + j
             for i in range(rows):
                 for arm in range(count):
-                    k = DIFFERENCED + j
                     jacobian[i, ERROR_SINE + j, arm] = (predicted[k + 1, i, arm] - predicted[0, i, arm]) / STEPS[k]
         for axis in range(AXES):
-            jacobian[4 + axis, BIAS + axis] = 1.0
-    return jacobian
+            for i in range(rows):
+                for arm in range(count):
+                    jacobian[i, BIAS + axis, arm] = 1.0 if i == 4 + axis else 0.0
 
 
 @compiled
-def _learn(mean: Floats, covariance: Floats, entry: int, innovation: Floats, total: Floats) -> None:
-    """Correct mean and covariance, in place, by the innovation of one entry and its variance; both of shape (m,)."""
-    row, gain = covariance[entry].copy(), covariance[:, entry].copy()
-    for i in range(len(mean)):
-        for arm in range(len(total)):
-            gain[i, arm] = gain[i, arm] / total[arm]
-            mean[i, arm] += gain[i, arm] * innovation[arm]
-    for i in range(len(mean)):
-        for j in range(len(mean)):
-            for arm in range(len(total)):
+def _learn(tracks: Tracks, entry: int, room: Room) -> None:
+    """Correct mean and covariance by the innovation of one entry and its variance."""
+    mean, covariance, row, gain = tracks.mean, tracks.covariance, room.row, room.gain
+    size, count = mean.shape
+    for i in range(size):
+        for arm in range(count):
+            row[i, arm] = covariance[entry, i, arm]
+            gain[i, arm] = covariance[i, entry, arm] / room.total[arm]
+            mean[i, arm] += gain[i, arm] * room.innovation[arm]
+    for i in range(size):
+        for j in range(size):
+            for arm in range(count):
                 covariance[i, j, arm] = covariance[i, j, arm] - gain[i, arm] * row[j, arm]
 
 
 @compiled
-def _prior(before: Floats, predicted: Floats, covariance: Floats, noise: Floats, kept: float) -> Floats:
-    """Covariance before the measurement: F P F' + Q, where F is the unit matrix but for its rows of x, and of d.
+def _propagate(tracks: Tracks, kept: float, room: Room) -> None:
+    """Turn a covariance into that before the measurement: F P F' + Q.
+
+    F is the unit matrix but for its rows of x, of what is felt, which come last, and of d; Q is of x and of what is
+    felt alone, from what torque and torsional acceleration do to them, each by its standard deviation: `Room.noise`.
 
     Args:
-        before: z, shape (size, m).
-        predicted: From `simulated`.
-        covariance: P, shape (size, size, m).
-        noise: What torque and torsional acceleration do to x and to what is felt, each by its standard deviation, shape
-            (2, rows, m) with rows = 4, or 4 + AXES with an accelerometer.
+        tracks: With an accelerometer, there are AXES more rows and columns, which are written.
         kept: Share of d that is left.
-
-    Returns:
-        Shape (size + rows - 4, size + rows - 4, m), what is felt coming last; Q of x and of what is felt alone.
+        room: With the simulations; changed.
     """
-    size, _, count = covariance.shape
-    rows = noise.shape[1]
-    jacobian, half = _jacobian(before, predicted, rows), np.empty((rows, size, count))
-    prior = np.empty((size + rows - 4, size + rows - 4, count))
-    prior[:size, :size] = covariance
+    _write_jacobian(tracks.mean, room)
+    covariance, jacobian, half, noise = tracks.covariance, room.jacobian, room.half, room.noise
+    rows, size, count = jacobian.shape
     for j in range(size):
         for i in range(rows):
             for arm in range(count):
@@ -219,144 +143,117 @@ def _prior(before: Floats, predicted: Floats, covariance: Floats, noise: Floats,
                 total = noise[0, i, arm] * noise[0, j, arm] + noise[1, i, arm] * noise[1, j, arm]
                 for m in range(size):
                     total += half[i, m, arm] * jacobian[j, m, arm]
-                prior[to, j if j < 4 else size + j - 4, arm] = total
+                covariance[to, j if j < 4 else size + j - 4, arm] = total
         for j in range(4, size):
             for arm in range(count):
-                prior[to, j, arm] = prior[j, to, arm] = half[i, j, arm]
-    for i in range(len(prior)):
+                covariance[to, j, arm] = covariance[j, to, arm] = half[i, j, arm]
+    for i in range(len(covariance)):
         for arm in range(count):
-            prior[i, DISTURBANCE, arm] *= kept
-            prior[DISTURBANCE, i, arm] *= kept
-    return prior
+            covariance[i, DISTURBANCE, arm] *= kept
+            covariance[DISTURBANCE, i, arm] *= kept
 
 
 @compiled
-def _corrected(
-    predicted: Floats,
-    tracks: Tracks,
-    measured: Floats,
-    resolution: Floats,
-    felt: Floats,
-    felt_variance: Floats,
-    by_noise: Floats,
-    deviations: tuple[float, float],
-    slow: tuple[float, float],
-    growth: Floats,
-    kept: float,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Kalman filter step from the simulations of `simulated`; `growth` and `kept` are those of `Uncertainty`.
-
-    `deviations` are those of torque and torsional acceleration, `slow` that of the friction of a slow motor [N m] and
-    the speed at which half of it is left [rad/s].
-    """
-    arms, size, axes = len(measured), len(tracks.mean), len(felt)
-    noise, holds = np.zeros((2, 4 + axes, arms)), np.empty(arms, np.bool_)
-    for arm in range(arms):
-        sticks = predicted[0, 1, arm] == 0.0
-        holds[arm] = sticks and abs(measured[arm] - predicted[0, 0, arm]) <= _SLIDES * resolution[arm]
-        doubtful = slow[0] / (1 + (predicted[0, 1, arm] / slow[1]) ** 2)
-        sliding = (deviations[0] + doubtful) * max(tracks.surprise[arm], 1.0)
-        torque = (0.0 if holds[arm] else _LOOSE) if sticks else sliding
+def _write_noise(design: Design, tracks: Tracks, measured: Floats, resolution: Floats, room: Room) -> None:
+    """Write what the process noise does to x and to what is felt, and whether motors hold."""
+    predicted, noise = room.predicted, room.noise
+    rows = noise.shape[1]
+    for arm in range(len(measured)):
+        speed = predicted[0, 1, arm]
+        sticks = speed == 0.0
+        holds = sticks and abs(measured[arm] - predicted[0, 0, arm]) <= _SLIDES * resolution[arm]
+        doubtful = design.doubtful / (1 + (speed / design.slow) ** 2)
+        sliding = (design.torque + doubtful) * max(tracks.surprise[arm], 1.0)
+        torque = (0.0 if holds else _LOOSE) if sticks else sliding
+        room.holds[arm] = 1.0 if holds else 0.0
+        row, weight = place(predicted[0, 0, arm] / design.nominal[COLUMN.gear_ratio])
         for i in range(4):
-            noise[0, i, arm], noise[1, i, arm] = torque * by_noise[arm, 0, i], deviations[1] * by_noise[arm, 1, i]
-            for axis in range(4, 4 + axes):
-                slope = (predicted[i - 4, axis, arm] - predicted[0, axis, arm]) / STEPS[i]
+            by_torque = between(design.by_noise[row, 0, i], design.by_noise[row + 1, 0, i], weight)
+            by_acceleration = between(design.by_noise[row, 1, i], design.by_noise[row + 1, 1, i], weight)
+            noise[0, i, arm], noise[1, i, arm] = torque * by_torque, design.acceleration * by_acceleration
+        for axis in range(4, rows):
+            noise[0, axis, arm] = noise[1, axis, arm] = 0.0
+            for i in range(4):
+                after = len(predicted) - 4 + i
+                slope = (predicted[after, axis, arm] - predicted[0, axis, arm]) / STEPS[i]
                 noise[0, axis, arm] += slope * noise[0, i, arm]
                 noise[1, axis, arm] += slope * noise[1, i, arm]
-    covariance = _prior(tracks.mean, predicted, tracks.covariance, noise, kept)
-    mean, surprise, unrest = np.empty((size + axes, arms)), tracks.surprise.copy(), tracks.unrest.copy()
-    mean[:size] = tracks.mean
-    innovation, total = np.empty(arms), np.empty(arms)
-    for arm in range(arms):
+
+
+@compiled
+def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
+    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad]."""
+    size = len(design.mean)
+    for i in range(size):
+        tracks.mean[i, arm] = design.mean[i]
+        for j in range(size):
+            tracks.covariance[i, j, arm] = design.covariance[i, j]
+    tracks.mean[0, arm] = angle
+    deviation = resolution / _ROUNDING
+    tracks.covariance[0, 0, arm] = deviation * deviation
+    tracks.surprise[arm] = tracks.unrest[arm] = 1.0
+
+
+@compiled
+def _watch(design: Design, tracks: Tracks, room: Room) -> None:
+    """Keep z within its bounds; where a filter is lost, let it begin with the nominal constants again, less sure."""
+    for i in range(len(design.mean)):
+        for arm in range(len(tracks.surprise)):
+            tracks.mean[i, arm] = min(max(tracks.mean[i, arm], LOWEST[i]), HIGHEST[i])
+    for arm in range(len(tracks.surprise)):
+        unrest = _DEAF if tracks.unrest[arm] >= _DEAF else max(room.unrest[arm], 1.0)
+        mistrusted = _MISTRUSTED < unrest < _DEAF
+        if mistrusted or tracks.surprise[arm] > _LOST:
+            angle, speed = tracks.mean[0, arm], tracks.mean[1, arm]
+            torsion, torsion_speed = tracks.mean[2, arm], tracks.mean[3, arm]
+            begin_track(design, tracks, arm, angle, 0.0)
+            tracks.mean[1, arm], tracks.mean[2, arm], tracks.mean[3, arm] = speed, torsion, torsion_speed
+            for i in range(4):
+                tracks.covariance[i, i, arm] = _LESS_SURE[i]
+        tracks.unrest[arm] = _DEAF if mistrusted else unrest
+
+
+@compiled
+def step(design: Design, tracks: Tracks, commands: Floats, measured: Floats, resolution: Floats, room: Room) -> None:
+    """Predict over one sample and correct by its measurement.
+
+    Args:
+        design: Of the filters.
+        tracks: The filters; changed. With an accelerometer, z and its covariance have room for AXES more entries.
+        commands: Up to this sample, latest first [N m], shape (m, HISTORY).
+        measured: Motor angle [rad], shape (m,).
+        resolution: Of the encoder [rad], shape (m,).
+        room: With what is felt; changed.
+    """
+    mean, covariance, innovation, total = tracks.mean, tracks.covariance, room.innovation, room.total
+    predicted, size, axes = room.predicted, len(design.mean), len(mean) - len(design.mean)
+    simulate(mean[:size], design.nominal, commands, room.simulation, predicted)
+    _write_noise(design, tracks, measured, resolution, room)
+    _propagate(tracks, design.kept, room)
+    for arm in range(len(measured)):
         for i in range(4):
             mean[i, arm] = predicted[0, i, arm]
         for axis in range(axes):
             mean[size + axis, arm] = predicted[0, 4 + axis, arm] + mean[BIAS + axis, arm]
-        mean[DISTURBANCE, arm] *= kept
+        mean[DISTURBANCE, arm] *= design.kept
         for i in range(4, size):
-            covariance[i, i, arm] += growth[i]
+            covariance[i, i, arm] += design.growth[i]
         innovation[arm], rounding = measured[arm] - mean[0, arm], resolution[arm] * resolution[arm]
         covariance[0, 0, arm] += rounding / 120  # keeps the angle open to the encoder
         total[arm] = covariance[0, 0, arm] + rounding / 12
-        if not holds[arm]:
-            surprise[arm] += _WATCH * (innovation[arm] * innovation[arm] / total[arm] - surprise[arm])
-    _learn(mean, covariance, 0, innovation, total)
+        room.unrest[arm] = tracks.unrest[arm]
+        if room.holds[arm] == 0.0:
+            tracks.surprise[arm] += _WATCH * (innovation[arm] * innovation[arm] / total[arm] - tracks.surprise[arm])
+    _learn(tracks, 0, room)
     for axis in range(axes):
-        innovation[:] = felt[axis] - mean[size + axis]
-        total[:] = covariance[size + axis, size + axis] + felt_variance[axis] * tracks.unrest**2
-        unrest *= 1 + _WATCH * (np.minimum(innovation**2 / total, _SHOCK) - 1)
-        _learn(mean, covariance, size + axis, innovation, total)
-    for arm in range(arms):
-        if holds[arm]:
+        for arm in range(len(measured)):
+            innovation[arm] = room.felt[axis, arm] - mean[size + axis, arm]
+            variance, unrest = room.felt_variance[axis, arm], tracks.unrest[arm]
+            total[arm] = covariance[size + axis, size + axis, arm] + variance * (unrest * unrest)
+            shock = min(innovation[arm] * innovation[arm] / total[arm], _SHOCK)
+            room.unrest[arm] *= 1 + _WATCH * (shock - 1)
+        _learn(tracks, size + axis, room)
+    for arm in range(len(measured)):
+        if room.holds[arm] == 1.0:
             mean[1, arm] = 0.0
-    return (
-        mean[:size].copy(),
-        covariance[:size, :size].copy(),
-        surprise,
-        np.where(tracks.unrest >= _DEAF, _DEAF, np.maximum(unrest, 1.0)),
-    )
-
-
-class ArmFilter:
-    """Extended Kalman filter for arms that are nominally `params`, with an accelerometer on their ends if `felt`."""
-
-    def __init__(self, params: ArmParams, uncertainty: Uncertainty, felt: bool = False) -> None:
-        self.params = params
-        self.uncertainty = uncertainty
-        self._felt = felt
-        self.nominal = arm_of.nominal_row(params)
-        self._growth = uncertainty.growth()
-        excess = params.static_friction_excess * params.coulomb_friction
-        self._slow = excess / 3**0.5, params.stribeck_speed
-        arm = linear_arms(self.nominal[None])
-        self._by_noise = np.stack([arm.by_torque[0], arm.by_acceleration[0]], axis=1)  # shape (46, 2, 4)
-
-    def initial(self, angles: Floats, resolution: float) -> Tracks:
-        """Filters of nominal arms at rest at motor angles of shape (m,), measured with a resolution [rad]."""
-        mean = np.zeros((FELT_SIZE if self._felt else SIZE, len(angles)))
-        mean[0] = angles
-        mean[LAG] = max(self.params.current_loop_time_constant / CONTROL_PERIOD, SHORTEST)
-        mean[DELAY] = mean[LAG] + self.params.command_latency / CONTROL_PERIOD
-        u = self.uncertainty
-        spread = u.covariance_felt(resolution) if self._felt else u.covariance(resolution)
-        covariance = np.repeat(spread[:, :, None], len(angles), axis=2)
-        return Tracks(mean, covariance, np.ones(len(angles)), np.ones(len(angles)))
-
-    def step(
-        self,
-        tracks: Tracks,
-        commands: Floats,
-        measured: Floats,
-        resolution: Floats,
-        felt: tuple[Floats, Floats] = UNFELT,
-    ) -> Tracks:
-        """Predict over one sample and correct by its measurement.
-
-        Args:
-            tracks: The filters.
-            commands: Up to this sample, latest first [N m], shape (m, HISTORY).
-            measured: Motor angle [rad], shape (m,).
-            resolution: Of the encoder [rad], shape (m,).
-            felt: From `felt.unfiltered`, of an accelerometer.
-        """
-        u, predicted = self.uncertainty, simulated(tracks.mean, self.nominal, commands, True)
-        by_noise = at_angle(self._by_noise, predicted[0, 0] / self.params.gear_ratio)
-        noise = (u.torque, u.acceleration), self._slow, self._growth, u.kept
-        mean, covariance, surprise, unrest = _corrected(
-            predicted, tracks, measured, resolution, *felt, by_noise, *noise
-        )
-        size = len(mean)
-        new = Tracks(np.clip(mean, LOWEST[:size, None], HIGHEST[:size, None]), covariance, surprise, unrest)
-        mistrusted = (unrest > _MISTRUSTED) & (unrest < _DEAF)
-        lost = (surprise > _LOST) | mistrusted
-        if not lost.any():
-            return new
-        anew = self._begun_anew(new, lost)
-        return anew._replace(unrest=np.where(mistrusted, _DEAF, np.where(lost, unrest, anew.unrest)))
-
-    def _begun_anew(self, tracks: Tracks, lost: Flags) -> Tracks:
-        """Filters of which some are lost, those with the nominal constants again; in their states, but less sure."""
-        fresh = self.initial(tracks.mean[0], 0.0)
-        fresh.mean[:4] = tracks.mean[:4]
-        fresh.covariance[range(4), range(4)] = np.square([1e-2, 1.0, 1e-2, 0.3])[:, None]
-        return Tracks(*(np.where(lost, new, old) for new, old in zip(fresh, tracks, strict=True)))
+    _watch(design, tracks, room)

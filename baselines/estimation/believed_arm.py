@@ -1,4 +1,4 @@
-"""The arm as a filter believes in it: state, constants and drive as one vector z, and its motion over a sample.
+"""The arm as a filter believes in it: state, constants and drive as one vector z.
 
     x               state of eq. (6c)
     ln p            logarithms of six constants over their nominal values: inertia's swing S (with it the payload),
@@ -18,26 +18,21 @@ With an accelerometer on the arm's end (`baselines.estimation.felt`) there are m
 The torque constant is not among them: one that differs changes all inertias, stiffness and friction by one factor. Nor
 is the kinematic error without an accelerometer: the motor does not feel it.
 
-The motion is that of the environment's integrator, with stiction and all effects of the drive. Ripple is held over a
-sample at its mean.
+How it moves is in `baselines.estimation.believed_motion`.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from baselines.estimation.felt import AXES, mean_acceleration
+from baselines.estimation.felt import AXES
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import COLUMN, FIELDS, plant_of
+from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
-from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_plant
-from beltarm_env.physics.kinematics import TipMotion, tip_motion
-from beltarm_env.physics.models import LUMPED
-from beltarm_env.physics.substeps import integration_substeps
-from beltarm_env.physics.trigonometry import sin_cos, wrapped
+from beltarm_env.physics.trigonometry import exponential, polar_angle, sin_cos, wrapped
 from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
 IDENTIFIED = (
@@ -79,8 +74,9 @@ HIGHEST = np.array(
 """Bounds of z, far beyond any arm of the benchmark: an arm within them can be integrated."""
 
 _EARLIEST = 1e-6  # latency [samples]: all arms take both pieces of a sample, whoever is simulated beside them
-_REACH = 4  # samples over which the current loop remembers commands
-HISTORY = int(LONGEST) + 2 + _REACH
+REACH = 4
+"""Samples over which the current loop remembers commands."""
+HISTORY = int(LONGEST) + 2 + REACH
 """Commands of the past that the motion depends on."""
 _ROWS = np.array([FIELDS.index(name) for name in IDENTIFIED])
 _LEFT_OUT = ("payload_mass", "torque_constant_error", "friction_drift", "torque_ripple", "kinematic_error")
@@ -107,19 +103,39 @@ def believe(z: Floats, nominal: Floats, row: Floats) -> None:
         nominal: From `nominal_row`.
         row: Written.
     """
-    row[:] = nominal
+    for i in range(len(nominal)):
+        row[i] = nominal[i]
     for i in range(len(_ROWS)):
-        row[_ROWS[i]] *= np.exp(z[LOGS.start + i])
+        row[_ROWS[i]] = nominal[_ROWS[i]] * exponential(z[LOGS.start + i])
+    _believe_drive(z, nominal, row)
+
+
+@compiled
+def _believe_drive(z: Floats, nominal: Floats, row: Floats) -> None:
+    """Write the constants of the drive alone."""
     lag = min(z[LAG], z[DELAY])
     row[COLUMN.current_loop_time_constant] = lag * CONTROL_PERIOD
     row[COLUMN.command_latency] = max(z[DELAY] - lag, _EARLIEST) * CONTROL_PERIOD
-    row[COLUMN.friction_variation] = np.hypot(z[SINE], z[COSINE])
-    row[COLUMN.friction_variation_phase] = np.arctan2(z[COSINE], z[SINE]) % (2 * np.pi)
+    row[COLUMN.friction_variation] = math.sqrt(z[SINE] * z[SINE] + z[COSINE] * z[COSINE])
+    row[COLUMN.friction_variation_phase] = polar_angle(z[SINE], z[COSINE])
     row[COLUMN.static_friction_excess] = max(nominal[COLUMN.static_friction_excess] + z[EXCESS], 0.0)
     row[COLUMN.belt_stiffening] = min(max(nominal[COLUMN.belt_stiffening] + z[STIFFENING], 0.0), 0.6)
     if len(z) > SIZE:
-        row[COLUMN.kinematic_error] = np.hypot(z[ERROR_SINE], z[ERROR_COSINE])
-        row[COLUMN.kinematic_error_phase] = np.arctan2(z[ERROR_COSINE], z[ERROR_SINE]) % (2 * np.pi)
+        sine, cosine = z[ERROR_SINE], z[ERROR_COSINE]
+        row[COLUMN.kinematic_error] = math.sqrt(sine * sine + cosine * cosine)
+        row[COLUMN.kinematic_error_phase] = polar_angle(sine, cosine)
+
+
+@inlined
+def believe_perturbed(z: Floats, entry: int, nominal: Floats, believed: Floats, row: Floats) -> None:
+    """Write the constants as `believe`, from those believed in where z has not been perturbed in one entry."""
+    for i in range(len(nominal)):
+        row[i] = believed[i]
+    if entry >= LOGS.stop:
+        _believe_drive(z, nominal, row)
+    elif entry >= LOGS.start:
+        column = _ROWS[entry - LOGS.start]
+        row[column] = nominal[column] * exponential(z[entry])
 
 
 @inlined
@@ -133,115 +149,40 @@ def ripple_shape(angle: float, speed: float, k: int) -> tuple[float, float]:
     return mean * sine, mean * cosine
 
 
-@inlined
-def ripple_torque(z: Floats, angle: float, speed: float) -> float:
-    """Torque ripple [N m] over a sample that begins at a motor angle [rad], at a speed."""
-    total = 0.0
-    for k in range(len(ORDERS)):
-        sine, cosine = ripple_shape(angle, speed, k)
-        total += z[RIPPLE.start + 2 * k] * sine + z[RIPPLE.start + 2 * k + 1] * cosine
-    return total
-
-
 @compiled
-def _load(block: Floats, lane: int, z: Floats, row: Floats, commands: Floats, actions: Floats) -> None:
-    """Put the arm of a z, with its constants `row`, into a lane, ready to be moved under its past commands."""
-    plant = plant_of(row)
-    samples, lag = row[COLUMN.command_latency] / CONTROL_PERIOD, row[COLUMN.current_loop_time_constant] / CONTROL_PERIOD
-    late = int(samples)
-    row[COLUMN.command_latency] = (samples - late) * CONTROL_PERIOD  # whole samples are in the choice of commands
-    store_plant(block, lane, plant)
-    begin_drive(block, lane, row)
-    block[at.DRIVEN * LANES + lane] = 1.0
-    block[at.SUBSTEPS * LANES + lane] = integration_substeps(plant, LUMPED)
-    for i in range(4):
-        block[(at.STATE + i) * LANES + lane] = z[i]
-    stays, torque = np.exp(-1 / lag), commands[late + 1 + _REACH]
-    for k in range(_REACH, 1, -1):
-        torque = commands[late + k] + stays * (torque - commands[late + k])
-    torque = commands[late + 1] + np.exp((samples - late - 1) / lag) * (torque - commands[late + 1])
-    unexplained = z[DISTURBANCE] + ripple_torque(z, z[0], z[1])
-    block[at.TORQUE * LANES + lane] = torque + unexplained
-    block[at.TARGETS * LANES + lane] = commands[late + 1] + unexplained
-    actions[lane] = (commands[late] + unexplained) / plant.torque_limit
-
-
-@inlined
-def _feel(block: Floats, lane: int, velocity: Floats, result: Floats) -> None:
-    """Put what an accelerometer feels of a lane beside its x, over a period that began with a velocity of the end."""
-    before = TipMotion(0.0, 0.0, velocity[0], velocity[1])
-    x, plant, drive = load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane)
-    result[4], result[5] = mean_acceleration(before, x, plant, drive)
-
-
-@compiled
-def simulated(beliefs: Floats, nominal: Floats, commands: Floats, perturbed: bool) -> Floats:
-    """Simulate one period from z, and from copies with one of its first entries perturbed by its step in each.
+def ripple_torque(beliefs: Floats, arm: int, angle: float, speed: float) -> float:
+    """Torque ripple [N m] over a sample that begins at a motor angle [rad], at a speed.
 
     Args:
         beliefs: z of m arms, shape (SIZE or FELT_SIZE, m).
-        nominal: From `nominal_row`.
-        commands: Of the past [N m], latest first, shape (m, HISTORY).
-        perturbed: Whether there are copies.
-
-    Returns:
-        x after the period: that of z, then those of the copies; shape (1 + DIFFERENCED or 1, 4, m). With an
-        accelerometer, what it feels over the period stands beside x, and there are more rows: copies for the kinematic
-        error, and what is felt of z where each entry of x is perturbed after the period; shape
-        (1 + DIFFERENCED + 2 + 4, 4 + AXES, m).
+        arm: Which of them.
+        angle: [rad]
+        speed: [rad/s]
     """
-    size, count = beliefs.shape
-    felt = perturbed and size > SIZE
-    simulations = (1 + DIFFERENCED + (2 if felt else 0)) if perturbed else 1
-    result = np.zeros((simulations + 4, 4 + AXES, count)) if felt else np.empty((simulations, 4, count))
-    block, work, actions = np.zeros(at.ROWS * LANES), np.zeros(DRIVEN_WORK_ROWS * LANES), np.zeros(LANES)
-    row, z, velocities = np.empty(len(nominal)), np.empty(size), np.empty((LANES, 2))
-    for low in range(0, simulations * count, LANES):
-        lanes = min(LANES, simulations * count - low)
-        for lane in range(lanes):
-            arm, k = (low + lane) // simulations, (low + lane) % simulations
-            z[:] = beliefs[:, arm]
-            if k > 0:
-                z[k - 1 if k <= DIFFERENCED else ERROR_SINE + k - 1 - DIFFERENCED] += STEPS[k - 1]
-            believe(z, nominal, row)
-            _load(block, lane, z, row, commands[arm], actions)
-            if felt:
-                tip = tip_motion(load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane))
-                velocities[lane, 0], velocities[lane, 1] = tip.x_speed, tip.y_speed
-        advance_driven_block(block, work, actions, lanes, LUMPED)
-        for lane in range(lanes):
-            arm, k = (low + lane) // simulations, (low + lane) % simulations
-            for i in range(4):
-                result[k, i, arm] = block[(at.STATE + i) * LANES + lane]
-            if felt:
-                _feel(block, lane, velocities[lane], result[k, :, arm])
-                for i in range(4 if k == 0 else 0):
-                    state = block[(at.STATE + i) * LANES + lane]
-                    block[(at.STATE + i) * LANES + lane] = state + STEPS[i]
-                    _feel(block, lane, velocities[lane], result[simulations + i, :, arm])
-                    block[(at.STATE + i) * LANES + lane] = state
-    return result
+    total = 0.0
+    for k in range(len(ORDERS)):
+        sine, cosine = ripple_shape(angle, speed, k)
+        total += beliefs[RIPPLE.start + 2 * k, arm] * sine + beliefs[RIPPLE.start + 2 * k + 1, arm] * cosine
+    return total
+
+
+@inlined
+def other_torque(beliefs: Floats, arm: int, angle: float, speed: float) -> float:
+    """Torque ripple and d, what acts on a motor beside its drive and friction [N m]; arguments as `ripple_torque`."""
+    return beliefs[DISTURBANCE, arm] + ripple_torque(beliefs, arm, angle, speed)
 
 
 @compiled
-def believed_table(beliefs: Floats, nominal: Floats) -> Floats:
-    """Constants of m arms, columns as `ArmParams`, shape (m, len(FIELDS)), from their z, shape (SIZE, m)."""
-    table = np.empty((beliefs.shape[1], len(nominal)))
-    for arm in range(len(table)):
-        believe(beliefs[:, arm], nominal, table[arm])
-    return table
-
-
-@compiled
-def other_torques(beliefs: Floats, states: Floats) -> Floats:
-    """Torque ripple and d, what acts on motors beside their drives and friction [N m], shape (m,).
+def write_believed(beliefs: Floats, nominal: Floats, z: Floats, table: Floats) -> None:
+    """Write the constants of m arms, columns as `ArmParams`, shape (m, len(FIELDS)).
 
     Args:
-        beliefs: z of m arms, shape (SIZE, m).
-        states: x at the beginning of the sample that is asked for, shape (m, 4).
+        beliefs: z of the arms, shape (SIZE or FELT_SIZE, m).
+        nominal: From `nominal_row`.
+        z: Room for that of one arm.
+        table: Written.
     """
-    torques = np.empty(len(states))
-    for arm in range(len(states)):
-        z = beliefs[:, arm]
-        torques[arm] = z[DISTURBANCE] + ripple_torque(z, states[arm, 0], states[arm, 1])
-    return torques
+    for arm in range(len(table)):
+        for i in range(len(z)):
+            z[i] = beliefs[i, arm]
+        believe(z, nominal, table[arm])

@@ -1,13 +1,6 @@
-"""Recursive identification of an arm, of its drive and of its encoder, while it moves.
+"""Identification of arms, of their drives and of their encoders: beliefs about a batch of arms.
 
-Everything that is constant about the arm and its drive is found by the extended Kalman filter of
-`baselines.estimation.arm_ekf`, the delay between command and measurement included. Beside it, the encoder's resolution
-is identified, because a filter that assumes a wrong one mistakes its rounding for another arm: all changes of the
-measured angle are multiples of one count q. Their greatest common divisor is taken while they are small, for those of a
-fast motor carry no more information. Before the first change, the encoder may be a coarse one.
-
-A command given now acts D samples later. What there is to be controlled is the state at that time, which follows from
-the commands given before: `ArmIdentifier.ahead`.
+How it is done is in `baselines.estimation.identify`.
 """
 
 from __future__ import annotations
@@ -18,20 +11,35 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from baselines.estimation.arm_ekf import UNFELT, ArmFilter, Tracks, Uncertainty
-from baselines.estimation.believed_arm import DELAY, HISTORY, LOGS, believed_table, other_torques, simulated
-from baselines.estimation.felt import unfiltered
-from baselines.estimation.observer import QUANTUM
+from baselines.estimation.believed_arm import DELAY, LOGS, other_torque, write_believed
+from baselines.estimation.felt import AXES, unfiltered
+from baselines.estimation.filter_design import Tracks, filter_design
+from baselines.estimation.identify import (
+    Estimate,
+    Inputs,
+    Notes,
+    Workspace,
+    begin,
+    empty_estimate,
+    empty_notes,
+    estimate,
+    identify,
+    workspace_for,
+)
+from baselines.estimation.uncertainty import Uncertainty
 from baselines.reading import Reading
 from beltarm_env import ArmParams
+from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled
 
 Memory = TypeVar("Memory")
 
-COARSEST = 8 * QUANTUM
-"""Assumed resolution of an encoder that has not moved yet [rad]."""
-_SMALL = 16  # counts; among larger changes, the rounding of a float32 observation adds up
+
+@compiled
+def _write_other_torques(mean: Floats, states: Floats, torques: Floats) -> None:
+    for arm in range(len(states)):
+        torques[arm] = other_torque(mean, arm, states[arm, 0], states[arm, 1])
 
 
 @dataclass(frozen=True)
@@ -108,11 +116,15 @@ class ArmIdentifier:
     def __init__(self, params: ArmParams, uncertainty: Uncertainty | None = None, felt: bool = False) -> None:
         self.params = params
         self.uncertainty = uncertainty or Uncertainty()
-        self._filter = ArmFilter(params, self.uncertainty, felt)
+        self.design = filter_design(params, self.uncertainty, felt)
+        self._felt = felt
+        self._work = workspace_for(1, felt)
 
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
-        return believed_table(belief.tracks.mean, self._filter.nominal)
+        table = np.empty((len(belief.count), len(FIELDS)))
+        write_believed(belief.tracks.mean, self.design.nominal, np.empty(len(self.design.mean)), table)
+        return table
 
     def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:
         """Bring the belief up to this sample.
@@ -122,45 +134,30 @@ class ArmIdentifier:
             reading: Measurements, and the torque commanded at the last sample.
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
         """
-        angle, felt = reading.motor_angle, reading.acceleration
         if belief is None:
-            tracks = self._filter.initial(angle, COARSEST)
-            return Belief(tracks, np.zeros(len(angle)), angle, np.zeros((len(angle), HISTORY)), felt)
-        count = common_count(belief.count, np.abs(angle - belief.angle))
-        commands = np.column_stack([reading.last_command, belief.commands[:, :-1]])
-        resolution = np.where(count > 0, np.maximum(count, QUANTUM), COARSEST)
-        accelerations = UNFELT if felt is None or belief.felt is None else unfiltered(felt, belief.felt)
-        tracks = self._filter.step(belief.tracks, commands, angle, resolution, accelerations)
-        return self.reset(Belief(tracks, count, angle, commands, felt), angle, begins)
+            begins = np.ones(len(begins), np.bool_)
+        notes = self._copied(belief, len(begins), AXES if self._felt else 0)
+        work = self._workspace(len(begins))
+        felt = reading.acceleration if self._felt else None
+        if felt is not None:
+            before = felt if belief is None or belief.felt is None else belief.felt
+            work.filter.felt[:], work.filter.felt_variance[:] = unfiltered(felt, before)
+        identify(self.design, Inputs(reading.motor_angle, reading.last_command, begins), notes, work)
+        return self._believed(notes, felt)
 
     def reset(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
         """Reset the belief about arms that begin an episode, at rest at motor angles [rad] of shape (n,)."""
         if not begins.any():
             return belief
-        new = self._filter.initial(angle, COARSEST)
-        tracks = Tracks(*(np.where(begins, fresh, old) for fresh, old in zip(new, belief.tracks, strict=True)))
-        return Belief(
-            tracks,
-            np.where(begins, 0.0, belief.count),
-            np.where(begins, angle, belief.angle),
-            np.where(begins[:, None], 0.0, belief.commands),
-            belief.felt,
-        )
+        notes = self._copied(belief, len(angle), 0)
+        begin(self.design, Inputs(angle, angle, begins), notes)
+        return self._believed(notes, belief.felt)
 
-    def ahead(self, belief: Belief) -> Floats:
-        """States at the time at which a command given now acts, shape (n, 4): D samples on, under those given before.
-
-        From sample to sample they are simulated with the last command held, and interpolated in between.
-        """
-        whole = belief.delay.astype(np.intp)
-        part = belief.delay - whole
-        z, commands, result = belief.tracks.mean.copy(), belief.commands, belief.state
-        for k in range(int(whole.max()) + 1):
-            commands = np.column_stack([commands[:, 0], commands[:, :-1]])
-            before = z[:4].copy()
-            z[:4] = simulated(z, self._filter.nominal, commands, False)[0]
-            now = whole == k
-            result[now] = (before + part * (z[:4] - before)).T[now]
+    def estimate(self, belief: Belief) -> Estimate:
+        """Estimates that follow from a belief."""
+        result = empty_estimate(len(belief.count))
+        notes = Notes(belief.tracks, belief.count, belief.angle, belief.commands)
+        estimate(self.design, notes, self._workspace(len(belief.count)), result)
         return result
 
     def other_torques(self, belief: Belief, states: Floats) -> Floats:
@@ -170,24 +167,33 @@ class ArmIdentifier:
             belief: About n arms.
             states: x at the beginning of the sample that is asked for, shape (n, 4).
         """
-        return other_torques(belief.tracks.mean, states)
+        torques = np.empty(len(states))
+        _write_other_torques(belief.tracks.mean, states, torques)
+        return torques
 
+    def _copied(self, belief: Belief | None, count: int, more: int) -> Notes:
+        """What is known of n arms, copied; z with some more entries."""
+        size = len(self.design.mean)
+        if belief is not None and not more:
+            tracks = Tracks(*(part.copy() for part in belief.tracks))
+            return Notes(tracks, belief.count.copy(), belief.angle.copy(), belief.commands.copy())
+        notes = empty_notes(count, size + more)
+        if belief is not None:
+            notes.tracks.mean[:size], notes.tracks.covariance[:size, :size] = belief.tracks[:2]
+            notes.tracks.surprise[:], notes.tracks.unrest[:] = belief.tracks[2:]
+            notes.counts[:], notes.angle[:], notes.commands[:] = belief.count, belief.angle, belief.commands
+        return notes
 
-@compiled
-def common_count(count: Floats, change: Floats) -> Floats:
-    """Greatest common divisor of an encoder's changes, by Euclid's algorithm for rounded numbers.
+    def _believed(self, notes: Notes, felt: Floats | None) -> Belief:
+        """Belief from notes, of z without more entries."""
+        tracks, size = notes.tracks, len(self.design.mean)
+        if len(tracks.mean) > size:
+            tracks = tracks._replace(
+                mean=tracks.mean[:size].copy(), covariance=np.ascontiguousarray(tracks.covariance[:size, :size])
+            )
+        return Belief(tracks, notes.counts, notes.angle, notes.commands, felt)
 
-    Args:
-        count: Divisor of the changes so far [rad], shape (n,); 0 before the first.
-        change: Magnitude of the latest [rad], shape (n,).
-    """
-    result = count.copy()
-    for i in range(len(count)):
-        if not 0.5 * QUANTUM < change[i] < _SMALL * max(count[i], QUANTUM):
-            continue
-        larger, smaller = max(count[i], change[i]), min(count[i], change[i])
-        while smaller > 0.5 * QUANTUM:
-            remainder = larger % smaller
-            larger, smaller = smaller, min(remainder, smaller - remainder)
-        result[i] = larger
-    return result
+    def _workspace(self, count: int) -> Workspace:
+        if len(self._work.resolution) != count:
+            self._work = workspace_for(count, self._felt)
+        return self._work

@@ -22,17 +22,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.controller import ClassicalController
-from baselines.estimation.arm_ekf import Uncertainty
+from baselines.controller import ClassicalController, LawKernel
 from baselines.estimation.believed_arm import nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief, IdentifyingController
+from baselines.estimation.uncertainty import Uncertainty
 from baselines.gains import Gains, tunable, tuned
-from baselines.models.friction import sliding_torques
-from baselines.planning.plan import GAIN, Weights, planned, planned_torque
+from baselines.optimal.adaptive_law import (
+    AdaptiveDesign,
+    Compensation,
+    arm_memory,
+    law,
+    write_compensations,
+    write_motor_torques,
+)
+from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
 from baselines.planning.replanning import STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import ArmParams, design_model
-from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
 
 
@@ -67,6 +73,10 @@ class AdaptiveGains(Gains):
         """Weights of the plan."""
         return Weights(self.velocity_weight, self.torque_weight, 0.0)
 
+    def compensation(self) -> Compensation:
+        """What of friction is compensated."""
+        return Compensation(self.friction_share, self.friction_speed, self.rest_width)
+
     def compensated(self, friction: Floats, motor_speed: Floats, torque: Floats) -> Floats:
         """Compute the torques c tau_f dir [N m] that overcome friction, for n motors.
 
@@ -75,9 +85,9 @@ class AdaptiveGains(Gains):
             motor_speed: [rad/s]
             torque: Asked of the motors beside that [N m].
         """
-        asked = np.clip(torque / self.rest_width, -1.0, 1.0)
-        direction = np.where(np.abs(motor_speed) > self.friction_speed, np.sign(motor_speed), asked)
-        return self.friction_share * friction * direction
+        result = np.empty(len(torque))
+        write_compensations(self.compensation(), friction, motor_speed, torque, result)
+        return result
 
 
 @dataclass(frozen=True)
@@ -108,6 +118,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         super().__init__(params or design_model())
         self.gains = gains or AdaptiveGains()
         self._weights, self._improvements = self.gains.weights(), improvements
+        self._cost, self._compensation = plan_cost(self._weights), self.gains.compensation()
         self.uncertainty = uncertainty or self.gains.uncertainty()
         self._identifier = ArmIdentifier(self.params, self.uncertainty, self.sensors == "accelerometer")
 
@@ -117,33 +128,34 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
 
     def resting_gain(self, joint: float) -> Floats:
         """Gain K of the plan for the nominal arm at rest at an angle [rad], long before the end, shape (4,)."""
-        (row,) = planned_for(nominal_row(self.params)[None])
-        return planned(np.array([joint, joint, 0.5, 0.2]), row, self._weights)[0, GAIN : GAIN + 4]
+        move = np.array([joint, joint, 0.5, 0.2])
+        return planned(move, nominal_row(self.params), self._weights)[0, GAIN : GAIN + 4]
+
+    def kernel(self) -> LawKernel:
+        """The law for one arm, on encoder observations.
+
+        Raises:
+            TypeError: If there is an accelerometer, which the law for one arm does not see.
+        """
+        if self.sensors == "accelerometer":
+            raise TypeError("the law for one arm has the encoder alone")
+        design = AdaptiveDesign(self._identifier.design, self._cost, self._compensation, self._improvements)
+        return LawKernel(law, design, arm_memory())
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         belief = self._identified(reading, begins, memory.belief if memory else None)
-        state, delay = self._identifier.ahead(belief), belief.delay
-        table = self._identifier.table(belief)
-        now = Situation(reading.move, reading.step, reading.step + delay, state, belief.logs, planned_for(table))
+        found = self._identifier.estimate(belief)
+        time, torques = reading.step + found.delay, np.empty(len(begins))
+        now = Situation(reading.move, reading.step, time, found.states, found.logs, found.table)
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins, now, self._weights, self._improvements)
-        last = np.zeros(len(begins))  # on which nothing depends: the gain does not weigh the change of the torque
-        torque = planned_torque(cache.plans, now.time, state, last)
-        (friction, _), others = sliding_torques(table, state), self._identifier.other_torques(belief, state)
-        torque = torque + self.gains.compensated(friction, state[:, 1], torque) - others
-        return torque, AdaptiveMemory(belief, cache.renewed(now, self._weights))
+        write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)
+        return torques, AdaptiveMemory(belief, cache.renewed(now, self._weights))
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
         """Belief at this sample, from that of the last one."""
         return self._identifier.update(belief, reading, begins)
-
-
-def planned_for(table: Floats) -> Floats:
-    """Constants that plans are made for: those of `table`, with the belt's mean stiffness."""
-    table = table.copy()
-    table[:, COLUMN.belt_stiffening] = 0.0
-    return table
 
 
 def tuned_identifier(params: ArmParams | None = None) -> ArmIdentifier:

@@ -13,10 +13,10 @@ motor sticks, b_k = 0. Behind a drive as it is built, the torque that acts and t
     min  sum_k (e_k + C_k dx_k)' W_k (e_k + C_k dx_k) + R v[k]^2 + r_k (D_k + v[k] - v[k-1])^2
 
 with D_k = tau_k - tau_(k-1), over all v at once: the lifted least squares of a whole trial. It is solved exactly,
-backwards over z_k = [dx_k; v[k-1]] (`baselines.planning.riccati`), the input being v[k] - v[k-1], as feed-forward and
-feedback v[k] = c[k] - K[k] z_k. Torques have a limit: where on the trial's own path (z_k = 0) v[k] would pass it, the
-law is v[k] = what is left to the limit, whatever z_k (Y. Tassa, N. Mansard, E. Todorov: Control-limited differential
-dynamic programming, ICRA 2014).
+backwards over z_k = [dx_k; v[k-1]] (`baselines.planning.norm_sample`), the input being v[k] - v[k-1], as feed-forward
+and feedback v[k] = c[k] - K[k] z_k. Torques have a limit: where on the trial's own path (z_k = 0) v[k] would pass it,
+the law is v[k] = what is left to the limit, whatever z_k (Y. Tassa, N. Mansard, E. Todorov: Control-limited
+differential dynamic programming, ICRA 2014).
 
 A benchmark that charges norms |e|, not squares, is met by weights computed for every trial, W = 1 / (2 |e|) with the
 errors of the trial before (iteratively reweighted least squares): the sum then has the norms' slope at that trial.
@@ -32,7 +32,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.planning.riccati import CostToGo, free_input, no_cost, slope_in_input, step_back
+from baselines.planning.norm_sample import (
+    Prices,
+    deviate,
+    empty_sample,
+    followed_change,
+    sample_change,
+    weigh_jump,
+    weigh_norms,
+)
+from baselines.planning.riccati import no_cost
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
@@ -40,7 +49,6 @@ from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
-from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 
 _MOVES = np.array([1e-3, 1e-2, 1e-5, 1e-3])  # of x, for the differences
 _TORQUE_MOVE = 1e-4  # of torques: of the motor, of commands under way, of the command
@@ -66,7 +74,6 @@ class Weights(NamedTuple):
     effort: float  # R [1/(N m)^2]
 
 
-@compiled
 def optimal_change(
     trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
 ) -> tuple[Floats, Floats]:
@@ -86,7 +93,6 @@ def optimal_change(
     return change, gain
 
 
-@compiled
 def curved_change(
     trial: Trial, weights: Weights, torque: Floats, limit: float = np.inf, before: float = 0.0
 ) -> tuple[Floats, Floats, Floats]:
@@ -96,15 +102,30 @@ def curved_change(
     """
     steps, states = trial.by_torque.shape
     change, gain, curvature = np.empty(steps), np.empty((steps, states + 1)), np.empty(steps)
-    if states == 4:
-        _solve(5, trial, weights, torque, limit, before, change, gain, curvature)  # a literal: loops are unrolled
-    else:
-        _solve(states + 1, trial, weights, torque, limit, before, change, gain, curvature)
+    _solve(trial, weights, torque, limit, before, change, gain, curvature)
     return change, gain, curvature
 
 
-@inlined
+@compiled
 def _solve(
+    trial: Trial,
+    weights: Weights,
+    torque: Floats,
+    limit: float,
+    before: float,
+    change: Floats,
+    gain: Floats,
+    curvature: Floats,
+) -> None:
+    states = trial.by_torque.shape[1]
+    if states == 4:
+        _solve_sized(5, trial, weights, torque, limit, before, change, gain, curvature)  # a literal: loops are unrolled
+    else:
+        _solve_sized(states + 1, trial, weights, torque, limit, before, change, gain, curvature)
+
+
+@inlined
+def _solve_sized(
     size: int,
     trial: Trial,
     weights: Weights,
@@ -115,61 +136,42 @@ def _solve(
     gain: Floats,
     curvature: Floats,
 ) -> None:
-    """Write the law of `curved_change`, backwards over `size` states: those of the trial, and the last change."""
-    states = size - 1
-    to_go, slope, nothing = no_cost(size), np.empty(size + 2), np.zeros(size)
-    f, g = np.zeros((size, size)), np.ones(size)
-    f[states, states] = 1.0
+    """Fill in change, gain and curvature, backwards; `size` counts the states of the arm and the last change."""
+    states, to_go, sample = size - 1, no_cost(size), empty_sample(size)
     for k in range(len(torque) - 1, -1, -1):
-        _add_errors(to_go, trial, weights, k)
-        to_go.matrix[states, states] += weights.effort
         for i in range(states):
-            g[i] = f[i, states] = trial.by_torque[k, i]
+            sample.by_input[i] = trial.by_torque[k, i]
             for j in range(states):
-                f[i, j] = trial.transition[k, i, j]
-        smoothness, jump = weights.smoothness[k], torque[k] - (torque[k - 1] if k > 0 else before)
-        slope_in_input(size, to_go, f, g, nothing, smoothness, smoothness * jump, slope)
-        curvature[k] = slope[size + 1]
-        change[k] = free_input(size, slope, gain[k])
-        left = min(max(change[k], -limit - torque[k]), limit - torque[k])
-        if left != change[k]:
-            change[k], gain[k] = left, 0.0
-            gain[k, states] = 1.0
-        step_back(size, to_go, f, slope, gain[k], change[k])
-        gain[k, states] -= 1.0  # from a law for v[k] - v[k-1] to one for v[k]
-
-
-@inlined
-def _add_errors(to_go: CostToGo, trial: Trial, weights: Weights, k: int) -> None:
-    """Add the cost of the errors after sample k."""
-    for error in range(4):
+                sample.transition[i, j] = trial.transition[k, i, j]
         for i in range(4):
-            weighted = weights.errors[k, error] * trial.of_state[k, error, i]
-            to_go.vector[i] += weighted * trial.errors[k, error]
+            sample.errors[i], sample.weights[i] = trial.errors[k, i], weights.errors[k, i]
             for j in range(4):
-                to_go.matrix[i, j] += weighted * trial.of_state[k, error, j]
+                sample.of_state[i, j] = trial.of_state[k, i, j]
+        jump = torque[k] - (torque[k - 1] if k > 0 else before)
+        prices = Prices(weights.effort, weights.smoothness[k], jump, -limit - torque[k], limit - torque[k])
+        change[k] = sample_change(size, sample, prices, to_go, gain[k])
+        curvature[k] = sample.slope[size + 1]
 
 
-@compiled
 def followed(trial: Trial, change: Floats, gain: Floats) -> tuple[Floats, Floats]:
     """Follow the law v[k] = change[k] - gain[k] z_k on the linear problem, from dx_0 = 0.
 
     Returns:
         v [N m] of shape (T,), and dx after each sample, shape (T, n).
     """
-    steps, states = trial.by_torque.shape
-    changes, away = np.empty(steps), np.empty((steps, states))
-    now, last = np.zeros(states), 0.0
-    for k in range(steps):
-        v = change[k] - gain[k, states] * last
-        for j in range(states):
-            v -= gain[k, j] * now[j]
-        for i in range(states):
-            away[k, i] = trial.by_torque[k, i] * v
-            for j in range(states):
-                away[k, i] += trial.transition[k, i, j] * now[j]
-        now, last, changes[k] = away[k], v, v
+    changes, away = np.empty(change.shape), np.empty(trial.by_torque.shape)
+    _follow(trial, change, gain, changes, away)
     return changes, away
+
+
+@compiled
+def _follow(trial: Trial, change: Floats, gain: Floats, changes: Floats, away: Floats) -> None:
+    states = trial.by_torque.shape[1]
+    now, last = np.zeros(states), 0.0
+    for k in range(len(change)):
+        v = followed_change(states, change[k], gain[k], now, last)
+        deviate(states, trial.transition[k], trial.by_torque[k], now, v, away[k])
+        now, last, changes[k] = away[k], v, v
 
 
 def _tip_errors(states: Floats, task: Floats, row: Floats) -> tuple[Floats, Floats]:
@@ -231,7 +233,6 @@ class Linearisation:
         return Trial(transition, np.ascontiguousarray(slopes[:, size]), errors, of_state)
 
 
-@compiled
 def norm_weights(
     errors: Floats, torque_change: Floats, limit: float, effort: float, soft: tuple[float, float]
 ) -> Weights:
@@ -244,11 +245,13 @@ def norm_weights(
         effort: R [1/(N m)^2].
         soft: Below these the norms over their scale, and the torque's change over its limit, count as these.
     """
-    position = np.maximum(np.hypot(errors[:, 0], errors[:, 1]) / POSITION_SCALE, soft[0])
-    velocity = np.maximum(np.hypot(errors[:, 2], errors[:, 3]) / VELOCITY_SCALE, soft[0])
-    change = np.maximum(np.abs(torque_change) / limit, soft[1])
-    of_position, of_velocity = 0.5 / (position * POSITION_SCALE**2), 0.5 / (velocity * VELOCITY_SCALE**2)
-    of_errors = np.empty(errors.shape)
-    of_errors[:, 0] = of_errors[:, 1] = of_position
-    of_errors[:, 2] = of_errors[:, 3] = of_velocity
-    return Weights(of_errors, 0.5 * TORQUE_RATE_WEIGHT / (change * limit**2), effort)
+    weights = Weights(np.empty(errors.shape), np.empty(torque_change.shape), effort)
+    _weigh(errors, torque_change, limit, soft, weights)
+    return weights
+
+
+@compiled
+def _weigh(errors: Floats, torque_change: Floats, limit: float, soft: tuple[float, float], weights: Weights) -> None:
+    for k in range(len(torque_change)):
+        weigh_norms(errors[k], soft[0], weights.errors[k])
+        weights.smoothness[k] = weigh_jump(torque_change[k], limit, soft[1])

@@ -16,14 +16,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.planning.plan import Plans, Weights, replanned
-from baselines.planning.task_plan import anchored, improved
+from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, plan_cost, replanned
+from baselines.planning.task_plan import plan_room, plan_task
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Integers
+from beltarm_env.jit import compiled
+from beltarm_env.task.reference import MoveShape
 
 STEPS = 6
 """Steps of improvement of the first plan, after which little is left to gain."""
 _EVERY = 20  # samples between plans
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
+
+
+@compiled
+def is_stale(step: int, logs: Floats, of_plan: Floats) -> bool:
+    """Whether a plan is to be made anew.
+
+    Args:
+        step: Samples since the move's start.
+        logs: Of the estimated constants over their nominal values, shape (m,).
+        of_plan: Those that the plan was made for.
+    """
+    most = 0.0
+    for k in range(len(logs)):
+        most = max(most, abs(logs[k] - of_plan[k]))
+    return most > _CHANGE and step % _EVERY == 0
+
+
+@compiled
+def _mark_stale(steps: Integers, logs: Floats, of_plans: Floats, stale: Flags) -> None:
+    for arm in range(len(steps)):
+        stale[arm] = is_stale(steps[arm], logs[arm], of_plans[arm])
 
 
 @dataclass(frozen=True)
@@ -54,17 +78,18 @@ class PlanCache:
         """Cache with plans for arms that begin a move, improved by some steps."""
         if not begins.any():
             return self
-        cache = self._planned(begins, now, weights)
-        plans = anchored(cache.plans, begins, now.time, now.states, now.moves, now.table)
-        plans, _ = improved(plans, begins, now.time, now.moves, now.table, steps)
-        return PlanCache(plans, cache.logs)
+        plans, room, cost = self.plans.copy(), plan_room(), plan_cost(weights)
+        for arm in np.flatnonzero(begins):
+            rows, move = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*now.moves[arm].tolist())
+            plan_task(move, now.table[arm], cost, float(now.time[arm]), now.states[arm], steps, room, rows)
+            plans[arm] = rows
+        return PlanCache(plans, np.where(begins[:, None], now.logs, self.logs))
 
     def renewed(self, now: Situation, weights: Weights) -> PlanCache:
         """Cache with new plans for arms whose plans are stale."""
-        stale = (np.abs(now.logs - self.logs).max(axis=1) > _CHANGE) & (now.step % _EVERY == 0)
-        return self._planned(stale, now, weights) if stale.any() else self
-
-    def _planned(self, which: Flags, now: Situation, weights: Weights) -> PlanCache:
-        """Cache with new plans for some arms."""
-        plans = replanned(self.plans, which, now.moves, now.table, weights)
-        return PlanCache(plans, np.where(which[:, None], now.logs, self.logs))
+        stale = np.empty(len(now.step), np.bool_)
+        _mark_stale(now.step, now.logs, self.logs, stale)
+        if not stale.any():
+            return self
+        plans = replanned(self.plans, stale, now.moves, now.table, weights)
+        return PlanCache(plans, np.where(stale[:, None], now.logs, self.logs))

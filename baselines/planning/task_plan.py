@@ -10,184 +10,272 @@ far along it as the cost falls (a Gauss-Newton step with line search; W. Li, E. 
 regulator design for nonlinear biological movement systems, ICINCO 2004). The arm is the plan's, linear about the
 reference, without friction, which is compensated.
 
+Nothing but the law of the step is stored for all samples: what belongs to one is computed where it is needed.
+
 Of the plan's law only the feed-forward and the motion that belongs to it change: tau = tau_k - K [x - x_k] keeps the
 gain of the squares. So the loop, and its margins, are those of the plan.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from baselines.models.linear import LinearArms, linear_arms
-from baselines.planning.norm_optimal import Trial, followed, norm_weights, optimal_change
-from baselines.planning.plan import Plans, set_step
+from baselines.models.linear import ANGLES, LinearArms, write_linear_arm
+from baselines.planning.norm_sample import (
+    Prices,
+    Sample,
+    deviate,
+    empty_sample,
+    followed_change,
+    sample_change,
+    weigh_jump,
+    weigh_norms,
+)
+from baselines.planning.plan import GAIN, TORQUE, PlanCost, plan_rows, set_step
+from baselines.planning.riccati import no_cost
 from baselines.planning.tip_error import bounded_sine, write_tip_errors
-from beltarm_env import EPISODE_STEPS
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.physics.kinematics import tip_errors
+from beltarm_env.physics.kinematics import tip_error, tip_motion
+from beltarm_env.physics.state import ArmState
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
-from beltarm_env.task.reference import Reference, sampled_moves
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
-_SOFT = 0.01, 0.05  # shares of the errors' scales, and of the torque limit, below which norms count as squares
+_SOFT, _SOFT_JUMP = 0.01, 0.05  # of the errors' scales, and of the torque limit: below, norms count as squares
 _EFFORT = 1.0  # [1/(N m)^2] on a step's change of the torque: which keeps the step's problem well posed
 _SHORTEST = 0.05  # of a step, before it is given up
 _LAST = EPISODE_STEPS - 3  # sample from which there is nothing left to plan
+_CHANGE = 4  # column of `PlanRoom.steps` with the change of the torque, after the four of the motion's
 
 
-class _Problem(NamedTuple):
-    """What the samples from one on charge, for one arm."""
+class PlanRoom(NamedTuple):
+    """Room for making the plan of one arm; what it holds between two calls does not matter."""
 
-    task: Floats  # reference angle, speed, acceleration at each sample (rad, s), shape (T + 1, 3)
+    model: LinearArms  # of the arm, without the axis of n arms
+    steps: Floats  # law of a step of improvement in each sample, and then what it changes; shape (1200, 6)
+
+
+def plan_room() -> PlanRoom:
+    """Room for making a plan."""
+    size = len(ANGLES)
+    model = LinearArms(np.zeros((size, 4, 4)), np.zeros((size, 4)), np.zeros((size, 4)))
+    return PlanRoom(model, np.zeros((EPISODE_STEPS, 6)))
+
+
+class Problem(NamedTuple):
+    """Move and arm that a plan is for."""
+
+    move: MoveShape
     plant: Plant
-    model: LinearArms
-    room: float  # torque that the limit leaves beside friction [N m]
+    left: float  # torque that the limit leaves beside friction [N m]
 
 
 @inlined
-def _reference(problem: _Problem, k: int) -> Reference:
-    """Reference at a sample."""
-    return Reference(problem.task[k, 0], problem.task[k, 1], problem.task[k, 2])
+def problem_of(move: MoveShape, row: Floats) -> Problem:
+    """Problem of an arm with a row of constants, shape (len(FIELDS),)."""
+    plant = plant_of(row)
+    friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
+    return Problem(move, plant, max(plant.torque_limit - friction, 0.1 * plant.torque_limit))
+
+
+@inlined
+def _reference(problem: Problem, k: int) -> Reference:
+    return reference_at(TRAPEZOID, problem.move, k * CONTROL_PERIOD)
+
+
+@inlined
+def _write_errors(x: ArmState, task: Reference, plant: Plant, errors: Floats) -> None:
+    """Write the errors of the tip in a state, shape (4,)."""
+    error = tip_error(tip_motion(x, plant, None), task.angle, task.speed, plant)
+    errors[0], errors[1], errors[2], errors[3] = error.x, error.y, error.x_speed, error.y_speed
+
+
+@inlined
+def _charge(errors: Floats, jump: float, plant: Plant) -> float:
+    """What the task charges for a sample."""
+    position = math.sqrt(errors[0] * errors[0] + errors[1] * errors[1])
+    velocity = math.sqrt(errors[2] * errors[2] + errors[3] * errors[3])
+    charge = position / POSITION_SCALE + velocity / VELOCITY_SCALE
+    return charge + TORQUE_RATE_WEIGHT * abs(jump) / plant.torque_limit
 
 
 @compiled
-def _cost(errors: Floats, torque: Floats, before: float, problem: _Problem) -> float:
-    """Sum up what the task charges; errors of shape (T, 4), torques [N m] of shape (T,)."""
-    total, last = 0.0, before
-    for k in range(len(torque)):
-        total += np.hypot(errors[k, 0], errors[k, 1]) / POSITION_SCALE
-        total += np.hypot(errors[k, 2], errors[k, 3]) / VELOCITY_SCALE
-        total += TORQUE_RATE_WEIGHT * abs(torque[k] - last) / problem.plant.torque_limit
-        last = torque[k]
+def _cost(rows: Floats, steps: Floats, first: int, share: float, problem: Problem) -> float:
+    """Sum up what the task charges from a sample on, a share of a step along."""
+    total, errors = 0.0, np.empty(4)
+    for k in range(len(rows) - 2, first - 1, -1):
+        x = ArmState(
+            rows[k + 1, 0] + share * steps[k, 0],
+            rows[k + 1, 1] + share * steps[k, 1],
+            rows[k + 1, 2] + share * steps[k, 2],
+            rows[k + 1, 3] + share * steps[k, 3],
+        )
+        _write_errors(x, _reference(problem, k + 1), problem.plant, errors)
+        before = rows[k - 1, TORQUE] + (share * steps[k - 1, _CHANGE] if k > first else 0.0)
+        total += _charge(errors, rows[k, TORQUE] + share * steps[k, _CHANGE] - before, problem.plant)
     return total
 
 
 @compiled
-def _trial(errors: Floats, problem: _Problem) -> Trial:
-    """Linear problem about a motion with these errors; the arm is that of the plan."""
-    steps = len(errors)
-    transition, by_torque, of_state = np.empty((steps, 4, 4)), np.empty((steps, 4)), np.empty((steps, 4, 4))
-    unused = np.empty(4)
-    for k in range(steps):
-        now, after = _reference(problem, k), _reference(problem, k + 1)
-        set_step(now, after, problem.plant, problem.model, transition[k], by_torque[k], unused)
-        write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), problem.plant, of_state[k])
-    return Trial(transition, by_torque, errors, of_state)
-
-
-@compiled
-def _anchor(rows: Floats, share: float, state: Floats, problem: _Problem) -> None:
+def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: LinearArms) -> None:
     """Write down where the law of a plan leads to from a state: within the torque limit, that leaves the law as it is.
 
     Args:
-        rows: Reference, gain, torque; shape (T + 1, 10).
-        share: Of the first sample, at which the state is.
+        rows: Reference, gain, torque; shape (1200, 10). Changed.
+        time: At which the state is, since the episode's start [samples].
         state: x, shape (4,).
-        problem: Of these samples.
+        problem: Arm and move.
+        model: Of the arm.
     """
+    first = int(time)
+    share = time - first
     a, b, d, z, following = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     for i in range(4):
-        z[i] = state[i] - (rows[0, i] + share * (rows[1, i] - rows[0, i]))
-    for k in range(-1, len(rows) - 1):
-        now = max(k, 0)
-        after = _reference(problem, now + 1)
-        set_step(_reference(problem, now), after, problem.plant, problem.model, a, b, d)
-        torque = rows[now, 9]
+        z[i] = state[i] - (rows[first, i] + share * (rows[first + 1, i] - rows[first, i]))
+    for k in range(first - 1, len(rows) - 1):
+        now = max(k, first)
+        set_step(_reference(problem, now), _reference(problem, now + 1), problem.plant, model, a, b, d)
+        torque = rows[now, TORQUE]
         for i in range(4):
-            torque -= rows[now, 4 + i] * z[i]
-        torque = min(max(torque, -problem.room), problem.room)
+            torque -= rows[now, GAIN + i] * z[i]
+        torque = min(max(torque, -problem.left), problem.left)
         for i in range(4):
             following[i] = b[i] * torque + d[i]
             for j in range(4):
                 following[i] += a[i, j] * z[j]
-        if k < 0:  # first back to the sample, by as much as the arm moves within one
-            z -= share * (following - z)
+        if k < first:  # first back to the sample, by as much as the arm moves within one
+            for i in range(4):
+                z[i] -= share * (following[i] - z[i])
         else:
-            rows[k, :4] += z
-            rows[k, 9] = torque
-            z[:] = following
+            rows[k, TORQUE] = torque
+            for i in range(4):
+                rows[k, i] += z[i]
+                z[i] = following[i]
 
 
 @compiled
-def _improve(rows: Floats, problem: _Problem) -> bool:
-    """Improve all rows of a plan but the first, in place; tell whether there was anything to gain.
+def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, model: LinearArms, sample: Sample) -> float:
+    """Write the law of a step of improvement, and return what the task charges for the plan as it is.
 
     Args:
-        rows: Reference, gain, torque; shape (T + 2, 10).
-        problem: Of these samples but the first.
+        rows: The plan, shape (1200, 10).
+        steps: K and, in the last column, c of each sample, shape (1200, 6); written.
+        first: Sample from which torques may change.
+        problem: Arm and move.
+        model: Of the arm.
+        sample: Room.
     """
-    before, torque, states = rows[0, 9], rows[1:-1, 9].copy(), rows[2:, :4].copy()
-    task, plant, jumps = problem.task[1:, :2], problem.plant, np.empty(len(torque))
-    for k in range(len(torque)):
-        jumps[k] = torque[k] - rows[k, 9]
-    errors = tip_errors(states, task, plant)
-    cost, trial = _cost(errors, torque, before, problem), _trial(errors, problem)
-    weights = norm_weights(errors, jumps, plant.torque_limit, _EFFORT, _SOFT)
-    change, gain = optimal_change(trial, weights, torque, problem.room, before)
-    change, away = followed(trial, change, gain)
+    total, to_go, errors, plant = 0.0, no_cost(5), sample.errors, problem.plant
+    after = _reference(problem, len(rows) - 1)
+    for k in range(len(rows) - 2, first - 1, -1):
+        now, torque = _reference(problem, k), rows[k, TORQUE]
+        set_step(now, after, plant, model, sample.transition, sample.by_input, sample.slope)
+        write_tip_errors(after.angle, after.speed, bounded_sine(after.angle), plant, sample.of_state)
+        x = ArmState(rows[k + 1, 0], rows[k + 1, 1], rows[k + 1, 2], rows[k + 1, 3])
+        _write_errors(x, after, plant, errors)
+        jump = torque - rows[k - 1, TORQUE]
+        total += _charge(errors, jump, plant)
+        weigh_norms(errors, _SOFT, sample.weights)
+        smoothness = weigh_jump(jump, plant.torque_limit, _SOFT_JUMP)
+        prices = Prices(_EFFORT, smoothness, jump, -problem.left - torque, problem.left - torque)
+        steps[k, 5] = sample_change(5, sample, prices, to_go, steps[k, :5])
+        after = now
+    return total
+
+
+@compiled
+def _follow(steps: Floats, first: int, problem: Problem, model: LinearArms, sample: Sample) -> None:
+    """Replace the law of a step by what it changes: the state after each sample, and the torque."""
+    away, following, last = np.zeros(4), np.zeros(4), 0.0
+    now = _reference(problem, first)
+    for k in range(first, len(steps) - 1):
+        after = _reference(problem, k + 1)
+        set_step(now, after, problem.plant, model, sample.transition, sample.by_input, sample.slope)
+        last = followed_change(4, steps[k, 5], steps[k, :5], away, last)
+        deviate(4, sample.transition, sample.by_input, away, last, following)
+        for i in range(4):
+            away[i] = steps[k, i] = following[i]
+        steps[k, _CHANGE] = last
+        now = after
+
+
+@compiled
+def improve(rows: Floats, first: int, problem: Problem, room: PlanRoom) -> bool:
+    """Improve a plan from a sample on; tell whether there was anything to gain.
+
+    Args:
+        rows: Reference, gain, torque, shape (1200, 10), once `anchor` has been there; changed.
+        first: First sample whose torque may change, from 1 on.
+        problem: Arm and move.
+        room: With the arm's model; changed.
+    """
+    steps, sample = room.steps, empty_sample(5)
+    cost = _solve(rows, steps, first, problem, room.model, sample)
+    _follow(steps, first, problem, room.model, sample)
     share = 1.0
     while share >= _SHORTEST:
-        there, torques = states + share * away, torque + share * change
-        if _cost(tip_errors(there, task, plant), torques, before, problem) < cost:
-            rows[1:-1, 9], rows[2:, :4] = torques, there
+        if _cost(rows, steps, first, share, problem) < cost:
+            for k in range(first, len(rows) - 1):
+                rows[k, TORQUE] += share * steps[k, _CHANGE]
+                for i in range(4):
+                    rows[k + 1, i] += share * steps[k, i]
             return True
         share *= 0.5
     return False
 
 
-def _problem(move: Floats, row: Floats, first: int) -> _Problem:
-    """Problem of one arm, with a row of constants, from a sample on."""
-    task, models, plant = sampled_moves(move[None])[0], linear_arms(row[None]), plant_of(row)
-    friction = plant.coulomb_friction * (1 + float(row[COLUMN.friction_variation]))
-    room = max(plant.torque_limit - friction, 0.1 * plant.torque_limit)
-    return _Problem(task[first:], plant, LinearArms(*(part[0] for part in models)), room)
-
-
-def anchored(plans: Plans, which: Flags, time: Floats, states: Floats, moves: Floats, table: Floats) -> Plans:
-    """Plans whose reference is the motion that their law leads to from here, within the torque limit, for some arms.
+@compiled
+def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, room: PlanRoom, rows: Floats) -> None:
+    """Plan a move for squares.
 
     Args:
-        plans: Of n arms, without a weight of the torque's change.
-        which: Arms that are asked for, shape (n,).
-        time: Since the episode's start [samples], shape (n,).
-        states: x at that time, shape (n, 4).
-        moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        table: Constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS)).
+        move: Of the joint.
+        row: Constants of the arm, shape (len(FIELDS),).
+        cost: What is minimised.
+        room: Changed; holds the arm's model then.
+        rows: Reference, gain, torque; shape (1200, 10), written.
     """
-    result = plans.copy()
-    for arm in np.flatnonzero(which & (time < _LAST)):
-        first = int(time[arm])
-        result[arm] = plans[arm].copy()
-        _anchor(result[arm][first:], time[arm] - first, states[arm], _problem(moves[arm], table[arm], first))
-    return result
+    write_linear_arm(row, room.model)
+    plan_rows(move, plant_of(row), room.model, cost, rows)
 
 
-def improved(
-    plans: Plans, which: Flags, time: Floats, moves: Floats, table: Floats, steps: int = 1
-) -> tuple[Plans, Flags]:
-    """Plans after some steps of improvement for some arms, from the sample after this time on.
+@compiled
+def plan_task(
+    move: MoveShape,
+    row: Floats,
+    cost: PlanCost,
+    time: float,
+    state: Floats,
+    improvements: int,
+    room: PlanRoom,
+    rows: Floats,
+) -> int:
+    """Plan a move for the task's own cost.
 
     Args:
-        plans: Of n arms; those asked for are `anchored`.
-        which: Arms that are asked for, shape (n,).
-        time: Since the episode's start [samples], shape (n,).
-        moves: Start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        table: Constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS)).
-        steps: At most; fewer where there is nothing left to gain.
+        move: Of the joint.
+        row: Constants of the arm, shape (len(FIELDS),).
+        cost: Of the plan that is improved.
+        time: At which commands begin to act, since the episode's start [samples].
+        state: x then, shape (4,).
+        improvements: Steps at most; fewer where there is nothing left to gain.
+        room: Changed.
+        rows: As of `plan_squares`, written.
 
     Returns:
-        Plans, and for which arms there was something to gain, shape (n,).
+        How many steps there were.
     """
-    result, gained = plans.copy(), np.zeros(len(which), np.bool_)
-    for arm in np.flatnonzero(which & (time < _LAST)):
-        first = int(time[arm])
-        result[arm] = plans[arm].copy()
-        rows, problem = result[arm][first:], _problem(moves[arm], table[arm], first + 1)
-        for _ in range(steps):
-            if not _improve(rows, problem):
-                break
-            gained[arm] = True
-    return result, gained
+    plan_squares(move, row, cost, room, rows)
+    if not time < _LAST:
+        return 0
+    problem = problem_of(move, row)
+    anchor(rows, time, state, problem, room.model)
+    for count in range(improvements):
+        if not improve(rows, int(time) + 1, problem, room):
+            return count
+    return improvements

@@ -17,7 +17,7 @@ from baselines.controller import ClassicalController
 from baselines.gains import tuned
 from baselines.models.actuator import dead_time
 from baselines.models.friction import sliding_torques
-from baselines.optimal.adaptive import AdaptiveGains, planned_for
+from baselines.optimal.adaptive import AdaptiveGains
 from baselines.planning.plan import planned_torque
 from baselines.planning.replanning import PlanCache, Situation
 from baselines.reading import Reading
@@ -52,7 +52,6 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         super().__init__(arms[0])
         self.gains = gains or tuned("adaptive", AdaptiveGains)
         self._table = params_table(arms)
-        self._planned_for = planned_for(self._table)
         self._delays = np.array([dead_time(arm) for arm in arms]) / CONTROL_PERIOD
         self._simulation = ArmSimulation(arms)
 
@@ -72,7 +71,7 @@ class PrivilegedController(ClassicalController[PrivilegedMemory]):
         arms[:, :X] = np.column_stack([reading.motor_angle, reading.motor_speed, reading.torsion])
         ahead, constant = self._simulation.ahead(arms, command, self._delays), np.zeros((len(begins), 1))
         time = reading.step + self._delays
-        now = Situation(reading.move, reading.step, time, ahead, constant, self._planned_for)
+        now = Situation(reading.move, reading.step, time, ahead, constant, self._table)
         cache = (memory.cache if memory else PlanCache.empty(constant)).begun(begins, now, self.gains.weights())
         torque = planned_torque(cache.plans, time, ahead, np.zeros(len(begins)))
         friction, ripple = sliding_torques(self._table, ahead)

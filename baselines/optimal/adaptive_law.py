@@ -1,0 +1,173 @@
+"""Law of `baselines.optimal.adaptive` for one arm.
+
+A slow processor may call the law's parts by themselves: `torque` needs what `begun` has found in the same sample, and
+`renewed`, which seldom has something to do, may take until the next one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from baselines.estimation.believed_arm import SIZE, other_torque
+from baselines.estimation.filter_design import Design
+from baselines.estimation.identify import (
+    Estimate,
+    Inputs,
+    Notes,
+    Workspace,
+    empty_estimate,
+    empty_notes,
+    estimate,
+    identify,
+    workspace_for,
+)
+from baselines.models.friction import sliding_torque
+from baselines.planning.plan import PLAN_COLUMNS, PlanCost, step_of_plan, torque_between, torque_of_plan
+from baselines.planning.replanning import is_stale
+from baselines.planning.task_plan import PlanRoom, plan_room, plan_squares, plan_task
+from baselines.reading import Sample
+from beltarm_env import EPISODE_STEPS
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled, inlined
+from beltarm_env.task.reference import MoveShape
+
+
+class Compensation(NamedTuple):
+    """How friction is compensated."""
+
+    share: float  # c
+    speed: float  # of the motor, below which the plan decides on the direction [rad/s]
+    width: float  # torque of the plan that is meant in full [N m]
+
+
+@inlined
+def compensated(of: Compensation, friction: float, speed: float, torque: float) -> float:
+    """Compute the torque c tau_f dir [N m] that overcomes friction.
+
+    Args:
+        of: What is compensated.
+        friction: Of a motor that slides forward [N m].
+        speed: Of the motor [rad/s].
+        torque: Asked of it beside that [N m].
+    """
+    asked = min(max(torque / of.width, -1.0), 1.0)
+    direction = (1.0 if speed > 0.0 else -1.0) if abs(speed) > of.speed else asked
+    return of.share * friction * direction
+
+
+@compiled
+def write_compensations(of: Compensation, friction: Floats, speed: Floats, torque: Floats, result: Floats) -> None:
+    """Write what `compensated` says of n motors; arrays of shape (n,)."""
+    for arm in range(len(torque)):
+        result[arm] = compensated(of, friction[arm], speed[arm], torque[arm])
+
+
+@inlined
+def motor_torque(of: Compensation, planned: float, row: Floats, mean: Floats, arm: int, state: Floats) -> float:
+    """Add to the torque of a plan [N m] what friction, ripple and d take.
+
+    Args:
+        of: What of friction is compensated.
+        planned: By the plan [N m].
+        row: Constants of the arm, shape (len(FIELDS),).
+        mean: z of m arms, shape (SIZE or FELT_SIZE, m).
+        arm: Which of them.
+        state: x at the time at which the torque acts, shape (4,).
+    """
+    friction, _ = sliding_torque(row, state)
+    return planned + compensated(of, friction, state[1], planned) - other_torque(mean, arm, state[0], state[1])
+
+
+@compiled
+def write_motor_torques(
+    of: Compensation, found: Estimate, mean: Floats, pairs: Floats, time: Floats, torques: Floats
+) -> None:
+    """Write the torques of n arms.
+
+    Args:
+        of: What of friction is compensated.
+        found: What is estimated of the arms.
+        mean: z of them, shape (SIZE or FELT_SIZE, n).
+        pairs: Rows of their plans before and after the time, shape (n, 2, 10).
+        time: At which the torques act, since the episode's start [samples], shape (n,).
+        torques: [N m], shape (n,), written.
+    """
+    for arm in range(len(time)):
+        _, share = step_of_plan(time[arm])
+        state = found.states[arm]
+        planned = torque_between(pairs[arm, 0], pairs[arm, 1], share, state, 0.0)  # the gain does not weigh its change
+        torques[arm] = motor_torque(of, planned, found.table[arm], mean, arm, state)
+
+
+class AdaptiveDesign(NamedTuple):
+    """What is constant about the law for one arm."""
+
+    filter: Design
+    cost: PlanCost
+    compensation: Compensation
+    improvements: int  # steps by which the first plan is improved
+
+
+class ArmMemory(NamedTuple):
+    """Memory of the law for one arm."""
+
+    notes: Notes  # what is known of it
+    logs: Floats  # `Estimate.logs` that the plan was made for, shape (6,)
+    plan: Floats  # shape (1200, 10)
+    inputs: Inputs  # from here on, nothing has to be kept from sample to sample
+    found: Estimate
+    identification: Workspace
+    planning: PlanRoom
+
+
+def arm_memory() -> ArmMemory:
+    """Memory for one arm."""
+    found, inputs = empty_estimate(1), Inputs(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
+    logs, plan = np.zeros(found.logs.shape[1]), np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
+    return ArmMemory(empty_notes(1, SIZE), logs, plan, inputs, found, workspace_for(1), plan_room())
+
+
+@compiled
+def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) -> None:
+    """Identify the arm; where an episode begins, plan its move, which takes much longer than a sample."""
+    memory.inputs.angle[0], memory.inputs.command[0] = now.motor_angle, now.last_command
+    memory.inputs.begins[0] = begins
+    found = memory.found
+    identify(design.filter, memory.inputs, memory.notes, memory.identification)
+    estimate(design.filter, memory.notes, memory.identification, found)
+    if begins:
+        move, time = MoveShape(now.start, now.goal, now.duration, now.ramp_time), now.step + found.delay[0]
+        row, state = found.table[0], found.states[0]
+        plan_task(move, row, design.cost, time, state, design.improvements, memory.planning, memory.plan)
+        for k in range(len(memory.logs)):
+            memory.logs[k] = found.logs[0, k]
+
+
+@compiled
+def torque(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> float:
+    """Torque [N m] by the plan, once `begun` has been there."""
+    found = memory.found
+    planned = torque_of_plan(memory.plan, now.step + found.delay[0], found.states[0], 0.0)
+    return motor_torque(design.compensation, planned, found.table[0], memory.notes.tracks.mean, 0, found.states[0])
+
+
+@compiled
+def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
+    """Plan the move anew where the plan is stale; it acts from the next sample on, so there is time for it."""
+    found = memory.found
+    if is_stale(now.step, found.logs[0], memory.logs):
+        move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
+        plan_squares(move, found.table[0], design.cost, memory.planning, memory.plan)
+        for k in range(len(memory.logs)):
+            memory.logs[k] = found.logs[0, k]
+
+
+@compiled
+def law(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) -> float:
+    """Torque [N m] of one sample, before it is cut at its limit."""
+    begun(design, now, begins, memory)
+    result = torque(design, now, memory)
+    renewed(design, now, memory)
+    return result
