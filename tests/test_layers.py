@@ -14,13 +14,13 @@ FLOORS = {
     ),
     "baselines": (
         *("tools", "gains reading", "controller models", "estimation planning", "servo optimal"),
-        *("iterative yardsticks loops", "registry", "tuning"),
+        *("iterative yardsticks loops", "registry", "guard tuning"),
     ),
     "agents": ("residual", "policy", "runs", "learners observer"),
     "eval": (
         *("style", "comparison", "views"),
         *(
-            "verification drives advances sensing observing leaderboard",
+            "verification drives advances sensing observing guarding leaderboard",
             "loops",
             "reproduction",
             "learning repetition speed",

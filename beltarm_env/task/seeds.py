@@ -40,6 +40,8 @@ DRIVE_SIZES = SeedRange(4_400_000, 10_000)
 """Arms whose drives get better and worse, effect by effect."""
 OBSERVER = SeedRange(4_500_000, 400_000)
 """Arms that the learned observer is fitted to."""
+FAULTS = SeedRange(4_900_000, 10_000)
+"""Arms of which something breaks in mid-move."""
 GAIN_SEARCH = SeedRange(5_000_000, 500_000)
 """Trials of the gains' tuner; the clairvoyant optimum's scenarios are among them."""
 GAIN_CHOICE = SeedRange(5_500_000, 500_000)

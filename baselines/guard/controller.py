@@ -1,0 +1,144 @@
+"""Controllers with the guard between them and the motor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from baselines.estimation.identification import IdentifyingController
+from baselines.guard.guard import ASKS, CHANGED, GUARD_SIZE, LEVEL, guard_arms
+from baselines.guard.settings import GuardSettings
+from baselines.reading import beginning
+from baselines.registry import CONTROLLERS
+from beltarm_env import observation as layout
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.rollout import Controller, nominal_params
+
+PLANNING = ("lqg", "robust", "preview", "mpc", "adaptive")
+"""Controllers that rely on an observer or a plan, and fall back to `SERVO_NAME`."""
+SERVO_NAME = "flat"
+"""The well-damped servo: stiff, without an observer; the one that faults of arm and drive impress least."""
+_ANGLE, _LAST = layout.index("motor_angle"), layout.index("last_command")
+_ANGLE_SCALE = layout.scales()[_ANGLE]
+
+
+class Torques(NamedTuple):
+    """What a controller came to at a sample, taken apart for the guard; arrays of shape (n,)."""
+
+    base: Floats  # over the torque limit
+    residual: Floats  # the same, to be added to it
+    surprise: Floats  # w of the observer; 1 where there is none
+
+
+@dataclass(frozen=True, slots=True)
+class GuardedMemory:
+    """Memory from sample to sample."""
+
+    own: Any  # of the guarded controller
+    servo: Any
+    asked: Flags  # which arms asked for the servo, shape (n,)
+    guard: Floats  # shape (n, GUARD_SIZE)
+
+    @property
+    def changed(self) -> Flags:
+        """Where the command is not the controller's own, shape (n,)."""
+        return self.guard[:, CHANGED] != 0
+
+    @property
+    def level(self) -> Floats:
+        """Level of `baselines.guard.guard`, shape (n,)."""
+        return self.guard[:, LEVEL].copy()
+
+
+class GuardedController:
+    """A controller with the guard behind it.
+
+    Args:
+        controller: A classical one.
+        servo: What to fall back to where the controller plans; None where there is nothing better than itself.
+        settings: Of the guard.
+        residual: Largest residual of a learned controller, over the torque limit; 0 for a classical one.
+
+    Raises:
+        ValueError: If the controller does not say which arm it is made for, or the servo is made for another one.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        servo: Controller | None = None,
+        settings: GuardSettings | None = None,
+        residual: float = 0.0,
+    ) -> None:
+        params = nominal_params(controller)
+        if params is None:
+            raise ValueError(f"{type(controller).__name__} has no `params`: the guard needs to know the torque limit")
+        self.controller, self.servo = controller, servo
+        self.params = params
+        self.settings = settings or GuardSettings()
+        self._design = self.settings.design(params, residual)
+
+    def parts(self, action: Singles, memory: Any) -> Torques:
+        """Take a command of the controller apart, from its memory after it."""
+        ones = np.ones(len(action))
+        if isinstance(self.controller, IdentifyingController):
+            ones = self.controller.belief(memory).tracks.surprise
+        return Torques(action[:, 0].astype(np.float64), np.zeros(len(action)), ones)
+
+    def predict(
+        self,
+        observation: Singles,
+        state: GuardedMemory | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Singles, GuardedMemory]:
+        """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
+        begins = beginning(state, episode_start, len(observation))
+        if state is None:
+            nothing = np.zeros((len(begins), GUARD_SIZE))
+            state = GuardedMemory(None, None, np.zeros(len(begins), np.bool_), nothing)
+        action, own = self.controller.predict(observation, state.own, episode_start, deterministic)
+        servo, fallback, asked = self._servo_torque(observation, state, begins)
+        limit, parts = self.params.torque_limit, self.parts(action, own)
+        inputs = np.stack(
+            [
+                limit * parts.base,
+                limit * parts.residual,
+                limit * servo,
+                observation[:, _ANGLE] * _ANGLE_SCALE,
+                parts.surprise,
+                limit * observation[:, _LAST],
+            ],
+            axis=1,
+        ).astype(np.float64)
+        guard, torques = state.guard.copy(), np.empty(len(begins))
+        guard_arms(self._design, inputs, begins, guard, torques)
+        memory = GuardedMemory(own, fallback, asked, guard)
+        guarded = (torques / limit).astype(np.float32)[:, None]
+        # Its own command to the last bit where the guard has nothing to change.
+        return np.where(memory.changed[:, None], guarded, action), memory
+
+    def _servo_torque(self, observation: Singles, state: GuardedMemory, begins: Flags) -> tuple[Floats, Any, Flags]:
+        """Torque of the servo over its limit, not a number where it is not asked; its memory; and who asks."""
+        asked = (state.guard[:, ASKS] != 0) & ~begins
+        if self.servo is None or not asked.any():
+            return np.full(len(begins), np.nan), state.servo, asked
+        action, memory = self.servo.predict(observation, state.servo, asked & ~state.asked)
+        return np.where(asked, action[:, 0].astype(np.float64), np.nan), memory, asked
+
+
+def guarded(name: str, settings: GuardSettings | None = None) -> GuardedController:
+    """Make a classical controller with the guard behind it.
+
+    Args:
+        name: Of `baselines.CONTROLLERS`.
+        settings: Of the guard.
+    """
+    return GuardedController(CONTROLLERS[name](), servo_for(name), settings)
+
+
+def servo_for(name: str) -> Controller | None:
+    """Make the servo that a controller falls back to; None for one that does not plan."""
+    return CONTROLLERS[SERVO_NAME]() if name in PLANNING else None

@@ -1,0 +1,192 @@
+"""Faults, injected between arm and controller in the middle of a move: what the controller sees, or what the arm is.
+
+Each arm has an onset of its own, at a share of its move that is uniform from 0.2 to 0.7; the fault lasts to the end of
+the episode. Faults of the encoder change its counts, and all that an observation holds of them: angle, speed by
+differencing, both errors, sine and cosine of twice the angle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from agents.residual.controller import Policy
+from beltarm_env import CONTROL_PERIOD, BeltArmVectorEnv, observation
+from beltarm_env.arm import COLUMN, Plant, plant_of
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.kernels import layout as at
+from beltarm_env.task.moves import WORKSPACE
+from beltarm_env.timing import EPISODE_STEPS
+
+LOST = 0.2
+"""Share of samples that are lost; the last one counts again in their place."""
+LATE = 3
+"""Samples by which the encoder is late."""
+JUMP = 0.1
+"""By how much the reference jumps at the joint [rad], towards the middle of the workspace."""
+WEAK = 0.5
+"""Share of the commanded torque that is left."""
+EARLIEST, LATEST = 0.2, 0.7
+"""Share of the move at which a fault begins."""
+
+FAULTS = {
+    "none": "nothing breaks",
+    "stuck encoder": "the encoder's counts stay what they are",
+    "sign error": "the encoder counts the other way round",
+    "lost samples": f"of {LOST:.0%} of the samples the last one counts again",
+    "late encoder": f"the encoder is {LATE} samples late",
+    "payload": "the payload is doubled",
+    "weak motor": "the torque is half of what is commanded",
+    "reference jump": f"start and goal of the move jump by {JUMP} rad, towards the middle of the workspace",
+    "NaN weights": "the policy's weights, and so its outputs, are not numbers",
+}
+"""By name."""
+_ENCODER = ("motor_angle_error", "motor_speed_error", "motor_speed", "motor_angle")
+_COLUMNS = {
+    name: observation.index(name) for name in (*_ENCODER, "sin_2_motor_angle", "cos_2_motor_angle", "last_command")
+}
+_SCALES, _BOUNDS = observation.scales(), observation.bounds()
+
+
+class FaultyArms(BeltArmVectorEnv):
+    """Arms of which something breaks in mid-move.
+
+    Attributes:
+        fault: Which one of `FAULTS`.
+        onset: Samples since the move's start at which it begins, shape (num_envs,).
+        applied: Torque over its limit that the motors were asked for in each sample, each of shape (num_envs,).
+        refused: Commands that were no numbers, in place of which there was no torque.
+    """
+
+    def __init__(self, num_envs: int, fault: str, **settings: Any) -> None:
+        super().__init__(num_envs, autoreset_mode=AutoresetMode.DISABLED, **settings)
+        if fault not in FAULTS:
+            raise ValueError(f"no fault {fault!r}; there are {', '.join(FAULTS)}")
+        self.fault = fault
+        self.onset = np.zeros(num_envs, np.intp)
+        self.applied: list[Floats] = []
+        self.refused = 0
+        self._random = np.random.default_rng(0)
+        self._true = np.zeros((LATE + 1, num_envs))  # counts, latest first
+        self._shown = np.zeros(num_envs)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Singles, dict[str, Any]]:
+        """Begin episodes, see `BeltArmVectorEnv.reset`; where arms are restarted alone, their fault goes on."""
+        seen, info = super().reset(seed=seed, options=options)
+        if "reset_mask" in (options or {}):
+            return seen, info
+        self._random = np.random.default_rng(seed)
+        share = self._random.uniform(EARLIEST, LATEST, self.num_envs)
+        self.onset = np.rint(share * self.moves[:, 2] / CONTROL_PERIOD).astype(np.intp)
+        self.applied, self.refused = [], 0
+        self._shown = self._counts(seen)
+        self._true = np.repeat(self._shown[None], LATE + 1, axis=0)
+        return seen, info
+
+    def step(self, actions: Singles) -> tuple[Singles, Floats, Flags, Flags, dict[str, Any]]:
+        """Hold a torque for one control period; a command that is no number is none."""
+        step = len(self.applied)
+        beginning, broken = self.onset == step, self.onset <= step
+        if self.fault == "payload":
+            self._load(beginning)
+        elif self.fault == "reference jump":
+            self._shift(beginning)
+        commanded = np.clip(actions, -1, 1)
+        self.refused += int(np.isnan(commanded).sum())
+        commanded = np.nan_to_num(commanded)
+        share = np.where(broken, WEAK, 1.0) if self.fault == "weak motor" else np.ones(self.num_envs)
+        applied = (commanded * share[:, None]).astype(np.float32)
+        self.applied.append(applied[:, 0].astype(np.float64))
+        seen, reward, terminated, truncated, info = super().step(applied)
+        seen[:, _COLUMNS["last_command"]] = commanded[:, 0]
+        return self._faulty(seen, self.onset <= step + 1), reward, terminated, truncated, info
+
+    def _load(self, which: Flags) -> None:
+        """Double the payload of some arms, which keep their speeds."""
+        for arm in np.flatnonzero(which):
+            self._batch.table[arm, COLUMN.payload_mass] *= 2
+        plants = at.rows(self._batch.blocks, at.PLANT, len(Plant._fields), self._batch.all_arms)
+        for arm in np.flatnonzero(which):
+            plants[arm] = plant_of(self._batch.table[arm])
+        at.put_rows(self._batch.blocks, at.PLANT, plants)
+
+    def _shift(self, which: Flags) -> None:
+        """Shift the moves of some arms: the task's own reference jumps."""
+        moves = self.moves
+        jump = np.where(moves[:, :2].mean(axis=1) < WORKSPACE / 2, JUMP, -JUMP)
+        moves[which, :2] += jump[which, None]
+        at.put_rows(self._batch.blocks, at.MOVE, moves)
+
+    def _counts(self, seen: Singles) -> Floats:
+        column = _COLUMNS["motor_angle"]
+        return np.rint(seen[:, column].astype(np.float64) * _SCALES[column] / self._batch.resolution)
+
+    def _faulty(self, seen: Singles, broken: Flags) -> Singles:
+        """Observations with the encoder that they would be made from, shape (n, size)."""
+        self._true = np.concatenate([self._counts(seen)[None], self._true[:-1]])
+        true, before = self._true[0], self._shown
+        if self.fault == "stuck encoder":
+            shown = np.where(broken, before, true)
+        elif self.fault == "sign error":
+            shown = np.where(broken, before - (true - self._true[1]), true)
+        elif self.fault == "lost samples":
+            shown = np.where(broken & (self._random.random(self.num_envs) < LOST), before, true)
+        elif self.fault == "late encoder":
+            shown = np.where(broken, self._true[LATE], true)
+        else:
+            return seen
+        self._shown = shown
+        return np.where(broken[:, None], self._rewritten(seen, true, shown, before), seen)
+
+    def _rewritten(self, seen: Singles, true: Floats, shown: Floats, before: Floats) -> Singles:
+        """Observations with other counts."""
+        result, old = seen.astype(np.float64) * _SCALES, seen.astype(np.float64) * _SCALES
+        angle = shown * self._batch.resolution
+        speed = (shown - before) * self._batch.resolution / CONTROL_PERIOD
+        reference_speed = old[:, _COLUMNS["motor_speed_error"]] + old[:, _COLUMNS["motor_speed"]]
+        result[:, _COLUMNS["motor_angle"]] = angle
+        result[:, _COLUMNS["motor_speed"]] = speed
+        result[:, _COLUMNS["motor_angle_error"]] += (true - shown) * self._batch.resolution
+        result[:, _COLUMNS["motor_speed_error"]] = reference_speed - speed
+        result[:, _COLUMNS["sin_2_motor_angle"]] = np.sin(2 * angle)
+        result[:, _COLUMNS["cos_2_motor_angle"]] = np.cos(2 * angle)
+        return np.clip(result / _SCALES, -_BOUNDS, _BOUNDS).astype(np.float32)
+
+
+class BrokenPolicy:
+    """Policy whose weights are no numbers from some sample on.
+
+    Args:
+        policy: Of a residual agent.
+        arms: Whose onsets count.
+    """
+
+    def __init__(self, policy: Policy, arms: FaultyArms) -> None:
+        self._policy, self._arms = policy, arms
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Residuals of shape (n, 1), see `Policy`."""
+        residual, following = self._policy.predict(observation, state, episode_start, deterministic)
+        broken = self._arms.onset <= len(self._arms.applied)
+        return np.where(broken[:, None], np.float32(np.nan), residual), following
+
+
+def energy(arms: FaultyArms, limits: Floats, finished: Flags, lasted: Floats) -> Floats:
+    """Integral of the squared torque over an episode [N^2 m^2 s], shape (n,).
+
+    Of an arm that left the workspace it is that before, over its share of the episode: what it would have come to.
+
+    Args:
+        arms: After an episode.
+        limits: Of the torque [N m], shape (n,).
+        finished: Which arms did not leave, shape (n,).
+        lasted: Samples of each arm until it left, shape (n,).
+    """
+    torque = np.array(arms.applied) * limits
+    counted = np.arange(len(torque))[:, None] < np.where(finished, len(torque), lasted)
+    mean = (torque**2 * counted).sum(axis=0) / counted.sum(axis=0)
+    return mean * EPISODE_STEPS * CONTROL_PERIOD

@@ -1,0 +1,215 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from agents.policy.bundle import POLICIES, load_controller
+from agents.residual.guarded import GuardedResidualController
+from baselines.guard.controller import GuardedController, GuardedMemory, guarded, servo_for
+from baselines.guard.guard import (
+    ASKS,
+    BASE_LEVEL,
+    CHANGED,
+    GUARD_SIZE,
+    LEARNED_LEVEL,
+    LEVEL,
+    PASSIVE_LEVEL,
+    SERVO_LEVEL,
+    GuardInputs,
+    guarded_torque,
+)
+from baselines.guard.settings import GuardSettings
+from baselines.registry import CONTROLLERS
+from beltarm_env import CONTROL_PERIOD, design_model
+from beltarm_env.rollout import record, rollout
+from beltarm_env.task.ranges import TRAIN_RANGES
+from eval.guarding.faults import FAULTS, FaultyArms
+
+PARAMS = design_model()
+LIMIT = PARAMS.torque_limit
+DESIGN = GuardSettings().design(PARAMS, residual=0.5)
+WAIT = DESIGN.wait
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+ARMS: dict[str, Any] = {"randomization": TRAIN_RANGES, "seed": 4_900_100}
+
+
+class Bench:
+    """The guard's kernel, sample by sample."""
+
+    def __init__(self) -> None:
+        self.memory, self.command, self.begins = np.full(GUARD_SIZE, np.nan), 0.0, True
+
+    def step(
+        self, base: float = 0.01, residual: float = 0.02, angle: float = 10.0, surprise: float = 0.9
+    ) -> tuple[float, float]:
+        """Command [N m] and level after a sample."""
+        servo = -0.01 if not self.begins and self.memory[ASKS] != 0 else math.nan
+        now = GuardInputs(base, residual, servo, angle, surprise, self.command)
+        self.command = guarded_torque(DESIGN, now, self.begins, self.memory)
+        self.begins = False
+        return self.command, float(self.memory[LEVEL])
+
+    def steps(self, count: int, **given: float) -> tuple[float, float]:
+        return [self.step(**given) for _ in range(count)][-1]
+
+
+class TestKernel:
+    @examples(60)
+    @given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, ANY), min_size=1, max_size=40))
+    def test_command_is_a_number_within_its_limits_whatever_comes_in(self, rows: list[tuple[float, ...]]):
+        memory, last = np.full(GUARD_SIZE, np.nan), 0.0
+        for k, row in enumerate(rows):
+            command = guarded_torque(DESIGN, GuardInputs(*row), k == 0, memory)
+            assert abs(command) <= LIMIT
+            last = row[5] if k > 0 and abs(row[5]) <= LIMIT else 0.0
+            if k == 0 or abs(row[5]) <= LIMIT:
+                assert abs(command - last) <= DESIGN.slew * (1 + 1e-12)
+
+    def test_nothing_changes_while_all_is_well(self):
+        bench = Bench()
+        for _ in range(500):
+            command, level = bench.step()
+            assert command == 0.01 + 0.02 and level == LEARNED_LEVEL and bench.memory[CHANGED] == 0
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.2])
+    def test_residual_that_is_no_good_fades_out_and_returns(self, bad: float):
+        bench = Bench()
+        bench.steps(10)
+        fade = round(0.05 / CONTROL_PERIOD)
+        first, level = bench.step(residual=bad)
+        assert level == BASE_LEVEL and 0.028 < first < 0.03, "what was good last is faded out, without a jump"
+        command, _ = bench.steps(fade, residual=bad)
+        assert command == pytest.approx(0.01)
+        assert bench.steps(WAIT - 1)[1] == BASE_LEVEL
+        assert bench.step()[1] == LEARNED_LEVEL
+        assert bench.steps(fade)[0] == pytest.approx(0.03)
+
+    def test_every_further_fall_waits_longer(self):
+        bench = Bench()
+        bench.steps(2)
+        for times in (1, 2, 4, 8, 8):
+            bench.step(residual=math.nan)
+            assert bench.steps(times * WAIT - 1)[1] == BASE_LEVEL
+            assert bench.step()[1] == LEARNED_LEVEL
+
+    def test_residual_at_its_limit_for_long(self):
+        bench = Bench()
+        limited = {"base": -0.14, "residual": 0.15}
+        assert bench.steps(DESIGN.longest_saturation, **limited)[1] == LEARNED_LEVEL
+        assert bench.step(**limited)[1] == BASE_LEVEL
+
+    @pytest.mark.parametrize("surprise", [7.0, 1.0, math.nan])
+    def test_observer_that_knows_no_such_arm(self, surprise: float):
+        bench = Bench()
+        bench.steps(10)
+        assert bench.step(surprise=surprise)[1] == SERVO_LEVEL
+        assert bench.steps(50, surprise=4.0)[0] == pytest.approx(-0.01), "the servo has it"
+        assert bench.steps(2 * WAIT, surprise=4.0)[1] == SERVO_LEVEL, "too surprised still"
+        assert bench.steps(WAIT, surprise=2.0)[1] == LEARNED_LEVEL
+
+    def test_base_that_is_no_number(self):
+        bench = Bench()
+        bench.steps(10)
+        assert bench.step(base=math.nan) == (0.03, SERVO_LEVEL), "the last command is held"
+        assert bench.step(base=math.nan)[0] == -0.01, "the servo's at once"
+
+    def test_jump_of_the_base_is_slewed(self):
+        bench = Bench()
+        bench.step(base=-0.3, residual=0.0)
+        assert bench.step(base=0.3, residual=0.0)[0] == pytest.approx(-0.3 + DESIGN.slew)
+        assert bench.memory[CHANGED] == 1
+
+    def test_lost_sample_holds_the_command(self):
+        bench = Bench()
+        angle = 10.0
+        for k in range(200):
+            angle += min(0.001 * k, 0.1)
+            bench.step(angle=angle)
+        assert bench.memory[LEVEL] == LEARNED_LEVEL
+        before, _ = bench.step(angle=angle + 0.1)
+        assert bench.step(base=-0.2, angle=angle + 0.1) == (before, SERVO_LEVEL), "shown twice"
+        assert bench.step(base=-0.2, angle=angle + 0.3)[0] == before, "its speed is no speed"
+        assert bench.step(base=-0.2, angle=angle + 0.4)[0] < before
+
+    @pytest.mark.parametrize("torque", [0.2, -0.2])
+    def test_motor_that_rests_under_a_large_torque(self, torque: float):
+        bench = Bench()
+        assert bench.steps(DESIGN.longest_rest, base=torque, residual=0.0)[1] == LEARNED_LEVEL
+        assert bench.steps(2, base=torque, residual=0.0)[1] == PASSIVE_LEVEL
+        assert bench.steps(20, base=torque, residual=0.0)[0] == 0
+        assert bench.steps(3 * WAIT, base=0.0, residual=0.0)[1] == PASSIVE_LEVEL, "for the rest of the move"
+        bench.begins = True
+        assert bench.step()[1] == LEARNED_LEVEL
+
+
+class TestSettings:
+    @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, True, "1"])
+    def test_refused(self, value: Any):
+        with pytest.raises(ValueError, match=r"GuardSettings\.slew must be a finite positive number"):
+            GuardSettings(slew=value)
+
+
+class Watched:
+    """Controller whose memories are kept."""
+
+    def __init__(self, of: GuardedController) -> None:
+        self.params, self.of = of.params, of
+        self.memories: list[GuardedMemory] = []
+
+    def predict(self, *arguments: Any, **named: Any) -> Any:
+        action, memory = self.of.predict(*arguments, **named)
+        self.memories.append(memory)
+        return action, memory
+
+
+class TestInTheLoop:
+    @pytest.mark.parametrize("name", ["paper", "flat"])
+    def test_healthy_arms_move_as_without_it(self, name: str):
+        alone, behind = rollout(CONTROLLERS[name](), 4, **ARMS), rollout(guarded(name), 4, **ARMS)
+        np.testing.assert_array_equal(alone.torque, behind.torque)
+
+    def test_alone_as_in_a_batch(self):
+        batch = rollout(guarded("paper"), 3, **ARMS)
+        alone = rollout(guarded("paper"), 1, **{**ARMS, "seed": ARMS["seed"] + 2})
+        np.testing.assert_array_equal(batch.torque[:, 2], alone.torque[:, 0])
+
+    @pytest.mark.parametrize("fault", ["stuck encoder", "sign error"])
+    def test_passive_where_the_encoder_lies(self, fault: str):
+        arms = FaultyArms(4, fault, randomization=TRAIN_RANGES)
+        watched = Watched(guarded("flat"))
+        run = record(watched, arms, seed=ARMS["seed"])
+        levels = np.array([memory.level for memory in watched.memories])
+        assert run.finished.all()
+        for arm, onset in enumerate(arms.onset):
+            assert (levels[:onset, arm] == LEARNED_LEVEL).all()
+            assert (levels[onset + 40 :, arm] == PASSIVE_LEVEL).all()
+            assert (run.torque[onset + 50 :, arm] == 0).all()
+
+    def test_learned_policy_that_is_no_number_is_its_base(self):
+        policy, _ = load_controller(POLICIES / "ppo" / "seed0")
+
+        class Broken:
+            def predict(
+                self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+            ) -> Any:
+                return np.full((len(observation), 1), np.nan, np.float32), None
+
+        policy.policy = Broken()
+        run = rollout(GuardedResidualController(policy, servo_for("paper")), 2, **ARMS)
+        base = rollout(CONTROLLERS["paper"](), 2, **ARMS)
+        np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
+
+
+def test_faults_change_nothing_before_their_onset():
+    healthy = record(CONTROLLERS["flat"](), FaultyArms(3, "none", randomization=TRAIN_RANGES), seed=5)
+    for fault in FAULTS:
+        arms = FaultyArms(3, fault, randomization=TRAIN_RANGES)
+        run = record(CONTROLLERS["flat"](), arms, seed=5)
+        for arm, onset in enumerate(arms.onset):
+            np.testing.assert_array_equal(run.state[:onset, arm], healthy.state[:onset, arm], fault)
+            if fault not in ("none", "NaN weights"):
+                assert (run.state[-1, arm] != healthy.state[-1, arm]).any(), fault
