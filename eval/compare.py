@@ -40,7 +40,7 @@ class Config:
     """Compare controllers on the belt-driven arm."""
 
     groups: ClassVar[Groups] = {
-        "method": ("methods", "policy", "add"),
+        "method": ("methods", "policy", "add", "guard"),
         "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
         "output": ("out", "verbose", "traceback", "maps"),
         "run": (),
@@ -58,6 +58,9 @@ class Config:
     """A controller of your own, as package.module:Class or path/to/file.py:Class. Repeat the option for more. Its
     results are kept until a file changes in its folder or below (for a package: in the whole package). If it depends on
     files elsewhere, use --fresh."""
+    guard: bool = False
+    """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
+    (docs/guard/summary.md)."""
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept."""
     episodes: int | None = None
@@ -100,7 +103,7 @@ def run(config: Config) -> None:
     else:
         known = choose_set(config.scenarios, config.scenario_seed)
     scenarios = known.only(chosen("split", config.splits, known.splits))
-    methods = choose_methods(config.methods, config.policy, config.add, config.out)
+    methods = choose_methods(config.methods, config.policy, config.add, config.out, guard=config.guard)
     for method in methods:
         if method.identity is None:
             why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"

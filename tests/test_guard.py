@@ -24,9 +24,11 @@ from baselines.guard.guard import (
 )
 from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
+from baselines.servo.flat import FlatController
 from beltarm_env import CONTROL_PERIOD, design_model
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
+from eval.comparison.run import choose_methods
 from eval.guarding.faults import FAULTS, FaultyArms
 
 PARAMS = design_model()
@@ -213,3 +215,16 @@ def test_faults_change_nothing_before_their_onset():
             np.testing.assert_array_equal(run.state[:onset, arm], healthy.state[:onset, arm], fault)
             if fault not in ("none", "NaN weights"):
                 assert (run.state[-1, arm] != healthy.state[-1, arm]).any(), fault
+
+
+def test_methods_of_the_comparison():
+    names = ["paper", "adaptive", "ppo", "privileged"]
+    chosen = {method.name: method for method in choose_methods(names, guard=True)}
+    assert list(chosen) == ["paper", "paper+guard", "adaptive", "adaptive+guard", "ppo", "ppo+guard", "privileged"]
+    servos = {"paper": type(None), "adaptive": FlatController, "ppo": type(None)}
+    for name, servo in servos.items():
+        plain, behind = chosen[name], chosen[f"{name}+guard"]
+        assert (plain.kind, plain.base, plain.sources) == (behind.kind, behind.base, behind.sources)
+        assert plain.identity != behind.identity
+        controller = behind.controller(0, [])
+        assert isinstance(controller, GuardedController) and isinstance(controller.servo, servo)

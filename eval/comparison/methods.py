@@ -6,13 +6,15 @@ import difflib
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from agents.policy.bundle import POLICIES, load_controller, read_spec
+from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.gains import read_file
+from baselines.guard.controller import guarded, servo_for
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams
 from beltarm_env.observation import Sensors
@@ -38,6 +40,7 @@ class Method:
         default_factory=dict
     )  # of tuning or training: simulator steps, wall-clock, per seed
     base: str | None = None  # of a learned method: the controller that it corrects
+    guarded: bool = False  # whether the guard is between its controllers and the motor
 
     @property
     def sensors(self) -> Sensors:
@@ -54,8 +57,16 @@ class Method:
         if self.kind == "privileged":
             return PrivilegedController(arms)
         if self.kind == "learned":
-            return load_controller(Path(source))[0]
-        return custom.make(source) if self.kind == "added" else CONTROLLERS[source]()
+            controller, spec = load_controller(Path(source))
+            return GuardedResidualController(controller, servo_for(spec.base)) if self.guarded else controller
+        if self.kind == "added":
+            return custom.make(source)
+        return guarded(source) if self.guarded else CONTROLLERS[source]()
+
+    def with_guard(self) -> Method:
+        """Make the same method with the guard between its controllers and the motor; for classical and learned ones."""
+        identity = self.identity and _hash([self.identity, "guard"])
+        return replace(self, name=f"{self.name}+guard", identity=identity, guarded=True)
 
 
 def classical_methods() -> list[Method]:

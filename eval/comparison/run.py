@@ -39,7 +39,12 @@ from eval.comparison.splits import Split, main_split
 
 
 def choose_methods(
-    names: Sequence[str], policies: Sequence[Path | str] = (), added: Sequence[str] = (), results: Path | None = None
+    names: Sequence[str],
+    policies: Sequence[Path | str] = (),
+    added: Sequence[str] = (),
+    results: Path | None = None,
+    *,
+    guard: bool = False,
 ) -> list[Method]:
     """Choose methods by name, and check the user's own.
 
@@ -48,6 +53,7 @@ def choose_methods(
         policies: Policies beside the shipped ones, see `eval.comparison.methods.learned_methods`.
         added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class.
         results: Folder of the comparison, see `eval.comparison.custom.identity`.
+        guard: Whether each classical and learned method also runs with the guard.
 
     Raises:
         ValueError: If a name is unknown or given twice, or a controller of the user's own does not keep the protocol.
@@ -65,7 +71,10 @@ def choose_methods(
     for method in methods:
         if method.kind == "added" and (failure := first_failure(method.sources[0])):
             raise ValueError(f"{failure}; see `python eval/check_controller.py {method.sources[0]}`")
-    return methods
+    if not guard:
+        return methods
+    twice = [(one, one.with_guard()) if one.kind in ("classical", "learned") else (one,) for one in methods]
+    return [method for group in twice for method in group]
 
 
 def fuller(folder: Path, methods: Sequence[str], splits: Sequence[str], episodes: int) -> str:

@@ -18,7 +18,7 @@ from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.kernels import layout as at
 from beltarm_env.task.moves import WORKSPACE
-from beltarm_env.timing import EPISODE_STEPS
+from beltarm_env.timing import EPISODE_TIME
 
 LOST = 0.2
 """Share of samples that are lost; the last one counts again in their place."""
@@ -56,7 +56,7 @@ class FaultyArms(BeltArmVectorEnv):
     Attributes:
         fault: Which one of `FAULTS`.
         onset: Samples since the move's start at which it begins, shape (num_envs,).
-        applied: Torque over its limit that the motors were asked for in each sample, each of shape (num_envs,).
+        samples: Since the episodes began.
         refused: Commands that were no numbers, in place of which there was no torque.
     """
 
@@ -66,8 +66,9 @@ class FaultyArms(BeltArmVectorEnv):
             raise ValueError(f"no fault {fault!r}; there are {', '.join(FAULTS)}")
         self.fault = fault
         self.onset = np.zeros(num_envs, np.intp)
-        self.applied: list[Floats] = []
-        self.refused = 0
+        self.samples = self.refused = 0
+        self._running, self._lasted = np.ones(num_envs, np.bool_), np.zeros(num_envs)
+        self._squares = np.zeros(num_envs)  # sum of the squared torques, over their limit, until an arm left
         self._random = np.random.default_rng(0)
         self._true = np.zeros((LATE + 1, num_envs))  # counts, latest first
         self._shown = np.zeros(num_envs)
@@ -80,15 +81,16 @@ class FaultyArms(BeltArmVectorEnv):
         self._random = np.random.default_rng(seed)
         share = self._random.uniform(EARLIEST, LATEST, self.num_envs)
         self.onset = np.rint(share * self.moves[:, 2] / CONTROL_PERIOD).astype(np.intp)
-        self.applied, self.refused = [], 0
+        self.samples = self.refused = 0
+        self._running, self._lasted = np.ones(self.num_envs, np.bool_), np.zeros(self.num_envs)
+        self._squares = np.zeros(self.num_envs)
         self._shown = self._counts(seen)
         self._true = np.repeat(self._shown[None], LATE + 1, axis=0)
         return seen, info
 
     def step(self, actions: Singles) -> tuple[Singles, Floats, Flags, Flags, dict[str, Any]]:
         """Hold a torque for one control period; a command that is no number is none."""
-        step = len(self.applied)
-        beginning, broken = self.onset == step, self.onset <= step
+        beginning, broken = self.onset == self.samples, self.broken
         if self.fault == "payload":
             self._load(beginning)
         elif self.fault == "reference jump":
@@ -98,10 +100,26 @@ class FaultyArms(BeltArmVectorEnv):
         commanded = np.nan_to_num(commanded)
         share = np.where(broken, WEAK, 1.0) if self.fault == "weak motor" else np.ones(self.num_envs)
         applied = (commanded * share[:, None]).astype(np.float32)
-        self.applied.append(applied[:, 0].astype(np.float64))
+        self._squares += self._running * applied[:, 0].astype(np.float64) ** 2
+        self._lasted += self._running
         seen, reward, terminated, truncated, info = super().step(applied)
+        self._running &= ~terminated
+        self.samples += 1
         seen[:, _COLUMNS["last_command"]] = commanded[:, 0]
-        return self._faulty(seen, self.onset <= step + 1), reward, terminated, truncated, info
+        return self._faulty(seen, self.broken), reward, terminated, truncated, info
+
+    @property
+    def broken(self) -> Flags:
+        """Of which arms something is broken now, shape (num_envs,)."""
+        return self.onset <= self.samples
+
+    def energies(self) -> Floats:
+        """Integral of the squared torque over the episode [N^2 m^2 s], shape (num_envs,).
+
+        Of an arm that left the workspace it is what the episode would have come to at the rate until then.
+        """
+        mean = self._squares / self._lasted
+        return mean * self.params_table[:, COLUMN.torque_limit] ** 2 * EPISODE_TIME
 
     def _load(self, which: Flags) -> None:
         """Double the payload of some arms, which keep their speeds."""
@@ -171,22 +189,4 @@ class BrokenPolicy:
     ) -> tuple[Singles, Any]:
         """Residuals of shape (n, 1), see `Policy`."""
         residual, following = self._policy.predict(observation, state, episode_start, deterministic)
-        broken = self._arms.onset <= len(self._arms.applied)
-        return np.where(broken[:, None], np.float32(np.nan), residual), following
-
-
-def energy(arms: FaultyArms, limits: Floats, finished: Flags, lasted: Floats) -> Floats:
-    """Integral of the squared torque over an episode [N^2 m^2 s], shape (n,).
-
-    Of an arm that left the workspace it is that before, over its share of the episode: what it would have come to.
-
-    Args:
-        arms: After an episode.
-        limits: Of the torque [N m], shape (n,).
-        finished: Which arms did not leave, shape (n,).
-        lasted: Samples of each arm until it left, shape (n,).
-    """
-    torque = np.array(arms.applied) * limits
-    counted = np.arange(len(torque))[:, None] < np.where(finished, len(torque), lasted)
-    mean = (torque**2 * counted).sum(axis=0) / counted.sum(axis=0)
-    return mean * EPISODE_STEPS * CONTROL_PERIOD
+        return np.where(self._arms.broken[:, None], np.float32(np.nan), residual), following
