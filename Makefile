@@ -8,7 +8,7 @@ READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench docs clean scenarios physics paper loops drive sensors observers steps tune learning film readme
+.PHONY: help compare train setup test fuzz coverage lint format bench docs clean scenarios physics paper loops drive sensors guard observers steps tune learning film readme
 
 ##@ Use
 
@@ -87,6 +87,9 @@ drive: $(READY)  ## Cost and vibration of every controller over each effect of t
 
 sensors: $(READY)  ## What an accelerometer buys, in docs/sensors
 	$(BIN)/python eval/sensors.py --out docs/sensors $(ARGS)
+
+guard: $(READY)  ## What the guard is worth where something breaks, in docs/guard; takes ten minutes
+	$(BIN)/python eval/faults.py --out docs/guard $(ARGS)
 
 observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/observers
 	$(BIN)/python eval/observers.py --out docs/observers $(ARGS)

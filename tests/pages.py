@@ -18,9 +18,9 @@ MISTAKES = [
 """Arguments that all of these commands refuse, and what they say."""
 
 
-def tables_of(main: Callable[[], None], splits: tuple[str, ...], picture: str, folder: Path) -> list[str]:
+def tables_of(main: Callable[[], None], splits: tuple[str, ...], picture: str, folder: Path, *more: str) -> list[str]:
     """Tables of the page that a command writes of four episodes on each of some splits, beside one picture."""
-    code, errors = stopped(main, ("--splits", *splits, "--episodes", "4", "--out", "out"), folder)
+    code, errors = stopped(main, ("--splits", *splits, "--episodes", "4", "--out", "out", *more), folder)
     assert code == 0, errors
     assert {path.name for path in (folder / "out").iterdir()} == {"summary.md", picture}
     page = (folder / "out" / "summary.md").read_text(encoding="utf-8")

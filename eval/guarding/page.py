@@ -166,8 +166,8 @@ def markdown(
         "it out: a base that works less, and follows less well, keeps its lead in energy. Where the encoder lies, no "
         "guard saves the move: the arm stops where friction lets it, and what is left is the way to the goal.",
         "## Where nothing breaks",
-        f"{label.title.capitalize()}, the same scenarios with and without the guard. Beyond the training ranges "
-        "(`drive`, `sensing`) its thresholds are reached first.",
+        f"**{label.note}** The same scenarios with and without the guard. Its thresholds are set so that arms of the "
+        "training ranges do not reach them; beyond these, on `drive` and `sensing`, some may.",
         health_table(healthy),
         origin,
     ]
