@@ -99,7 +99,8 @@ def health_table(healthy: dict[tuple[str, str], Health]) -> str:
 
 def draw(results: Results) -> Figure:
     """Peak tip error of the learned methods under every fault."""
-    figure, axes = plt.subplots(1, len(LEARNED), figsize=(11, 4.2), sharex=True, sharey=True)
+    figure = plt.figure(figsize=(11, 4.2))
+    axes = figure.subplots(1, len(LEARNED), sharex=True, sharey=True, squeeze=False)[0]
     shown = {"base": ("base alone", BLUE, "s"), "without": ("without the guard", VERMILION, "o")}
     shown["guarded"] = ("with the guard", GREEN, "D")
     for axis, name in zip(axes, LEARNED, strict=True):
