@@ -20,7 +20,8 @@ FLOORS = {
     "eval": (
         *("style", "comparison", "views"),
         *(
-            "verification drives advances sensing observing guarding leaderboard",
+            "translation verification drives advances sensing observing guarding leaderboard",
+            "deploy",
             "loops",
             "reproduction",
             "learning repetition speed",

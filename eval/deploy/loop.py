@@ -10,12 +10,10 @@ that the processor computes what was compared, to the last bit. A loop is a kern
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.reading import sample_from
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Integers, Singles
 from beltarm_env.jit import compiled
@@ -92,20 +90,3 @@ def commanded(device: Device, action: float, limit: float) -> float:
 def move_of(device: Device) -> MoveShape:
     """The move that the loop is in."""
     return load_move(device.block, 0)
-
-
-def classical_step(law: Callable[..., float]) -> Callable[..., float]:
-    """One sample of a classical controller: `step(design, limit, device, memory, count)`, the torque [N m].
-
-    Args:
-        law: Of the controller, see `baselines.controller.LawKernel`.
-    """
-
-    def step(design: Any, limit: float, device: Device, memory: Any, count: int) -> float:
-        observe(device, count)
-        now = sample_from(device.observation[0], limit)
-        torque = law(design, now, device.begins[0] == 1, memory)
-        action: Any = np.float32(min(max(torque / limit, -1.0), 1.0))
-        return commanded(device, action, limit)
-
-    return step

@@ -11,11 +11,10 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from baselines.controller import LawKernel
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.task.reference import MoveShape
-from eval.deploy.loop import begin, classical_step, empty_device
+from eval.deploy.loop import begin, empty_device
 from eval.translation.arrays import contiguous
 from eval.translation.numbers import bare, cast
 from eval.translation.program import Function, Program
@@ -23,8 +22,8 @@ from eval.translation.types import INT, REAL, Array, Const, Group, Scalar, Value
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
 """What differs from the kernels in Python: they are compiled for many arms side by side."""
-_ROWS_OF_LANES = ("block", "blocks", "work", "actions")
-_TEMPLATES = jinja2.Environment(
+_ROWS_OF_LANES = ("block", "blocks", "work", "actions", "velocities")
+TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
     keep_trailing_newline=True,
     undefined=jinja2.StrictUndefined,
@@ -44,13 +43,10 @@ class Loop:
     memory: Any  # array, or named tuple of arrays
 
 
-def classical_loop(name: str, title: str, params: ArmParams, kernel: LawKernel) -> Loop:
-    """Loop of a classical controller."""
-    return Loop(name, title, params, classical_step(kernel.law), kernel.design, for_one_lane(kernel.memory))
-
-
 def for_one_lane(template: Any, name: str = "") -> Any:
     """Memory of a kernel without the lanes that one arm does not need: rows of a simulation have one each."""
+    if template is None:
+        return None
     if not isinstance(template, np.ndarray):
         names = zip(template._fields, template, strict=True)
         return type(template)(*(for_one_lane(part, field) for field, part in names))
@@ -68,8 +64,9 @@ def sources(loop: Loop) -> dict[str, str]:
     program = Program(SINGLE_LANE)
     device = empty_device(1)
     plant, limit = loop.params.plant(), loop.params.torque_limit
-    fields = [*_fields("device", device), *_fields("memory", loop.memory)]
-    of_device, of_memory = _members("device", device), _members("memory", loop.memory)
+    memory = for_one_lane(loop.memory)
+    fields = [*_fields("device", device), *_fields("memory", memory)]
+    of_device, of_memory = _members("device", device), _members("memory", memory)
     move = Group(MoveShape, tuple((field, Scalar(REAL, f"move->{field}")) for field in MoveShape._fields))
     count = Scalar(INT, "count")
     resolution = Scalar(REAL, "self->resolution")
@@ -90,11 +87,11 @@ def sources(loop: Loop) -> dict[str, str]:
         "step": stepped,
     }
     return {
-        "real.h": _TEMPLATES.get_template("real.h.j2").render(),
-        "arithmetic.h": _TEMPLATES.get_template("arithmetic.h.j2").render(),
-        f"{loop.name}.h": _TEMPLATES.get_template("controller.h.j2").render(given),
-        f"{loop.name}.c": _TEMPLATES.get_template("controller.c.j2").render(given),
-        "in_the_loop.c": _TEMPLATES.get_template("in_the_loop.c.j2").render(given),
+        "real.h": TEMPLATES.get_template("real.h.j2").render(),
+        "arithmetic.h": TEMPLATES.get_template("arithmetic.h.j2").render(),
+        f"{loop.name}.h": TEMPLATES.get_template("controller.h.j2").render(given),
+        f"{loop.name}.c": TEMPLATES.get_template("controller.c.j2").render(given),
+        "in_the_loop.c": TEMPLATES.get_template("in_the_loop.c.j2").render(given),
     }
 
 
@@ -113,7 +110,7 @@ def _fields(name: str, template: Any) -> Iterator[tuple[str, str, int]]:
     """Type, name and length of the arrays of a template."""
     if isinstance(template, np.ndarray):
         yield dtype_of(template.dtype), name, max(template.size, 1)
-    else:
+    elif template is not None:
         for field, part in zip(template._fields, template, strict=True):
             yield from _fields(f"{name}_{field}", part)
 
@@ -123,5 +120,7 @@ def _members(name: str, template: Any) -> Value:
     if isinstance(template, np.ndarray):
         shape = tuple(map(int, template.shape))
         return Array(dtype_of(template.dtype), shape, contiguous(shape), f"self->{name}")
+    if template is None:
+        return Const(None)
     parts = zip(template._fields, template, strict=True)
     return Group(type(template), tuple((field, _members(f"{name}_{field}", part)) for field, part in parts))

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from beltarm_env.physics.driven.events import CLOSE, NEGLIGIBLE
+from beltarm_env.physics.driven.step import ROUNDING
 from beltarm_env.physics.trigonometry import ROUNDER
 from eval.translation.types import BOOL, INT, REAL, SINGLE, Const, NotConstantError, Scalar, TranslationError, joined
 
@@ -27,6 +29,9 @@ C_OPERATORS: dict[type, str] = {
     **{ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="},
 }
 NUMBERS: tuple[type, ...] = (int, float, bool, np.integer, np.floating, np.bool_)
+
+TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5}
+"""Tolerances of the kernels that are below the rounding of single precision, and what stands for them there."""
 
 
 def dtype_of_number(value: Any) -> str:
@@ -47,6 +52,8 @@ def literal(value: Any, dtype: str) -> str:
     number = float(value)
     if number == ROUNDER:
         return "ROUNDER"
+    if abs(number) in TOLERANCES and dtype == REAL:
+        return f"PRECISE({number!r}, {math.copysign(TOLERANCES[abs(number)], number)!r})"
     if math.isnan(number):
         return "NAN"
     if math.isinf(number):

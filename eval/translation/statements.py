@@ -139,30 +139,34 @@ class Statements(Calls):
         if isinstance(start, Const) and isinstance(stop, Const) and len(range(start.value, stop.value, step)) == 0:
             return
         name = statement.target.id
-        if self.assigned.get(name, 0) > 0:
-            place = self._variable(name, INT)
-            declared = place
-        else:
-            place = self.c_name("unused" if name == "_" else name)
-            self.loop_names.append(place)
-            declared = f"int32_t {place}"
+        own = self.assigned.get(name, 0) == 0  # if not, the variable changes within the loop, which counts on
+        place = self.c_name("unused" if name == "_" else name if own else f"{name}_count")
+        self.loop_names.append(place)
         first = bare(cast(start, INT).code)
         limit = stop if isinstance(stop, Const) else self._frozen(stop, iterated.args[-1] if len(bounds) < 2 else None)
         last = bare(cast(limit, INT).code)
         compare = "<" if step > 0 else ">"
         advance = f"++{place}" if step == 1 else f"--{place}" if step == -1 else f"{place} += {step}"
         before = self.names.get(name)
-        self.names[name] = Scalar(INT, place)
         self.loops += 1
-        self.write(f"for ({declared} = {first}; {place} {compare} {last}; {advance}) {{")
-        self._indented(statement.body)
+        self.write(f"for (int32_t {place} = {first}; {place} {compare} {last}; {advance}) {{")
+        _, lines = self.apart(lambda: self._turn(name, place, own, statement.body))
+        self.lines += [f"    {line}" for line in lines]
         self.write("}")
         self.loops -= 1
-        if declared != place:  # the variable ends with its loop
-            self.taken.discard(place)
+        self.taken.discard(place)
+        if own:  # the variable ends with its loop
             self.names.pop(name, None)
             if before is not None:
                 self.names[name] = before
+
+    def _turn(self, name: str, place: str, own: bool, body: list[ast.stmt]) -> None:
+        """Translate one turn of a loop."""
+        if own:
+            self.names[name] = Scalar(INT, place)
+        else:
+            self._assign_name(name, Scalar(INT, place))
+        self.block(body)
 
     def _frozen(self, stop: Value, node: ast.expr | None) -> Value:
         """Compute the end of a loop once, before it begins."""

@@ -26,8 +26,10 @@ from beltarm_env.physics.models import (
 from beltarm_env.physics.state import ArmState
 
 _ROOT_ITERATIONS = 10  # of bracketed Newton; the margin is a cubic and an exponential
-_CLOSE = 1e-13  # of roots, as a share of the step
-_NEGLIGIBLE = 1e-10  # [rad/s] or [N m]: a margin that dips less below zero has not been left
+CLOSE = 1e-13
+"""Accuracy of roots, as a share of the step."""
+NEGLIGIBLE = 1e-10
+"""A margin [rad/s] or [N m] that dips less below zero has not been left."""
 _SURE = 1.1  # of the acceleration by a change of torque, in which the full arm's links take part
 _CURVED, _BENT = 0.01, 0.1  # shares of pull, and of its change, by which it may leave the line between a step's ends
 
@@ -145,7 +147,7 @@ def leaves_mode(m: Margin, decayed: float) -> bool:
     at_end = m.c0 + m.c1 + m.c2 + m.c3 + m.amplitude * decayed
     last_slope = m.c1 + 2 * m.c2 + 3 * m.c3 - m.exponent * m.amplitude * decayed
     low, other = at_start + slope, at_end - last_slope
-    dips = (slope < 0.0) & (last_slope > 0.0) & ((low if low > other else other) < -_NEGLIGIBLE)
+    dips = (slope < 0.0) & (last_slope > 0.0) & ((low if low > other else other) < -NEGLIGIBLE)
     return (at_end < 0.0) | dips
 
 
@@ -174,7 +176,7 @@ def exit_fraction(m: Margin) -> float:
     dips = (at_end >= 0.0) & (first_slope < 0.0) & (last_slope > 0.0)
     bottom = _lowest(m, first_slope, last_slope) if dips else 1.0
     lowest, _ = _margin_at(m, bottom)
-    if lowest >= (-_NEGLIGIBLE if dips else 0.0):
+    if lowest >= (-NEGLIGIBLE if dips else 0.0):
         return 1.0
     start = m.c0 + m.amplitude
     low, high = 0.0, bottom
@@ -186,7 +188,7 @@ def exit_fraction(m: Margin) -> float:
         newton = u - value / (slope if slope != 0.0 else 1.0)
         before = u
         u = newton if (newton >= low) & (newton <= high) else 0.5 * (low + high)
-        if abs(u - before) < _CLOSE:
+        if abs(u - before) < CLOSE:
             break
     return u
 

@@ -22,6 +22,8 @@ _SLOW = 10.0  # [rad/s] at the motor: friction that falls with speed and ripple 
 _SLOW_FOR_RIPPLE = 40.0  # [rad/s]: and strong ripple here
 _STRONG = 3e4  # c / M_a1 n^(3/2) omega_a, of a ripple whose torque disturbs its own phase [rad/s^3]
 _SLOW_STEP = 0.5 * CONTROL_PERIOD
+ROUNDING = 1e-9
+"""Of a step: what is left by less is taken with it."""
 FRICTION_STEPS = 12
 """Steps, over the static excess s, in which an accelerating motor's speed gains omega_a + omega_s."""
 
@@ -187,8 +189,8 @@ def needed_rate(x: ArmState, motor: float, torque_change: float, direction: floa
 @inlined
 def step_length(remaining: float, rate: float, substeps: float) -> tuple[float, float]:
     """Return the length of the next step of what remains of a piece [s], and how many such steps there are."""
-    steps = np.ceil(remaining * rate - 1e-9)
-    coarse = np.ceil(remaining * (1 / CONTROL_PERIOD) * substeps - 1e-9)
+    steps = np.ceil(remaining * rate - ROUNDING)
+    coarse = np.ceil(remaining * (1 / CONTROL_PERIOD) * substeps - ROUNDING)
     steps = substeps * steps
     steps = coarse if coarse > steps else steps
     steps = steps if steps > 1.0 else 1.0

@@ -1,0 +1,66 @@
+"""Check of generated sources: the torques of the controller in Python and of the compiled program, sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from beltarm_env.arrays import Floats
+from beltarm_env.rollout import Controller, rollout
+from beltarm_env.task.sensors import ENCODER_COUNTS
+from eval.comparison.splits import Split
+from eval.deploy.building import Toolchain, here
+from eval.deploy.in_the_loop import InTheLoop, StepTimes
+from eval.deploy.source import Loop
+
+SINGLE = "-DBELTARM_SINGLE"
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far a program agrees with the controller, in closed loop on the scenarios of a split."""
+
+    samples: int
+    equal: int  # of them, torques that are equal to the last bit
+    largest: float  # difference of torques [N m]
+    costs: tuple[Floats, Floats]  # of the controller, of the program; shape (episodes,)
+    times: StepTimes
+
+
+def compare(
+    folder: Path,
+    loop: Loop,
+    controller: Controller,
+    split: Split,
+    episodes: int,
+    toolchain: Toolchain | None = None,
+    flags: tuple[str, ...] = (),
+) -> Agreement:
+    """Run controller and program side by side on the first scenarios of a split.
+
+    Args:
+        folder: With the sources.
+        loop: That they were made from.
+        controller: The same in Python.
+        split: Whose scenarios.
+        episodes: How many.
+        toolchain: To compile and run with; by default this machine's.
+        flags: More for the compiler.
+
+    Raises:
+        ValueError: If there is no compiler, or the sources do not compile.
+    """
+    arguments, moves = split.arguments(slice(episodes)), split.moves[:episodes]
+    counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
+    python = rollout(controller, episodes, **arguments)
+    limit = loop.params.torque_limit
+    with InTheLoop(folder, loop.name, moves, limit, toolchain or here(), counts, flags) as program:
+        compiled = rollout(program, episodes, **arguments)
+        times = program.times()
+    length = min(len(python.torque), len(compiled.torque))
+    a, b = python.torque[:length], compiled.torque[:length]
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    largest = float(np.nanmax(np.abs(a - b), initial=0.0))
+    return Agreement(same.size, int(same.sum()), largest, (python.cost, compiled.cost), times)

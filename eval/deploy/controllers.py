@@ -1,0 +1,118 @@
+"""Controllers that can become programs: how each one's loop is made of its kernels."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.policy.bundle import load_controller, read_spec
+from agents.policy.correction import correction
+from agents.residual.controller import ResidualController
+from agents.residual.guarded import GuardedResidualController
+from baselines import CONTROLLERS
+from baselines.controller import LawKernel
+from baselines.estimation.believed_arm import SIZE
+from baselines.estimation.identification import IdentifyingController
+from baselines.estimation.identify import Inputs, empty_notes, workspace_for
+from baselines.guard.controller import guarded, servo_for
+from baselines.guard.guard import GUARD_SIZE
+from baselines.guard.settings import GuardSettings
+from beltarm_env import ArmParams
+from eval.deploy.source import Loop
+from eval.deploy.tiers import (
+    Filtering,
+    Guarded,
+    GuardMemory,
+    Kernel,
+    Learned,
+    classical,
+    guarded_step,
+    identifying,
+    learned,
+    step_of,
+)
+
+
+def loop_of(source: str, guard: bool = True) -> Loop:
+    """Make the loop of a controller.
+
+    Args:
+        source: Name of a classical controller, or folder of a policy.
+        guard: Whether the guard stands between it and the motor.
+
+    Raises:
+        ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
+    """
+    if source in CONTROLLERS:
+        controller = CONTROLLERS[source]()
+        kernel = _kernel(controller, source)
+        propose = (identifying if isinstance(controller, IdentifyingController) else classical)(kernel.law)
+        title = f"Controller {source!r} of beltarm"
+        return _loop(source, title, controller.params, propose, kernel.design, kernel.memory, guard, source, 0.0)
+    if not (Path(source) / "policy.json").is_file():
+        nearest = difflib.get_close_matches(source, CONTROLLERS, 1, 0.4)
+        hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"
+        raise ValueError(f"{source!r} is neither a classical controller nor the folder of a policy; {hint}")
+    controller, spec = load_controller(Path(source))
+    assert isinstance(controller, ResidualController)
+    base: Any = controller.informed.base
+    kernel, corrected = _kernel(base, spec.base), correction(controller)
+    told, shared = spec.residual.knowledge != "none", corrected.identifier is None
+    filtering = _filtering() if told and not shared else None
+    design = Learned(kernel.design, corrected.identifier.design if corrected.identifier else None, corrected.design)
+    memory = Learned(kernel.memory, filtering, corrected.memory)
+    title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {read_spec(source)[1]['content_hash']}"
+    propose = learned(kernel.law, told, shared)
+    return _loop(spec.algorithm, title, base.params, propose, design, memory, guard, spec.base, spec.residual.limit)
+
+
+def _loop(
+    name: str,
+    title: str,
+    params: ArmParams,
+    propose: Kernel,
+    design: Any,
+    memory: Any,
+    guard: bool,
+    base: str,
+    residual: float,
+) -> Loop:
+    if not guard:
+        return Loop(name, title, params, step_of(propose), design, memory)
+    servo: Any = servo_for(base)
+    kernel = servo.kernel() if servo is not None else LawKernel(propose, None, None)
+    step = guarded_step(propose, kernel.law if servo is not None else None)
+    constants = Guarded(design, kernel.design, GuardSettings().design(params, residual))
+    kept = Guarded(memory, kernel.memory, GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp)))
+    return Loop(name, f"{title}, behind the guard", params, step, constants, kept)
+
+
+def _kernel(controller: Any, name: str) -> LawKernel:
+    """Law of a controller for one arm.
+
+    Raises:
+        ValueError: If it has none.
+    """
+    if not hasattr(controller, "kernel"):
+        able = [other for other, make in CONTROLLERS.items() if hasattr(make(), "kernel")]
+        raise ValueError(f"{name!r} is no kernel for one arm and cannot be exported; these can: {', '.join(able)}")
+    return controller.kernel()
+
+
+def _filtering() -> Filtering:
+    inputs = Inputs(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
+    return Filtering(empty_notes(1, SIZE), inputs, workspace_for(1))
+
+
+def controller_of(source: str, guard: bool = True) -> Any:
+    """Make the controller in Python whose loop `loop_of` makes."""
+    if source in CONTROLLERS:
+        return guarded(source) if guard else CONTROLLERS[source]()
+    controller, spec = load_controller(Path(source))
+    if not guard:
+        return controller
+    assert isinstance(controller, ResidualController)
+    return GuardedResidualController(controller, servo_for(spec.base))

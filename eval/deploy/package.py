@@ -1,0 +1,83 @@
+"""The folder of an exported controller: sources, a manifest, and a page on how to use them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from baselines.tools.provenance import command_line, software
+from beltarm_env.task.ranges import EDITION
+from eval.deploy.building import FLAGS
+from eval.deploy.source import TEMPLATES, Loop, sources
+
+FORMAT = "beltarm-export"
+MANIFEST = "manifest.json"
+
+
+def require_free(folder: Path) -> None:
+    """Check that a folder is not there, is empty, or holds an earlier export, which is then replaced.
+
+    Raises:
+        ValueError: If it holds anything else.
+        OSError: If it cannot be read, or its parent cannot be written to.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is a file: choose another folder for --out")
+    if folder.exists() and any(folder.iterdir()) and not _is_export(folder):
+        raise ValueError(f"{folder} holds other files: choose an empty folder for --out, or one of an earlier export")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder.parent, os.W_OK):
+        raise OSError(f"cannot write to {folder.parent}; choose another folder")
+
+
+def _is_export(folder: Path) -> bool:
+    try:
+        return json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["format"] == FORMAT
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def write(folder: Path, loop: Loop, more: dict[str, bytes] | None = None) -> None:
+    """Write the sources of a loop, and what else goes with them, into a folder: all of it, or nothing.
+
+    Raises:
+        TranslationError: If a kernel cannot be translated.
+        ValueError: If the folder is in use for something else.
+        OSError: If it cannot be written.
+    """
+    require_free(folder)
+    files = {name: text.encode() for name, text in sources(loop).items()} | (more or {})
+    page = TEMPLATES.get_template("README.md.j2").render(loop=loop, flags=" ".join(FLAGS))
+    files["README.md"] = page.encode()
+    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
+    manifest: dict[str, Any] = {
+        "format": FORMAT,
+        "name": loop.name,
+        "title": loop.title,
+        "edition": EDITION,
+        "gear_ratio": loop.params.gear_ratio,
+        "torque_limit": loop.params.torque_limit,
+        "command": command_line(),
+        "software": software("numpy", "numba"),
+        "sha256": hashes,
+    }
+    files[MANIFEST] = (json.dumps(manifest, indent=2) + "\n").encode()
+    made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    try:
+        for name, content in files.items():
+            (made / name).write_bytes(content)
+        made.chmod(0o755)
+        if folder.exists():
+            replaced = made.with_name(f"{made.name}-replaced")
+            folder.rename(replaced)
+            made.rename(folder)
+            shutil.rmtree(replaced)
+        else:
+            made.rename(folder)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

@@ -1,0 +1,166 @@
+"""One sample of a controller, with all that stands between the encoder's count and the motor's torque.
+
+A controller proposes: a base torque, a residual where it has learned one, and how surprised its observer is. The guard
+chooses, or there is none. Functions here are made for a controller from its kernels, and are kernels themselves:
+`step(design, limit, device, memory, count)` gives the torque [N m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.policy.correction import correct
+from agents.residual.controller import combined
+from agents.residual.knowledge import Filters
+from agents.residual.limits import cut
+from baselines.estimation.identify import identify
+from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
+from baselines.reading import Sample, sample_from
+from beltarm_env.arrays import Floats, Integers
+from eval.deploy.loop import Device, commanded, observe
+
+Kernel = Callable[..., Any]
+
+
+class Proposal(NamedTuple):
+    """What a controller came to at a sample."""
+
+    base: float  # torque over its limit
+    residual: float  # the same, to be added to it
+    action: float  # both, cut at the limit
+    surprise: float  # w of the observer; 1 where there is none
+
+
+class Learned(NamedTuple):
+    """Design, or memory, of a base with a learned residual."""
+
+    base: Any  # of the base's law
+    filter: Any  # of an identification that runs beside the base; None where the base's is shared, or nothing is told
+    correction: Any  # of `agents.policy.correction.correct`
+
+
+class Filtering(NamedTuple):
+    """Memory of an identification beside the base."""
+
+    notes: Any
+    inputs: Any
+    work: Any
+
+
+class Guarded(NamedTuple):
+    """Design, or memory, of a controller behind the guard."""
+
+    own: Any
+    servo: Any  # of the servo's law; None where there is none
+    guard: Any
+
+
+class GuardMemory(NamedTuple):
+    """Memory of the guard."""
+
+    row: Floats  # shape (GUARD_SIZE,)
+    asked: Integers  # whether it asked for the servo at the last sample, shape (1,)
+
+
+def classical(law: Kernel) -> Kernel:
+    """Proposal of a classical controller by its law."""
+
+    def propose(design: Any, limit: float, device: Device, now: Sample, begins: bool, memory: Any) -> Proposal:
+        torque = law(design, now, begins, memory)
+        action: Any = np.float32(cut(torque / limit, 1.0))
+        return Proposal(action, 0.0, action, 1.0)
+
+    return propose
+
+
+def identifying(law: Kernel) -> Kernel:
+    """Proposal of a classical controller that identifies its arm."""
+
+    def propose(design: Any, limit: float, device: Device, now: Sample, begins: bool, memory: Any) -> Proposal:
+        torque = law(design, now, begins, memory)
+        action: Any = np.float32(cut(torque / limit, 1.0))
+        return Proposal(action, 0.0, action, memory.notes.tracks.surprise[0])
+
+    return propose
+
+
+def learned(law: Kernel, told: bool, shared: bool) -> Kernel:
+    """Proposal of a base with a residual.
+
+    Args:
+        law: Of the base.
+        told: Whether the agent is told what an identification believes.
+        shared: Whether that is the base's own.
+    """
+
+    def propose(design: Learned, limit: float, device: Device, now: Sample, begins: bool, memory: Learned) -> Proposal:
+        torque = law(design.base, now, begins, memory.base)
+        base: Any = np.float32(cut(torque / limit, 1.0))
+        filters, surprise = None, 1.0
+        if told:
+            if not shared:
+                inputs = memory.filter.inputs
+                inputs.angle[0], inputs.command[0], inputs.begins[0] = now.motor_angle, now.last_command, begins
+                identify(design.filter, inputs, memory.filter.notes, memory.filter.work)
+            known = memory.base.notes if shared else memory.filter.notes
+            tracks = known.tracks
+            filters = Filters(tracks.mean, tracks.covariance, tracks.surprise, known.angle, known.commands)
+            surprise = tracks.surprise[0]
+        seen = device.observation[0]
+        residual = correct(design.correction, seen, base, now, filters, begins, memory.correction)
+        share = design.correction.limit
+        return Proposal(base, share * residual, combined(base, residual, share), surprise)
+
+    return propose
+
+
+def step_of(propose: Kernel) -> Kernel:
+    """Step of a controller without a guard."""
+
+    def step(design: Any, limit: float, device: Device, memory: Any, count: int) -> float:
+        observe(device, count)
+        now = sample_from(device.observation[0], limit)
+        proposal = propose(design, limit, device, now, device.begins[0] == 1, memory)
+        return commanded(device, proposal.action, limit)
+
+    return step
+
+
+def guarded_step(propose: Kernel, servo: Kernel | None) -> Kernel:
+    """Step of a controller behind the guard.
+
+    Args:
+        propose: Of the controller.
+        servo: Law of the servo that it falls back to; None if there is none.
+    """
+
+    def step(design: Guarded, limit: float, device: Device, memory: Guarded, count: int) -> float:
+        observe(device, count)
+        now = sample_from(device.observation[0], limit)
+        begins = device.begins[0] == 1
+        proposal = propose(design.own, limit, device, now, begins, memory.own)
+        row, asked = memory.guard.row, memory.guard.asked
+        asks = row[ASKS] != 0.0 and not begins
+        fallback = np.nan
+        if servo is not None:
+            if asks:
+                torque = servo(design.servo, now, asked[0] == 0, memory.servo)
+                single: Any = np.float32(cut(torque / limit, 1.0))
+                fallback = limit * single
+            asked[0] = 1 if asks else 0
+        inputs = GuardInputs(
+            limit * proposal.base,
+            limit * proposal.residual,
+            fallback,
+            now.motor_angle,
+            proposal.surprise,
+            now.last_command,
+        )
+        guarded = guarded_torque(design.guard, inputs, begins, row)
+        cautious: Any = np.float32(guarded / limit)
+        return commanded(device, cautious if row[CHANGED] != 0.0 else proposal.action, limit)
+
+    return step
