@@ -16,6 +16,7 @@ import gymnasium as gym
 if TYPE_CHECKING:
     from beltarm_env.arm import ArmParams
     from beltarm_env.env import BeltArmEnv
+    from beltarm_env.physics.derivative import state_derivative
     from beltarm_env.physics.linear import state_space
     from beltarm_env.physics.sampled import sampled_state_space
     from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, design_model
@@ -33,6 +34,7 @@ __all__ = [
     "BeltArmVectorEnv",
     "design_model",
     "sampled_state_space",
+    "state_derivative",
     "state_space",
 ]
 
@@ -46,6 +48,7 @@ _HOME = {
     "BeltArmVectorEnv": "vector_env",
     "design_model": "task.ranges",
     "sampled_state_space": "physics.sampled",
+    "state_derivative": "physics.derivative",
     "state_space": "physics.linear",
 }
 

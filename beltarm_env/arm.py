@@ -44,6 +44,33 @@ _BOUNDS: dict[str, tuple[float, float]] = {
 """Lowest and highest values of the fields that are not just positive."""
 
 
+class Bounds(NamedTuple):
+    """What a field of `ArmParams` may be."""
+
+    low: float
+    high: float
+    above: bool  # whether the lowest value itself is left out
+    whole: bool  # whether it is a whole number
+
+
+def bounds_of(name: str) -> Bounds:
+    """Return what a field of `ArmParams` may be."""
+    if name in _BOUNDS:
+        return Bounds(*_BOUNDS[name], False, name in WHOLE)
+    return Bounds(0.0, _LARGEST, name not in _MAY_BE_ZERO, False)
+
+
+def _check_bounds(name: str, value: float | np.integer | np.floating) -> None:
+    low, high, above, whole = bounds_of(name)
+    if not low <= value <= high or (above and value == low):
+        if name in _BOUNDS:
+            raise ValueError(f"ArmParams.{name} must be finite and lie within {low:g} and {high:g}, got {value!r}")
+        allowed = "positive" if above else "not negative"
+        raise ValueError(f"ArmParams.{name} must be finite, {allowed} and at most {high:.0e}, got {value!r}")
+    if whole and value != int(value):
+        raise ValueError(f"ArmParams.{name} must be a whole number, got {value!r}")
+
+
 @dataclass(frozen=True, slots=True)
 class ArmParams:
     """Physical constants of one arm, SI units. The defaults are the nominal arm: Table 1, and assumptions marked (a).
@@ -91,23 +118,7 @@ class ArmParams:
             if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
             object.__setattr__(self, field.name, float(value))
-            if field.name in _BOUNDS:
-                self._check_bounds(field.name, value)
-                continue
-            may_be_zero = field.name in _MAY_BE_ZERO
-            if not (value > 0 or (may_be_zero and value == 0)) or value > _LARGEST:
-                allowed = "not negative" if may_be_zero else "positive"
-                raise ValueError(
-                    f"ArmParams.{field.name} must be finite, {allowed} and at most {_LARGEST:.0e}, got {value!r}"
-                )
-
-    @staticmethod
-    def _check_bounds(name: str, value: float | np.integer | np.floating) -> None:
-        low, high = _BOUNDS[name]
-        if not low <= value <= high:
-            raise ValueError(f"ArmParams.{name} must be finite and lie within {low:g} and {high:g}, got {value!r}")
-        if name in WHOLE and value != int(value):
-            raise ValueError(f"ArmParams.{name} must be a whole number, got {value!r}")
+            _check_bounds(field.name, value)
 
     @classmethod
     def from_row(cls, row: Floats) -> ArmParams:

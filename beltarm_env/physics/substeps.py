@@ -8,12 +8,13 @@ with the speed (`physics.driven.step.needed_rate`).
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.arm import COLUMN, FIELDS, Plant, plant_of
-from beltarm_env.jit import inlined
+from beltarm_env.arm import COLUMN, Plant, plant_of
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.physics.driven.step import FRICTION_STEPS
 from beltarm_env.physics.models import Model, inverse_inertia
 from beltarm_env.timing import CONTROL_PERIOD
@@ -29,11 +30,12 @@ def _torsional_mobility(cos_phi: float, plant: Plant, model: Model) -> float:
 
 
 @inlined
-def fastest_rate(plant: Plant, model: Model) -> float:
+def fastest_rate(plant: Plant, model: Model, stiffening: float = 0.0) -> float:
     """Bound the fastest eigenvalue of the linear model [rad/s]: belt mode, belt damping, motor friction."""
     # A linear function of cos^2 over a concave one: largest at 0 or 90 degrees.
     compliance = max(_torsional_mobility(0.0, plant, model), _torsional_mobility(1.0, plant, model))
-    belt = max(math.sqrt(plant.stiffness * compliance), plant.damping * compliance)
+    stiffness = plant.stiffness * (1 + 1.25 * stiffening)
+    belt = max(math.sqrt(stiffness * compliance), plant.damping * compliance)
     return max(belt, plant.viscous_friction * plant.inverse_motor_inertia)
 
 
@@ -42,6 +44,7 @@ MAX_FRICTION_STEPS = 15_000
 MAX_SUBSTEPS = 400
 """Most integration steps per sample."""
 _STEP_ANGLE = 0.12  # largest product of rate and integration step: one step for any arm of the training ranges
+_MAX_RATE = MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD  # [rad/s]
 
 
 @inlined
@@ -50,59 +53,61 @@ def integration_substeps(plant: Plant, model: Model) -> float:
     return max(math.ceil(fastest_rate(plant, model) * CONTROL_PERIOD / _STEP_ANGLE), 1.0)
 
 
+@compiled
+def integration_limits(row: Any, model: Model) -> tuple[float, float, float]:
+    """Return how close an arm comes to what can be integrated, over what is allowed, from its row.
+
+    Its fastest rate, the share of joint 1's speed that the kinematic error takes away, and the integration steps for
+    friction that falls with speed: at most 1 each.
+    """
+    rate = fastest_rate(plant_of(row), model, row[COLUMN.belt_stiffening])
+    slack = 2.2 * row[COLUMN.kinematic_error] * row[COLUMN.gear_ratio]
+    excess = row[COLUMN.static_friction_excess]
+    level = row[COLUMN.coulomb_friction] * (1 + row[COLUMN.friction_variation]) * (1 + excess)
+    push = 2 * row[COLUMN.torque_limit] * (1 + row[COLUMN.torque_constant_error]) + level + row[COLUMN.torque_ripple]
+    steps = FRICTION_STEPS * CONTROL_PERIOD * push / (row[COLUMN.motor_inertia] * row[COLUMN.stribeck_speed])
+    return rate / _MAX_RATE, slack, steps / MAX_FRICTION_STEPS if excess > 0.0 else 0.0
+
+
+REMEDIES = (
+    "lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia",
+    "lower kinematic_error or gear_ratio",
+    "raise stribeck_speed or motor_inertia, or lower torque_limit or coulomb_friction",
+)
+"""What brings each of `integration_limits` down."""
+
+
 def check_integrable(table: Floats, model: Model) -> None:
     """Check that all arms of a table, shape (n, len(FIELDS)), can be integrated.
 
     Raises:
-        ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`.
+        ValueError: If an arm's belt mode or friction is too fast for `MAX_SUBSTEPS`, a kinematic error would nearly
+            turn joint 1 backward, or friction falls too quickly with speed.
     """
-    check_drives(table)
     for row in table:
-        plant = stiffest(row)
-        if integration_substeps(plant, model) > MAX_SUBSTEPS:
+        rate, slack, steps = integration_limits(row, model)
+        if slack > 1:
+            error, gear = row[COLUMN.kinematic_error], row[COLUMN.gear_ratio]
             raise ValueError(
-                f"the arm's fastest rate is {fastest_rate(plant, model):.3g} rad/s; at most "
-                f"{MAX_SUBSTEPS * _STEP_ANGLE / CONTROL_PERIOD:.3g} rad/s can be integrated at {CONTROL_PERIOD} s per "
-                "step: lower belt_stiffness or motor_viscous_friction, or raise arm_inertia or motor_inertia"
+                f"kinematic_error {error:.3g} rad takes nine tenths of joint 1's speed or more away, twice per turn of "
+                f"the motor: with gear_ratio {gear:.3g} at most {1 / 2.2 / gear:.3g} can be integrated"
+            )
+        if steps > 1:
+            raise ValueError(
+                f"friction that falls with speed would take {steps * MAX_FRICTION_STEPS:.3g} integration steps per "
+                f"{CONTROL_PERIOD} s, of {MAX_FRICTION_STEPS} allowed, for stribeck_speed "
+                f"{row[COLUMN.stribeck_speed]:.3g} rad/s: {REMEDIES[2]}"
+            )
+        if rate > 1:
+            raise ValueError(
+                f"the arm's fastest rate is {rate * _MAX_RATE:.3g} rad/s; at most {_MAX_RATE:.3g} rad/s can be "
+                f"integrated at {CONTROL_PERIOD} s per step: {REMEDIES[0]}"
             )
 
 
 def check_ranges_integrable(bounds: Floats, model: Model) -> None:
     """Check the fastest arms within some ranges, see `range_bounds` and `check_integrable`."""
     check_integrable(fastest_arms(bounds), model)
-
-
-def stiffest(row: Floats) -> Plant:
-    """Return the coefficients of an arm with the belt as stiff as it gets, from its row."""
-    return plant_of(row)._replace(stiffness=row[COLUMN.belt_stiffness] * (1 + 1.25 * row[COLUMN.belt_stiffening]))
-
-
-def check_drives(table: Floats) -> None:
-    """Check that the drives of a table of arms, shape (n, len(FIELDS)), can be integrated.
-
-    Raises:
-        ValueError: If a kinematic error would nearly turn joint 1 backward, or friction falls too quickly with speed.
-    """
-    at = dict(zip(FIELDS, table.T, strict=True))
-    slack = 2.2 * at["kinematic_error"] * at["gear_ratio"]
-    if (slack > 1).any():
-        arm = int(np.argmax(slack))
-        raise ValueError(
-            f"kinematic_error {at['kinematic_error'][arm]:.3g} rad takes nine tenths of joint 1's speed or more away, "
-            f"twice per turn of the motor: with gear_ratio {at['gear_ratio'][arm]:.3g} at most "
-            f"{1 / 2.2 / at['gear_ratio'][arm]:.3g} can be integrated"
-        )
-    level = at["coulomb_friction"] * (1 + at["friction_variation"]) * (1 + at["static_friction_excess"])
-    push = 2 * at["torque_limit"] * (1 + at["torque_constant_error"]) + level + at["torque_ripple"]
-    steps = FRICTION_STEPS * CONTROL_PERIOD * push / (at["motor_inertia"] * at["stribeck_speed"])
-    steps = np.where(at["static_friction_excess"] > 0, steps, 0.0)
-    if (steps > MAX_FRICTION_STEPS).any():
-        arm = int(np.argmax(steps))
-        raise ValueError(
-            f"friction that falls with speed would take {steps[arm]:.3g} integration steps per {CONTROL_PERIOD} s, of "
-            f"{MAX_FRICTION_STEPS} allowed, for stribeck_speed {at['stribeck_speed'][arm]:.3g} rad/s: raise it or "
-            "motor_inertia, or lower torque_limit or coulomb_friction"
-        )
 
 
 _FASTER_DRIVES = (

@@ -16,7 +16,6 @@ from beltarm_env.kernels.layout import LANES
 from beltarm_env.task.reference import MoveShape
 from eval.deploy.loop import begin, empty_device
 from eval.translation.arrays import contiguous
-from eval.translation.numbers import bare, cast
 from eval.translation.program import Function, Program
 from eval.translation.types import INT, REAL, Array, Const, Group, Scalar, Value, dtype_of
 
@@ -65,13 +64,13 @@ def sources(loop: Loop) -> dict[str, str]:
     device = empty_device(1)
     plant, limit = loop.params.plant(), loop.params.torque_limit
     memory = for_one_lane(loop.memory)
-    fields = [*_fields("device", device), *_fields("memory", memory)]
-    of_device, of_memory = _members("device", device), _members("memory", memory)
+    fields = [*fields_of("device", device), *fields_of("memory", memory)]
+    of_device, of_memory = members("device", device), members("memory", memory)
     move = Group(MoveShape, tuple((field, Scalar(REAL, f"move->{field}")) for field in MoveShape._fields))
     count = Scalar(INT, "count")
     resolution = Scalar(REAL, "self->resolution")
-    began = _body(program, begin, [of_device, Const(plant), resolution, move, count])
-    stepped = _body(program, loop.step, [Const(loop.design), Const(limit), of_device, of_memory, count])
+    began = body(program, begin, [of_device, Const(plant), resolution, move, count])
+    stepped = body(program, loop.step, [Const(loop.design), Const(limit), of_device, of_memory, count])
     given = {
         "name": loop.name,
         "title": loop.title,
@@ -95,27 +94,27 @@ def sources(loop: Loop) -> dict[str, str]:
     }
 
 
-def _body(program: Program, function: Any, values: list[Value]) -> str:
-    """Lines of a public function that calls a translated one."""
+def body(program: Program, function: Any, values: list[Value], kind: str = REAL) -> str:
+    """Lines of a public function that calls a translated one; `kind` is the type that it returns."""
     scope = Function(program, {}, {})
     result: Any = program.call(scope, getattr(function, "py_func", function), values)
     lines = list(scope.lines)
     if not isinstance(result, Const):
         call = lines.pop().partition(" = ")[2]
-        lines.append(f"return {call}" if result.dtype == REAL else f"return {bare(cast(result, REAL).code)};")
+        lines.append(f"return {call}" if result.dtype == kind else f"return ({kind}){call}")
     return "\n".join(f"    {line}" for line in lines)
 
 
-def _fields(name: str, template: Any) -> Iterator[tuple[str, str, int]]:
+def fields_of(name: str, template: Any) -> Iterator[tuple[str, str, int]]:
     """Type, name and length of the arrays of a template."""
     if isinstance(template, np.ndarray):
         yield dtype_of(template.dtype), name, max(template.size, 1)
     elif template is not None:
         for field, part in zip(template._fields, template, strict=True):
-            yield from _fields(f"{name}_{field}", part)
+            yield from fields_of(f"{name}_{field}", part)
 
 
-def _members(name: str, template: Any) -> Value:
+def members(name: str, template: Any) -> Value:
     """The arrays of a template as values of the translation."""
     if isinstance(template, np.ndarray):
         shape = tuple(map(int, template.shape))
@@ -123,4 +122,4 @@ def _members(name: str, template: Any) -> Value:
     if template is None:
         return Const(None)
     parts = zip(template._fields, template, strict=True)
-    return Group(type(template), tuple((field, _members(f"{name}_{field}", part)) for field, part in parts))
+    return Group(type(template), tuple((field, members(f"{name}_{field}", part)) for field, part in parts))

@@ -1,0 +1,57 @@
+"""The arm's equations of motion, for tools that integrate by themselves: state and torque in, slope out."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from beltarm_env.arm import ArmParams, Plant
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
+from beltarm_env.physics.drive import Drive, built_drive
+from beltarm_env.physics.models import MODELS, Model, accelerations, sliding_direction
+from beltarm_env.physics.state import ArmState
+
+
+@compiled
+def _derivative(x: Floats, torque: float, plant: Plant, drive: Drive | None, model: Model) -> Floats:
+    state = ArmState(x[0], x[1], x[2], x[3])
+    direction = sliding_direction(state, torque, plant, model, drive)
+    motor, torsional = accelerations(state, torque, direction, plant, model, drive)
+    return np.array([state.motor_speed, motor, state.torsion_speed, torsional])
+
+
+@lru_cache(maxsize=64)
+def _coefficients(params: ArmParams) -> tuple[Plant, Drive | None]:
+    return params.plant(), built_drive(params.row())
+
+
+def state_derivative(x: ArrayLike, torque: float, params: ArmParams, model: str = "lumped") -> Floats:
+    """Compute dx/dt of an arm, eqs. (5a) and (5b), by the equations that the environment integrates.
+
+    Friction opposes the motor's motion. A motor at rest stays there until the torque that pulls at it exceeds the
+    breakaway torque. Solvers of smooth equations do not find a motor that stops; the environment locates that instant.
+
+    Of a drive as it is built, the torque is that of the motor: current loop and latency stand before it, and friction
+    is as at the start of an episode.
+
+    Args:
+        x: State [theta_a, omega_a, theta_s, omega_s] (rad, rad/s), shape (4,).
+        torque: Of the motor tau_m [N m]; not cut at the torque limit.
+        params: The arm.
+        model: "lumped", or "lagrangian" (of which "mujoco" is another implementation).
+
+    Returns:
+        [omega_a, domega_a/dt, omega_s, domega_s/dt] (rad/s, rad/s^2), shape (4,).
+
+    Raises:
+        ValueError: If x has another shape, or the model is unknown.
+    """
+    if not isinstance(model, str) or model not in MODELS:
+        raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
+    state = np.ascontiguousarray(x, np.float64)
+    if state.shape != (4,):
+        raise ValueError(f"x must have shape (4,), got {state.shape}")
+    return _derivative(state, float(torque), *_coefficients(params), MODELS[model])

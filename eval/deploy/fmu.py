@@ -1,0 +1,201 @@
+"""The arm as a Functional Mock-up Unit, FMI 2.0 for co-simulation: its plant translated to C, for other simulators.
+
+For the same torques its states are the environment's, bit for bit. All constants of `ArmParams` are parameters.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import platform
+import re
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+
+from baselines.tools.files import write_atomically
+from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
+from beltarm_env.arm import FIELDS, bounds_of
+from beltarm_env.physics.kinematics import HIGHEST, LOWEST
+from beltarm_env.task.sensors import ENCODER_COUNTS
+from beltarm_env.timing import EPISODE_TIME
+from eval.deploy.building import Toolchain, here
+from eval.deploy.plant import OUTPUTS, REFUSALS, begin, empty_memory, refusal, step
+from eval.deploy.source import SINGLE_LANE, TEMPLATES, body, fields_of, members
+from eval.translation.program import Program
+from eval.translation.types import BOOL, INT, REAL, Scalar
+
+_UNITS = {
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "kg": {"kg": 1},
+    "kg m^2": {"kg": 1, "m": 2},
+    "N m": {"kg": 1, "m": 2, "s": -2},
+    "N m/rad": {"kg": 1, "m": 2, "s": -2, "rad": -1},
+    "N m s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
+}
+_COMMENT = re.compile(r"^ +(\w+): float = \S+ +# (.*?) *\[([^]]*)\][ ,]*(.*)$", re.MULTILINE)
+_ASSUMED = re.compile(r" *\(a\)")
+_MOST_COUNTS = 10_000_000
+_OWN = {
+    ("Linux", "x86_64"): ("linux64", ".so"),
+    ("Linux", "aarch64"): ("aarch64-linux", ".so"),
+    ("Darwin", "x86_64"): ("darwin64", ".dylib"),
+    ("Darwin", "arm64"): ("darwin64", ".dylib"),
+}
+"""Folder of binaries, and how files end in it, for the machine that the compiler is on."""
+_TARGETS = {
+    "linux64": ("x86_64-linux-gnu", ".so"),
+    "win64": ("x86_64-windows-gnu", ".dll"),
+    "darwin64": ("x86_64-macos", ".dylib"),
+    "aarch64-linux": ("aarch64-linux-gnu", ".so"),
+}
+"""The same for those that zig compiles for."""
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # a time of files that is the same each time
+
+
+@dataclass(frozen=True)
+class Variable:
+    """Variable of the FMU."""
+
+    name: str
+    reference: int
+    description: str
+    causality: str
+    variability: str
+    unit: str = ""
+    initial: str = ""
+    start: float | None = None
+    bounds: tuple[float, float] | None = None
+    type: str = "Real"
+    index: int = 0  # from 1
+
+
+def variables(params: ArmParams) -> list[Variable]:
+    """List the variables of an arm's FMU: constants, what begins and moves it, what is known of it."""
+    fixed = ("parameter", "fixed")
+    found = []
+    comments = {name: rest for name, *rest in _COMMENT.findall(inspect.getsource(ArmParams))}
+    for reference, (name, start) in enumerate(zip(FIELDS, astuple(params), strict=True)):
+        symbol, unit, text = comments[name]
+        what = f"{name.replace('_', ' ').capitalize()} {symbol}".rstrip()
+        text = _ASSUMED.sub("", text)
+        description = f"{what}: {text}" if text else what
+        unit = unit if unit in _UNITS else ""
+        bounds = bounds_of(name)[:2]
+        found.append(Variable(name, reference, description, *fixed, unit, "exact", start, bounds))
+    rest = "Joint angle theta_a / G at which the arm rests at the start"
+    within = (LOWEST, HIGHEST)
+    found.append(Variable("initial_joint_angle", len(found), rest, *fixed, "rad", "exact", 0.0, within))
+    command = "Torque command, held over a step; cut at torque_limit"
+    found.append(Variable("torque", len(found), command, "input", "continuous", "N m", start=0.0))
+    for name, (unit, what) in OUTPUTS.items():
+        if name != "encoder_count":
+            found.append(Variable(name, len(found), what, "output", "continuous", unit, "calculated"))
+    counts = "Counts of the encoder per turn of the motor"
+    found.append(
+        Variable("counts_per_turn", 0, counts, *fixed, "", "exact", ENCODER_COUNTS, (1, _MOST_COUNTS), "Integer")
+    )
+    name, (unit, what) = list(OUTPUTS.items())[-1]
+    found.append(Variable(name, 1, what, "output", "discrete", unit, "calculated", type="Integer"))
+    return [replace(variable, index=k + 1) for k, variable in enumerate(found)]
+
+
+def fmu_texts(params: ArmParams) -> dict[str, str]:
+    """Write the texts of an arm's FMU, by their paths in it."""
+    program = Program(SINGLE_LANE)
+    memory = empty_memory(1)
+    arm = members("memory", memory)
+    angle, resolution, torque = (Scalar(REAL, name) for name in ("joint_angle", "resolution", "torque"))
+    of_arm = variables(params)
+    given = {
+        "version": __version__,
+        "fields": list(fields_of("memory", memory)),
+        "refusal": body(program, refusal, [arm, angle], INT),
+        "begin": body(program, begin, [arm, angle, resolution]),
+        "step": body(program, step, [arm, torque], BOOL),
+        "structs": "\n\n".join(program.struct_texts),
+        "tables": "\n\n".join(program.used_tables()),
+        "functions": "\n\n".join(program.texts),
+        "constants": len(FIELDS),
+        "outputs": len(OUTPUTS),
+        "starts": [f"{variable.start!r}, /* {variable.name} */" for variable in of_arm[: len(FIELDS) + 2]],
+        "refusals": REFUSALS,
+        "counts_per_turn": ENCODER_COUNTS,
+        "most_counts": _MOST_COUNTS,
+        "turn": repr(2 * math.pi),
+        "period": repr(CONTROL_PERIOD),
+        "stop": f"{EPISODE_TIME:g}",
+        "lowest": f"{LOWEST:.4g}",
+        "highest": f"{HIGHEST:.4g}",
+        "variables": of_arm,
+        "units": _UNITS,
+    }
+
+    def texts(guid: str) -> dict[str, str]:
+        named = {
+            "modelDescription.xml": "modelDescription.xml",
+            "documentation/index.html": "fmu.html",
+            **{f"sources/{name}": name for name in ("real.h", "arithmetic.h", "plant.h", "plant.c", "fmi2.h", "fmu.c")},
+        }
+        return {path: TEMPLATES.get_template(f"{name}.j2").render(given, guid=guid) for path, name in named.items()}
+
+    content = "".join(texts("").values())
+    return texts(f"{{{uuid.uuid5(uuid.NAMESPACE_URL, content)}}}")
+
+
+def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
+    """Folder of binaries, their name's end and the compiler, for every kind of machine that there is one for."""
+    own = _OWN.get((platform.system(), platform.machine()))
+    if own is not None:
+        yield *own, here()
+    if find_spec("ziglang") is not None:
+        for folder, (target, suffix) in _TARGETS.items():
+            if own is None or folder != own[0]:
+                yield folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))
+
+
+def write_fmu(path: Path, params: ArmParams) -> list[str]:
+    """Write an arm as an FMU.
+
+    Binaries are for this kind of machine, and for the others where the package `ziglang` is installed. The sources are
+    in the FMU too.
+
+    Args:
+        path: Of the file, `.fmu`.
+        params: Start values of the FMU's parameters.
+
+    Returns:
+        What there are binaries for, as FMI 2.0 names it: "linux64", "win64", ...
+
+    Raises:
+        ValueError: If there is no compiler, or it fails.
+    """
+    texts = fmu_texts(params)
+    files = {name: text.encode() for name, text in texts.items()}
+    made = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in texts.items():
+            (Path(folder) / Path(name).name).write_text(text, encoding="utf-8")
+        sources = [Path(folder) / name for name in ("plant.c", "fmu.c")]
+        for kind, suffix, toolchain in _toolchains():
+            library = Path(folder) / f"beltarm{suffix}"
+            position = () if suffix == ".dll" else ("-fPIC",)
+            toolchain.build(sources, library, "-fvisibility=hidden", "-shared", *position)
+            files[f"binaries/{kind}/{library.name}"] = library.read_bytes()
+            made.append(kind)
+
+    def write(temporary: Path) -> None:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in files.items():
+                archive.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)
+
+    write_atomically(path, write)
+    return made

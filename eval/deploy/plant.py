@@ -1,0 +1,153 @@
+"""One arm as kernels for a program of C: its constants in, its motion out, by the environment's own kernels.
+
+    refusal(constants, bounds)        whether it is an arm, and can be integrated
+    begin(memory, joint_angle, ...)   at rest
+    step(memory, torque)              one control period later
+
+The arm is the lumped one, behind its drive as it is built.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from beltarm_env.arm import FIELDS, bounds_of
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
+from beltarm_env.kernels.layout import BUILT, LANES, drive_among, load_drive, load_plant, load_state, store_state
+from beltarm_env.kernels.simulate import load_arm
+from beltarm_env.physics.drive import resting
+from beltarm_env.physics.kinematics import HIGHEST, LOWEST, contained, outside_workspace, tip_motion
+from beltarm_env.physics.models import LUMPED
+from beltarm_env.physics.substeps import REMEDIES, integration_limits
+from beltarm_env.task.sensors import to_counts
+from beltarm_env.timing import EPISODE_STEPS
+
+OUTPUTS = {
+    "motor_angle": ("rad", "Angle of the motor theta_a"),
+    "motor_speed": ("rad/s", "Speed of the motor omega_a"),
+    "torsion": ("rad", "Torsion theta_s = theta_a / G - phi, with the arm's angle phi"),
+    "torsion_speed": ("rad/s", "Its rate omega_s"),
+    "tip_x": ("m", "Position of the tip along the nominal line of motion"),
+    "tip_y": ("m", "Position of the tip across it"),
+    "motor_torque": ("N m", "Torque of the motor, behind its current loop"),
+    "encoder_count": ("", "Count of the encoder on the motor's shaft"),
+}
+"""What is known of the arm, with its unit and what it is."""
+_MOST_COUNTS = 2.0**31 - 1
+_LOW = np.array([bounds_of(name).low for name in FIELDS])
+_HIGH = np.array([bounds_of(name).high for name in FIELDS])
+_ABOVE = np.array([bounds_of(name).above for name in FIELDS])
+_WHOLE = np.array([bounds_of(name).whole for name in FIELDS])
+_JOINT_ANGLE = len(FIELDS)
+
+
+class Memory(NamedTuple):
+    """Memory of one arm."""
+
+    constants: Floats  # as the fields of `ArmParams`, shape (len(FIELDS),)
+    block: Floats  # the arm as `beltarm_env.kernels.layout` has it
+    work: Floats
+    action: Floats  # torque over its limit, shape (1,)
+    outputs: Floats  # shape (len(OUTPUTS),)
+
+
+def empty_memory(lanes: int = LANES) -> Memory:
+    """Memory of an arm, for a number of lanes per block."""
+    return Memory(
+        np.zeros(len(FIELDS)),
+        np.zeros(at.ROWS * lanes),
+        np.zeros(DRIVEN_WORK_ROWS * lanes),
+        np.zeros(lanes),
+        np.zeros(len(OUTPUTS)),
+    )
+
+
+def _allowed(name: str) -> str:
+    low, high, above, whole = bounds_of(name)
+    least = "above" if above else "at least"
+    return f"{name} must be finite, {least} {low:g} and at most {high:g}{', and a whole number' if whole else ''}"
+
+
+REFUSALS = (
+    "",
+    *map(_allowed, FIELDS),
+    f"initial_joint_angle must lie within {LOWEST:.4g} and {HIGHEST:.4g} rad",
+    *(f"the arm is too fast to be integrated: {remedy}" for remedy in REMEDIES),
+)
+"""Why an arm is refused, by the number that `refusal` returns."""
+
+
+@compiled
+def refusal(memory: Memory, joint_angle: float) -> int:
+    """Return why an arm is refused, as an index into `REFUSALS`; 0 if it is not."""
+    for k in range(len(FIELDS)):
+        value = memory.constants[k]
+        inside = _LOW[k] <= value and value <= _HIGH[k]
+        whole = np.floor(value) == value
+        if not inside or (_ABOVE[k] and value == _LOW[k]) or (_WHOLE[k] and not whole):
+            return 1 + k
+    if not (LOWEST <= joint_angle and joint_angle <= HIGHEST):
+        return 1 + _JOINT_ANGLE
+    rate, slack, steps = integration_limits(memory.constants, LUMPED)
+    if rate > 1.0:
+        return 2 + _JOINT_ANGLE
+    if slack > 1.0:
+        return 3 + _JOINT_ANGLE
+    return 4 + _JOINT_ANGLE if steps > 1.0 else 0
+
+
+@compiled
+def begin(memory: Memory, joint_angle: float, resolution: float) -> None:
+    """Set an arm up at rest, as an episode begins.
+
+    Args:
+        memory: Written, but for the constants.
+        joint_angle: theta_a / G [rad].
+        resolution: Of the encoder [rad per count].
+    """
+    block = memory.block
+    for row in range(at.ROWS):
+        block[row * LANES] = 0.0
+    load_arm(block, 0, memory.constants, LUMPED)
+    block[at.RESOLUTION * LANES] = resolution
+    plant = load_plant(block, 0)
+    store_state(block, at.STATE, 0, resting(joint_angle * plant.gear, plant, load_drive(block, 0)))
+    _measure(memory)
+
+
+@compiled
+def step(memory: Memory, torque: float) -> bool:
+    """Hold a torque command [N m] for one control period; tell whether the arm has left its workspace.
+
+    Friction has drifted as far as it does when an episode would be over.
+    """
+    block = memory.block
+    plant = load_plant(block, 0)
+    action = min(max(torque / plant.torque_limit, -1.0), 1.0)
+    memory.action[0] = action
+    advance_driven_block(block, memory.work, memory.action, 1, LUMPED)
+    x = contained(load_state(block, at.STATE, 0), plant)
+    store_state(block, at.STATE, 0, x)
+    block[at.ACTION * LANES] = action
+    block[at.STEP * LANES] = min(block[at.STEP * LANES] + 1.0, float(EPISODE_STEPS))
+    _measure(memory)
+    return outside_workspace(x, plant)
+
+
+@compiled
+def _measure(memory: Memory) -> None:
+    block, outputs = memory.block, memory.outputs
+    x, plant = load_state(block, at.STATE, 0), load_plant(block, 0)
+    tip = tip_motion(x, plant, drive_among(block, 0, BUILT))
+    driven = block[at.DRIVEN * LANES] > 0.0
+    commanded = block[at.ACTION * LANES] * plant.torque_limit
+    count = to_counts(x.motor_angle, block[at.RESOLUTION * LANES])
+    outputs[0], outputs[1], outputs[2], outputs[3] = x
+    outputs[4], outputs[5] = tip.x, tip.y
+    outputs[6] = block[at.TORQUE * LANES] if driven else commanded
+    outputs[7] = min(max(count, -_MOST_COUNTS), _MOST_COUNTS)
