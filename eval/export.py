@@ -74,7 +74,8 @@ def export(config: Config) -> None:
     write(config.out, loop, more)
     print(f"written to {config.out}: {loop.name}.h, {loop.name}.c and what goes with them")
     if config.check:
-        split = main_split(development_set())
+        scenarios = development_set()
+        split = scenarios.splits[main_split(list(scenarios.splits))]
         found = compare(config.out, loop, controller_of(config.source, config.guard), split, config.episodes)
         print(report(found))
         for core in PROCESSORS:
@@ -82,9 +83,8 @@ def export(config: Config) -> None:
                 kilobytes = [f"{size / 1024:.0f} kB of {kind}" for size, kind in zip(taken, taken._fields, strict=True)]
                 print(f"{core}: {', '.join(kilobytes)}")
         if found.equal < found.samples:
-            raise ValueError(
-                f"program and controller differ in {found.samples - found.equal} of {found.samples} samples"
-            )
+            differing = found.samples - found.equal
+            raise ValueError(f"program and controller differ in {differing} of {found.samples} samples")
 
 
 def report(found: Agreement) -> str:

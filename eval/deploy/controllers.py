@@ -47,11 +47,12 @@ def loop_of(source: str, guard: bool = True) -> Loop:
         ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
     """
     if source in CONTROLLERS:
-        controller = CONTROLLERS[source]()
+        controller: Any = CONTROLLERS[source]()
         kernel = _kernel(controller, source)
-        propose = (identifying if isinstance(controller, IdentifyingController) else classical)(kernel.law)
+        identifies, params = isinstance(controller, IdentifyingController), controller.params
+        propose = identifying(kernel.law) if identifies else classical(kernel.law)
         title = f"Controller {source!r} of beltarm"
-        return _loop(source, title, controller.params, propose, kernel.design, kernel.memory, guard, source, 0.0)
+        return _loop(source, title, params, propose, kernel.design, kernel.memory, guard, source, 0.0)
     if not (Path(source) / "policy.json").is_file():
         nearest = difflib.get_close_matches(source, CONTROLLERS, 1, 0.4)
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"

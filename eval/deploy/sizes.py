@@ -23,6 +23,11 @@ class Footprint(NamedTuple):
 PROCESSORS = {"cortex-m4": ("-DBELTARM_SINGLE",), "cortex-m7": ()}
 """Processors, and the flags that each is built with: one has floats alone, the other doubles too."""
 
+_MEMORY = """#include "{name}.h"
+extern char memory[sizeof({name})];
+char memory[sizeof({name})] = {{1}};
+"""
+
 
 def footprint(folder: Path, name: str, core: str) -> Footprint | None:
     """Compile for a processor and read what it takes; None where there is no compiler for it."""
@@ -35,9 +40,7 @@ def footprint(folder: Path, name: str, core: str) -> Footprint | None:
         flash = _flash(chain, target)
         stack = _stack((folder / f"{name}.c").read_text(encoding="utf-8"), target.with_suffix(".su").read_text())
         probe = Path(made) / "memory.c"
-        probe.write_text(
-            f'#include "{name}.h"\nextern char memory[sizeof({name})];\nchar memory[sizeof({name})] = {{1}};\n'
-        )
+        probe.write_text(_MEMORY.format(name=name))
         chain.build([probe], target, "-c", "-I", str(folder), *PROCESSORS[core])
         memory = _columns(chain, target)["data"]
     return Footprint(flash, memory, stack)

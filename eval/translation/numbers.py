@@ -28,7 +28,7 @@ C_OPERATORS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitAnd: "&", ast.BitOr: "|"},
     **{ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="},
 }
-NUMBERS: tuple[type, ...] = (int, float, bool, np.integer, np.floating, np.bool_)
+NUMBERS: Any = (int, float, bool, np.integer, np.floating, np.bool_)
 
 TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5}
 """Tolerances of the kernels that are below the rounding of single precision, and what stands for them there."""
@@ -40,7 +40,7 @@ def dtype_of_number(value: Any) -> str:
         return BOOL
     if isinstance(value, int | np.integer):
         return INT
-    return SINGLE if isinstance(value, np.float32) else REAL
+    return SINGLE if getattr(value, "dtype", None) == np.float32 else REAL
 
 
 def literal(value: Any, dtype: str) -> str:
