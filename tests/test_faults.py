@@ -2,15 +2,20 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import mistake
 from pages import tables_of
 
+from baselines import PaperController
+from beltarm_env.rollout import record
 from eval import faults
 from eval.guarding import page, study
 from eval.guarding.faults import FAULTS, FaultyArms
 from eval.guarding.page import MEASURES, Compared, shortfalls
 from eval.guarding.study import NAN, Outcome
+
+SEED = 5
 
 
 def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -50,3 +55,11 @@ def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
 def test_unknown_fault():
     with pytest.raises(ValueError, match="no fault 'rust'; there are none, stuck encoder"):
         FaultyArms(1, "rust")
+
+
+def test_an_arm_that_leaves_changes_nothing_for_the_others():
+    few, many = (
+        record(PaperController(), FaultyArms(arms, "sign error", randomization="train"), seed=SEED) for arms in (2, 8)
+    )
+    assert not many.finished[2:].all()
+    np.testing.assert_array_equal(few.state, many.state[:, :2])

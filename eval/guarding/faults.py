@@ -72,12 +72,14 @@ class FaultyArms(BeltArmVectorEnv):
         self._random = np.random.default_rng(0)
         self._true = np.zeros((LATE + 1, num_envs))  # counts, latest first
         self._shown = np.zeros(num_envs)
+        self._seen = np.zeros((num_envs, len(_SCALES)), np.float32)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Singles, dict[str, Any]]:
         """Begin episodes, see `BeltArmVectorEnv.reset`; where arms are restarted alone, their fault goes on."""
+        mask = (options or {}).get("reset_mask")
         seen, info = super().reset(seed=seed, options=options)
-        if "reset_mask" in (options or {}):
-            return seen, info
+        if mask is not None:  # the others see what they saw
+            return np.where(mask[:, None], seen, self._seen), info
         self._random = np.random.default_rng(seed)
         share = self._random.uniform(EARLIEST, LATEST, self.num_envs)
         self.onset = np.rint(share * self.moves[:, 2] / CONTROL_PERIOD).astype(np.intp)
@@ -106,7 +108,8 @@ class FaultyArms(BeltArmVectorEnv):
         self._running &= ~terminated
         self.samples += 1
         seen[:, _COLUMNS["last_command"]] = commanded[:, 0]
-        return self._faulty(seen, self.broken), reward, terminated, truncated, info
+        self._seen = self._faulty(seen, self.broken)
+        return self._seen, reward, terminated, truncated, info
 
     @property
     def broken(self) -> Flags:
