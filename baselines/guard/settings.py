@@ -55,7 +55,7 @@ class GuardSettings:
     doubtful_torque: float = 0.12  # that acts on the motor beside what the design model says [N m]
     loss: float = 0.012  # how long the encoder may show what no motor does [s]
     push: float = 0.5  # torque that breaks any motor away, of the torque limit
-    rest: float = 0.03  # how long a motor may rest under it [s]
+    rest: float = 0.015  # how long a motor may rest under it [s]
     against: float = 0.1  # mean torque beyond friction that must not turn the motor the wrong way [N m]
 
     def __post_init__(self) -> None:
