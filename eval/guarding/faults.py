@@ -35,7 +35,7 @@ FAULTS = {
     "none": "nothing breaks",
     "stuck encoder": "the encoder's counts stay what they are",
     "sign error": "the encoder counts the other way round",
-    "lost samples": f"of {LOST:.0%} of the samples the last one counts again",
+    "lost samples": f"in place of {100 * LOST:.0f} % of the samples the last one counts again",
     "late encoder": f"the encoder is {LATE} samples late",
     "payload": "the payload is doubled",
     "weak motor": "the torque is half of what is commanded",
