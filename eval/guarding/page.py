@@ -118,8 +118,9 @@ def draw(results: Results) -> Figure:
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
     axes[0].invert_yaxis()
-    axes[-1].legend(frameon=False, fontsize=9, loc="lower right")
-    figure.tight_layout()
+    marks = axes[0].get_legend_handles_labels()
+    figure.legend(*marks, frameon=False, fontsize=9, loc="lower center", ncols=len(shown))
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
     return figure
 
 
