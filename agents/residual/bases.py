@@ -13,11 +13,20 @@ import numpy as np
 
 from agents.residual.knowledge import Knowledge
 from baselines import CONTROLLERS
+from baselines.controller import LawKernel
 from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveGains
+from baselines.reading import Sample
 from baselines.registry import FELT
-from beltarm_env.arrays import Flags, Singles
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.jit import compiled
 from beltarm_env.rollout import Controller
+
+
+@compiled
+def no_torque(design: Floats, now: Sample, begins: bool, memory: Floats) -> float:
+    """No torque, whatever is measured; see `LawKernel`."""
+    return 0.0
 
 
 class NoController:
@@ -28,6 +37,10 @@ class NoController:
     ) -> tuple[Singles, None]:
         """Zeros of shape (n, 1)."""
         return np.zeros((len(observation), 1), np.float32), None
+
+    def kernel(self) -> LawKernel:
+        """The law for one arm."""
+        return LawKernel(no_torque, np.zeros(1), np.zeros(1))
 
 
 BASES: dict[str, Callable[[], Any]] = {**CONTROLLERS, "none": NoController}

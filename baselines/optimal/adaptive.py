@@ -30,15 +30,18 @@ from baselines.gains import Gains, tunable, tuned
 from baselines.optimal.adaptive_law import (
     AdaptiveDesign,
     Compensation,
+    SpreadDesign,
     arm_memory,
     law,
+    spread_law,
+    spread_memory,
     write_compensations,
     write_motor_torques,
 )
 from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
-from baselines.planning.replanning import STEPS, PlanCache, Situation
+from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
-from beltarm_env import ArmParams, design_model
+from beltarm_env import EPISODE_STEPS, ArmParams, design_model
 from beltarm_env.arrays import Flags, Floats
 
 
@@ -141,6 +144,19 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
             raise TypeError("the law for one arm has the encoder alone")
         design = AdaptiveDesign(self._identifier.design, self._cost, self._compensation, self._improvements)
         return LawKernel(law, design, arm_memory())
+
+    def spread_kernel(self, samples: int) -> LawKernel:
+        """The law for one arm, whose plans made anew are spread over some samples; see `spread_law`.
+
+        Raises:
+            ValueError: If these are fewer than 2, or more than lie between two plans.
+        """
+        if not 2 <= samples < EVERY:
+            raise ValueError(f"a plan may be spread over 2 to {EVERY - 1} samples, got {samples!r}")
+        rows = -(-EPISODE_STEPS // samples)
+        of: AdaptiveDesign = self.kernel().design
+        design = SpreadDesign(of.filter, of.cost, of.compensation, of.improvements, rows)
+        return LawKernel(spread_law, design, spread_memory())
 
     def law(self, reading: Reading, begins: Flags, memory: AdaptiveMemory | None) -> tuple[Floats, AdaptiveMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""

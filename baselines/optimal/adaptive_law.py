@@ -1,7 +1,8 @@
 """Law of `baselines.optimal.adaptive` for one arm.
 
 A slow processor may call the law's parts by themselves: `torque` needs what `begun` has found in the same sample, and
-`renewed`, which seldom has something to do, may take until the next one.
+`renewed`, which seldom has something to do, may take until the next one. Where it takes longer, `spread_law` makes a
+plan piece by piece.
 """
 
 from __future__ import annotations
@@ -24,12 +25,15 @@ from baselines.estimation.identify import (
     workspace_for,
 )
 from baselines.models.friction import sliding_torque
-from baselines.planning.plan import PLAN_COLUMNS, PlanCost, step_of_plan, torque_between, torque_of_plan
+from baselines.models.linear import write_linear_arm
+from baselines.planning.plan import PLAN_COLUMNS, PlanCost, plan_backwards, step_of_plan, torque_between, torque_of_plan
 from baselines.planning.replanning import is_stale
+from baselines.planning.riccati import CostToGo, no_cost
 from baselines.planning.task_plan import PlanRoom, plan_room, plan_squares, plan_task
 from baselines.reading import Sample
 from beltarm_env import EPISODE_STEPS
-from beltarm_env.arrays import Floats
+from beltarm_env.arm import FIELDS, plant_of
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.task.reference import MoveShape
 
@@ -130,7 +134,7 @@ def arm_memory() -> ArmMemory:
 
 
 @compiled
-def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) -> None:
+def begun(design: AdaptiveDesign | SpreadDesign, now: Sample, begins: bool, memory: ArmMemory | SpreadMemory) -> None:
     """Identify the arm; where an episode begins, plan its move, which takes much longer than a sample."""
     memory.inputs.angle[0], memory.inputs.command[0] = now.motor_angle, now.last_command
     memory.inputs.begins[0] = begins
@@ -146,7 +150,7 @@ def begun(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) 
 
 
 @compiled
-def torque(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> float:
+def torque(design: AdaptiveDesign | SpreadDesign, now: Sample, memory: ArmMemory | SpreadMemory) -> float:
     """Torque [N m] by the plan, once `begun` has been there."""
     found = memory.found
     planned = torque_of_plan(memory.plan, now.step + found.delay[0], found.states[0], 0.0)
@@ -170,4 +174,61 @@ def law(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) ->
     begun(design, now, begins, memory)
     result = torque(design, now, memory)
     renewed(design, now, memory)
+    return result
+
+
+class SpreadDesign(NamedTuple):
+    """What is constant about the law that spreads plans made anew over samples; fields as of `AdaptiveDesign`."""
+
+    filter: Design
+    cost: PlanCost
+    compensation: Compensation
+    improvements: int
+    rows: int  # samples of the plan that are made in one sample
+
+
+class SpreadMemory(NamedTuple):
+    """Memory of the law that spreads plans made anew; the first fields as of `ArmMemory`."""
+
+    notes: Notes
+    logs: Floats
+    plan: Floats
+    inputs: Inputs
+    found: Estimate
+    identification: Workspace
+    planning: PlanRoom
+    to_go: CostToGo  # of the plan that is being made
+    row: Floats  # constants that it is made for, shape (len(FIELDS),)
+    left: Integers  # samples of it that are left to make, shape (1,)
+
+
+def spread_memory() -> SpreadMemory:
+    """Memory for one arm."""
+    return SpreadMemory(*arm_memory(), no_cost(5), np.zeros(len(FIELDS)), np.zeros(1, np.intp))
+
+
+@compiled
+def spread_law(design: SpreadDesign, now: Sample, begins: bool, memory: SpreadMemory) -> float:
+    """As `law`, with plans made anew over several samples: for processors on which one takes longer than a sample.
+
+    A plan is made from its end. Until the recursion is there, a sample has the plan of before.
+    """
+    begun(design, now, begins, memory)
+    result = torque(design, now, memory)
+    move, found, to_go = MoveShape(now.start, now.goal, now.duration, now.ramp_time), memory.found, memory.to_go
+    if begins:
+        memory.left[0] = 0
+    if memory.left[0] > now.step:
+        first = max(memory.left[0] - design.rows, now.step)
+        plant, model = plant_of(memory.row), memory.planning.model
+        plan_backwards(move, plant, model, design.cost, to_go, first, memory.left[0], memory.plan)
+        memory.left[0] = first
+    elif is_stale(now.step, found.logs[0], memory.logs):
+        write_linear_arm(found.table[0], memory.planning.model)
+        memory.row[:] = found.table[0]
+        to_go.matrix[:] = 0.0
+        to_go.vector[:] = 0.0
+        memory.left[0] = len(memory.plan)
+        for k in range(len(memory.logs)):
+            memory.logs[k] = found.logs[0, k]
     return result

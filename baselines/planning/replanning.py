@@ -25,7 +25,8 @@ from beltarm_env.task.reference import MoveShape
 
 STEPS = 6
 """Steps of improvement of the first plan, after which little is left to gain."""
-_EVERY = 20  # samples between plans
+EVERY = 20
+"""Samples between plans."""
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
 
 
@@ -41,7 +42,7 @@ def is_stale(step: int, logs: Floats, of_plan: Floats) -> bool:
     most = 0.0
     for k in range(len(logs)):
         most = max(most, abs(logs[k] - of_plan[k]))
-    return most > _CHANGE and step % _EVERY == 0
+    return most > _CHANGE and step % EVERY == 0
 
 
 @compiled

@@ -13,6 +13,8 @@ from pathlib import Path
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 """How generated sources are compiled."""
+SINGLE = "-DBELTARM_SINGLE"
+"""Flag for a program in single precision."""
 SANITISED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 """Further flags for a program that stops at the first wrong access or undefined operation."""
 

@@ -15,8 +15,6 @@ from eval.deploy.building import Toolchain, here
 from eval.deploy.in_the_loop import InTheLoop, StepTimes
 from eval.deploy.source import Loop
 
-SINGLE = "-DBELTARM_SINGLE"
-
 
 @dataclass(frozen=True)
 class Agreement:
@@ -27,6 +25,15 @@ class Agreement:
     largest: float  # difference of torques [N m]
     costs: tuple[Floats, Floats]  # of the controller, of the program; shape (episodes,)
     times: StepTimes
+
+    def words(self) -> str:
+        """Say what was found."""
+        times = self.times
+        return (
+            f"{self.equal} of {self.samples} torques are equal to the last bit, and the mean cost is "
+            f"{100 * (self.costs[1].mean() / self.costs[0].mean() - 1):+.2f} % off. On this machine a sample takes "
+            f"{times.median:.2g} us (median), {times.longest:.0f} us at most, and a reset {times.longest_reset:.0f} us."
+        )
 
 
 def compare(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from baselines.estimation.identify import Inputs, empty_notes, workspace_for
 from baselines.guard.controller import guarded, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
+from baselines.optimal.adaptive import AdaptiveController
 from beltarm_env import ArmParams
 from eval.deploy.source import Loop
 from eval.deploy.tiers import (
@@ -36,23 +38,25 @@ from eval.deploy.tiers import (
 )
 
 
-def loop_of(source: str, guard: bool = True) -> Loop:
+def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     """Make the loop of a controller.
 
     Args:
         source: Name of a classical controller, or folder of a policy.
         guard: Whether the guard stands between it and the motor.
+        plan_samples: Over how many samples a plan that is made anew is spread, where `adaptive` plans.
 
     Raises:
         ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
     """
     if source in CONTROLLERS:
         controller: Any = CONTROLLERS[source]()
-        kernel = _kernel(controller, source)
+        kernel = _kernel(controller, source, plan_samples)
         identifies, params = isinstance(controller, IdentifyingController), controller.params
         propose = identifying(kernel.law) if identifies else classical(kernel.law)
         title = f"Controller {source!r} of beltarm"
-        return _loop(source, title, params, propose, kernel.design, kernel.memory, guard, source, 0.0)
+        loop = _loop(source, title, params, propose, kernel.design, kernel.memory, guard, source, 0.0)
+        return replace(loop, identifies=identifies, plans=identifies)
     if not (Path(source) / "policy.json").is_file():
         nearest = difflib.get_close_matches(source, CONTROLLERS, 1, 0.4)
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"
@@ -60,14 +64,25 @@ def loop_of(source: str, guard: bool = True) -> Loop:
     controller, spec = load_controller(Path(source))
     assert isinstance(controller, ResidualController)
     base: Any = controller.informed.base
-    kernel, corrected = _kernel(base, spec.base), correction(controller)
+    kernel, corrected = _kernel(base, spec.base, plan_samples), correction(controller)
     told, shared = spec.residual.knowledge != "none", corrected.identifier is None
     filtering = _filtering() if told and not shared else None
     design = Learned(kernel.design, corrected.identifier.design if corrected.identifier else None, corrected.design)
     memory = Learned(kernel.memory, filtering, corrected.memory)
     title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {read_spec(source)[1]['content_hash']}"
     propose = learned(kernel.law, told, shared)
-    return _loop(spec.algorithm, title, base.params, propose, design, memory, guard, spec.base, spec.residual.limit)
+    loop = _loop(
+        spec.algorithm,
+        title,
+        controller.params or ArmParams(),
+        propose,
+        design,
+        memory,
+        guard,
+        spec.base,
+        spec.residual.limit,
+    )
+    return replace(loop, identifies=told, plans=isinstance(base, AdaptiveController))
 
 
 def _loop(
@@ -91,7 +106,7 @@ def _loop(
     return Loop(name, f"{title}, behind the guard", params, step, constants, kept)
 
 
-def _kernel(controller: Any, name: str) -> LawKernel:
+def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
     """Law of a controller for one arm.
 
     Raises:
@@ -100,7 +115,14 @@ def _kernel(controller: Any, name: str) -> LawKernel:
     if not hasattr(controller, "kernel"):
         able = [other for other, make in CONTROLLERS.items() if hasattr(make(), "kernel")]
         raise ValueError(f"{name!r} is no kernel for one arm and cannot be exported; these can: {', '.join(able)}")
-    return controller.kernel()
+    if plan_samples == 1:
+        try:
+            return controller.kernel()
+        except TypeError as error:  # with an accelerometer
+            raise ValueError(f"{name!r} cannot be exported: {error}") from None
+    if not isinstance(controller, AdaptiveController):
+        raise ValueError(f"{name!r} makes no plan while the arm moves: leave out --plan-samples {plan_samples}")
+    return controller.spread_kernel(plan_samples)
 
 
 def _filtering() -> Filtering:

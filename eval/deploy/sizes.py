@@ -8,7 +8,8 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from eval.deploy.building import Toolchain, processor
+from eval.deploy.building import SINGLE, Toolchain, processor
+from eval.deploy.source import Loop
 from eval.translation.scope import PREFIX
 
 
@@ -20,8 +21,14 @@ class Footprint(NamedTuple):
     stack: int  # of its deepest calls, a bound
 
 
-PROCESSORS = {"cortex-m4": ("-DBELTARM_SINGLE",), "cortex-m7": ()}
+PROCESSORS = {"cortex-m4": (SINGLE,), "cortex-m7": ()}
 """Processors, and the flags that each is built with: one has floats alone, the other doubles too."""
+
+
+def processors_for(loop: Loop) -> list[str]:
+    """Processors that a controller is for: one without doubles only if single precision does."""
+    return [core for core, flags in PROCESSORS.items() if not (loop.identifies and SINGLE in flags)]
+
 
 _MEMORY = """#include "{name}.h"
 extern char memory[sizeof({name})];

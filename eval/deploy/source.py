@@ -40,6 +40,8 @@ class Loop:
     step: Any  # function of design, limit, device, memory and count
     design: Any
     memory: Any  # array, or named tuple of arrays
+    identifies: bool = False  # whether a filter identifies the arm, which takes double precision
+    plans: bool = False  # whether plans are made anew while the arm moves
 
 
 def for_one_lane(template: Any, name: str = "") -> Any:
@@ -77,6 +79,7 @@ def sources(loop: Loop) -> dict[str, str]:
         "version": __version__,
         "period_ms": f"{1000 * CONTROL_PERIOD:g}",
         "limit": f"{limit:g}",
+        "identifies": loop.identifies,
         "fields": fields,
         "turn": repr(2 * math.pi),
         "structs": "\n\n".join(program.struct_texts),

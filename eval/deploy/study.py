@@ -1,0 +1,125 @@
+"""What generated controllers take, and whether they are what was compared: on development scenarios of every split."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.policy.bundle import POLICIES
+from beltarm_env.arrays import Floats
+from beltarm_env.rollout import rollout
+from beltarm_env.task.sensors import ENCODER_COUNTS
+from eval.comparison.splits import Split
+from eval.deploy.building import SINGLE, here
+from eval.deploy.check import Agreement, compare
+from eval.deploy.controllers import controller_of, loop_of
+from eval.deploy.in_the_loop import InTheLoop, StepTimes
+from eval.deploy.package import write
+from eval.deploy.sizes import PROCESSORS, Footprint, footprint, processors_for
+from eval.deploy.source import Loop
+
+CONTROLLERS = (
+    *("paper", "ei", "smooth", "flat", "disturbance", "adrc", "lqg", "robust", "preview", "adaptive"),
+    *(str(POLICIES / method / "seed0") for method in ("ppo", "student")),
+)
+"""What is exported: classical controllers, and the first seed of each shipped method."""
+SPREAD = 8
+"""Samples over which plans are spread, for those that plan while the arm moves."""
+ANYWAY = (SINGLE, "-DBELTARM_SINGLE_ANYWAY")
+
+
+@dataclass(frozen=True)
+class SinglePrecision:
+    """How a program in single precision does."""
+
+    off: Floats  # torque beside the controller's, over its limit, for the same counts; all samples
+    cost: float  # mean, over the controller's, less 1
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How a program does whose plans are spread over samples."""
+
+    times: StepTimes
+    cost: float  # mean, over the controller's, less 1
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was found of one controller, behind the guard, as it is exported."""
+
+    name: str
+    identifies: bool
+    samples: int
+    equal: int  # of them, torques that are equal to the last bit
+    times: StepTimes
+    single: SinglePrecision
+    spread: Spread | None  # where plans are made while the arm moves
+    footprints: dict[str, Footprint | None]  # by processor; of those that it is for
+
+
+def examine(source: str, splits: list[Split], episodes: int) -> Exported:
+    """Export a controller into a temporary folder, and compare program and Python on the first scenarios of splits.
+
+    Raises:
+        ValueError: If there is no compiler, or something cannot be translated.
+    """
+    loop, controller = loop_of(source), controller_of(source)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "export"
+        write(folder, loop)
+        found = [compare(folder, loop, controller, split, episodes) for split in splits]
+        singles = [compare(folder, loop, controller, split, episodes, flags=ANYWAY) for split in splits]
+        off = np.concatenate([_beside(folder, loop, controller, split, episodes) for split in splits])
+        footprints = {core: footprint(folder, loop.name, core) for core in processors_for(loop)}
+    return Exported(
+        loop.name,
+        loop.identifies,
+        sum(each.samples for each in found),
+        sum(each.equal for each in found),
+        max((each.times for each in found), key=lambda times: times.longest),
+        SinglePrecision(off, _more(singles)),
+        _spread(source, controller, splits, episodes) if loop.plans else None,
+        {core: footprints.get(core) for core in PROCESSORS},
+    )
+
+
+def _more(found: list[Agreement]) -> float:
+    """Mean cost of the programs over that of the controllers, less 1."""
+    before, after = (np.concatenate([each.costs[k] for each in found]) for k in (0, 1))
+    return float(after.mean() / before.mean() - 1)
+
+
+def _spread(source: str, controller: Any, splits: list[Split], episodes: int) -> Spread:
+    loop = loop_of(source, plan_samples=SPREAD)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "export"
+        write(folder, loop)
+        found = [compare(folder, loop, controller, split, episodes) for split in splits]
+    return Spread(max((each.times for each in found), key=lambda times: times.longest), _more(found))
+
+
+def _beside(folder: Path, loop: Loop, controller: Any, split: Split, episodes: int) -> Floats:
+    """Torque of a program in single precision less the controller's, which moves the arms; over its limit."""
+    counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
+    limit, differences = loop.params.torque_limit, []
+    with InTheLoop(folder, loop.name, split.moves[:episodes], limit, here(), counts, ANYWAY) as program:
+
+        class Both:
+            params = loop.params
+
+            def predict(
+                self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+            ) -> Any:
+                """Action of the controller; see `Controller`."""
+                action, memory = controller.predict(observation, state and state[0], episode_start)
+                beside, kept = program.predict(observation, state and state[1], episode_start)
+                differences.append(np.abs(beside - action)[:, 0])
+                return action, (memory, kept)
+
+        rollout(Both(), episodes, **split.arguments(slice(episodes)))
+    return np.concatenate(differences)
