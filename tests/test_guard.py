@@ -26,6 +26,7 @@ from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
 from baselines.servo.flat import FlatController
 from beltarm_env import CONTROL_PERIOD, design_model
+from beltarm_env import observation as layout
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from eval.comparison.run import choose_methods
@@ -168,11 +169,27 @@ class Watched:
         return action, memory
 
 
+class Jump:
+    """Controller that jumps from one limit to the other."""
+
+    params = design_model()
+
+    def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
+        return np.full((len(observation), 1), -1 if state is None else 1, np.float32), True
+
+
 class TestInTheLoop:
     @pytest.mark.parametrize("name", ["paper", "flat"])
     def test_healthy_arms_move_as_without_it(self, name: str):
         alone, behind = rollout(CONTROLLERS[name](), 4, **ARMS), rollout(guarded(name), 4, **ARMS)
         np.testing.assert_array_equal(alone.torque, behind.torque)
+
+    def test_slew_is_from_the_last_command_in_double_precision(self):
+        controller, seen = GuardedController(Jump()), np.zeros((1, layout.size()), np.float32)
+        first, memory = controller.predict(seen)
+        seen[0, layout.index("last_command")] = first[0, 0]
+        second, _ = controller.predict(seen, memory, np.zeros(1, np.bool_))
+        assert (first[0, 0], second[0, 0]) == (-1, 0), "as far as the slew limit allows, to the last bit"
 
     def test_alone_as_in_a_batch(self):
         batch = rollout(guarded("paper"), 3, **ARMS)

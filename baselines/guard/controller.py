@@ -109,7 +109,7 @@ class GuardedController:
                 limit * servo,
                 observation[:, _ANGLE] * _ANGLE_SCALE,
                 parts.surprise,
-                limit * observation[:, _LAST],
+                limit * observation[:, _LAST].astype(np.float64),
             ],
             axis=1,
         ).astype(np.float64)
