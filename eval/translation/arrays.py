@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -93,13 +94,17 @@ def view(array: Array, index: list[Any]) -> Array | Scalar:
         if isinstance(at, tuple):
             start = 0 if at[0] is None else _from_end(size_of(at[0]), size)
             stop = size if at[1] is None else _from_end(size_of(at[1]), size)
-            if isinstance(stop, int) and isinstance(size, int):
-                stop = min(stop, size)
+            if isinstance(size, int):
+                start = min(start, size) if isinstance(start, int) else start
+                stop = min(stop, size) if isinstance(stop, int) else stop
             offset = plus(offset, times(start, stride))
             shape.append(less(stop, start))
             strides.append(stride)
         else:
-            offset = plus(offset, times(_from_end(size_of(at), size), stride))
+            number = size_of(at)
+            if isinstance(number, int) and isinstance(size, int) and not -size <= number < size:
+                raise TranslationError(f"index {number} is outside an axis of {size}")
+            offset = plus(offset, times(_from_end(number, size), stride))
     if not shape:
         return Scalar(array.dtype, f"{array.code}[{bare(text(offset))}]")
     code = array.code if offset == 0 else f"({array.code} + {text(offset)})"
@@ -117,6 +122,25 @@ def element(array: Array, index: list[str]) -> Scalar:
     for name, stride in zip(index, array.strides, strict=True):
         offset = plus(offset, times(name, stride))
     return Scalar(array.dtype, f"{array.code}[{bare(text(offset))}]")
+
+
+def overwrites(target: Array, place: Scalar, source: Scalar) -> bool:
+    """Tell whether writing the elements of a target one by one may change elements of the source still to be read."""
+    found = re.match(r"\(?([\w>-]+)", target.code)
+    root = re.escape(found[1]) if found else ""
+    rest = source.code.replace(place.code, "")
+    if not re.search(rf"(?<![\w.>]){root}\b", rest):
+        return False
+    begins = re.fullmatch(rf"\({root} \+ (\d+)\)|{root}", target.code)
+    length = target.shape[0]
+    if begins is None or len(target.shape) > 1 or not isinstance(length, int):
+        return True
+    first, index = int(begins[1] or 0), re.escape(place.code.removeprefix(target.code))
+    others = re.sub(rf"(?:\({root} \+ (\d+)\)|(?<![\w.>]){root}){index}", lambda at: f"#{at[1] or 0}#", rest)
+    if re.search(rf"(?<![\w.>]){root}\b", others):
+        return True
+    starts = [int(number) for number in re.findall(r"#(\d+)#", others)]
+    return any(start < first < start + length * max(target.strides) for start in starts)
 
 
 def lazy(value: Any, table: Table) -> Lazy | None:

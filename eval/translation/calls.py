@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from eval.translation import arrays
-from eval.translation.expressions import Expressions, parts_of
+from eval.translation.expressions import Expressions, make_of, parts_of
 from eval.translation.numbers import bare, binary, cast, constant, scalar
 from eval.translation.scope import Local
 from eval.translation.types import (
@@ -22,7 +22,6 @@ from eval.translation.types import (
     Array,
     Const,
     Group,
-    Record,
     Scalar,
     TranslationError,
     Value,
@@ -46,21 +45,17 @@ class Calls(Expressions):
         function: Any = getattr(called.value, "py_func", called.value) if isinstance(called, Const) else None
         if function is None:
             raise TranslationError(f"only known functions are called: {ast.unparse(node)}")
-        given: list[Value] = []
-        for argument in node.args:
-            if isinstance(argument, ast.Starred):
-                given += parts_of(self.value(argument.value))
-            else:
-                given.append(self.value(argument))
-        named = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
+        values = self.entries([*node.args, *(keyword.value for keyword in node.keywords)])
+        first = len(values) - len(node.keywords)
+        given = values[:first]
+        named = dict(zip([str(keyword.arg) for keyword in node.keywords], values[first:], strict=True))
         if hasattr(function, "_field_defaults"):
             return self.tuple_of(_ordered(function._fields, function._field_defaults, given, named), function)
         if function in TRANSLATED:
             return TRANSLATED[function](self, *given, **named)
         if inspect.isfunction(function) and function.__module__.split(".")[0] not in ("numpy", "math", "numba"):
             return self.call(function, given, named)
-        name = getattr(function, "__name__", str(function))
-        raise TranslationError(f"{name} is not translated: {ast.unparse(node)}")
+        raise TranslationError(f"{ast.unparse(node.func)} is not translated: {ast.unparse(node)}")
 
     def _method(self, node: ast.Call) -> Value | None:
         """Evaluate `.copy()` of an array or `._replace()` of a named tuple; None of anything else."""
@@ -75,11 +70,7 @@ class Calls(Expressions):
         if node.func.attr == "_replace":
             owner = self.value(node.func.value)
             changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
-            make: Any = getattr(owner, "make", None)
-            if isinstance(owner, Record):
-                make = owner.type.make
-            elif isinstance(owner, Const):
-                make = type(owner.value)
+            make = make_of(owner)
             if make is not None:
                 old = dict(zip(make._fields, parts_of(owner), strict=True))
                 return self.tuple_of([changed.get(name, old[name]) for name in make._fields], make)
@@ -105,6 +96,8 @@ class Calls(Expressions):
 
     def fill(self, target: Array, value: Value) -> None:
         """Write a number into all elements of an array, or an array expression of its shape."""
+        if target.constant:
+            raise TranslationError("what is constant is not assigned to")
         source = arrays.lazy(value, self.table)
         if source is not None and source.shape != target.shape:
             raise TranslationError(f"an array of shape {target.shape} cannot take one of {source.shape}")
@@ -112,11 +105,16 @@ class Calls(Expressions):
             value = self.kept(value)
         self.counter += 1
         names = [f"e{axis}_{self.counter}" for axis in range(len(target.shape))]
+        place = arrays.element(target, names)
+        if source is not None and arrays.overwrites(target, place, source.at(names)):  # NumPy reads all first
+            before = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
+            self.fill(before, source)
+            self.fill(target, before)
+            return
         for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
             indent = "    " * depth
             self.write(f"{indent}for (int32_t {name} = 0; {name} < {bare(arrays.text(size))}; ++{name}) {{")
         number = value if source is None else source.at(names)
-        place = arrays.element(target, names)
         self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")
         for depth in range(len(names) - 1, -1, -1):
             self.write(f"{'    ' * depth}}}")
@@ -149,6 +147,8 @@ def _least(self: Calls, *values: Value) -> Value:
 
 def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[Value, ...]) -> Value:
     """The largest or least of some numbers, as Python and numba choose it: the later one only if it is beyond."""
+    if len(values) < 2:
+        raise TranslationError(f"{name} takes two numbers or more")
     if all(isinstance(value, Const) for value in values):
         return Const(function(constant(value) for value in values))
     found: Value = values[0]
@@ -196,8 +196,9 @@ def _of_real(name: str, function: Callable[..., Any], dtype: str = REAL) -> Call
         over = arrays.over_elements(lambda one: of_real(self, one), [value], self.table)
         if over is not None:
             return over
-        number = cast(value, REAL)
-        return cast(Scalar(BOOL if dtype == BOOL else REAL, f"{name}({bare(number.code)})"), dtype)
+        single = dtype == REAL and scalar(value).dtype == SINGLE  # as numba has it; all are exact, or rounded once
+        found = Scalar(BOOL if dtype == BOOL else REAL, f"{name}({bare(cast(value, REAL).code)})")
+        return cast(found, SINGLE if single else dtype)
 
     return of_real
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ast
 import builtins
+import re
 from typing import Any
 
 import numpy as np
 
 from eval.translation import arrays
 from eval.translation.numbers import NUMBERS, bare, binary, cast, condition, constant, scalar, unary
-from eval.translation.scope import Scope
+from eval.translation.scope import PREFIX, Scope
 from eval.translation.types import (
     BOOL,
     Array,
@@ -26,6 +27,8 @@ from eval.translation.types import (
     joined,
 )
 
+CALL = re.compile(rf"\b{PREFIX}\w+\(")
+
 
 class Expressions(Scope):
     """Evaluation of expressions; statements that they need, such as calls, are written on the way."""
@@ -35,7 +38,7 @@ class Expressions(Scope):
         self.line = getattr(node, "lineno", self.line)
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
-            raise TranslationError(f"{type(node).__name__} is not translated: {ast.unparse(node)}")
+            raise TranslationError(f"{construct(node)} is not translated: {ast.unparse(node)}")
         return method(node)
 
     def _constant(self, node: ast.Constant) -> Value:
@@ -43,12 +46,14 @@ class Expressions(Scope):
 
     def _name(self, node: ast.Name) -> Value:
         if node.id in self.names:
-            return self.read(node.id)
+            return self.names[node.id]
+        if node.id in self.assigned:
+            raise TranslationError(f"{node.id} is used before it is set")
         if node.id in self.outside:
             return Const(self.outside[node.id], node.id)
         if hasattr(builtins, node.id):
             return Const(getattr(builtins, node.id), node.id)
-        raise TranslationError(f"{node.id} is used before it is set")
+        raise TranslationError(f"unknown name {node.id!r}")
 
     def _attribute(self, node: ast.Attribute) -> Value:
         owner = self.value(node.value)
@@ -61,6 +66,8 @@ class Expressions(Scope):
             return Const(getattr(owner.value, node.attr), f"{prefix}{node.attr}")
         if isinstance(owner, Array) and node.attr == "shape":
             return Group(None, tuple((f"f{k}", arrays.sized(size)) for k, size in enumerate(owner.shape)))
+        if isinstance(owner, Array | Lazy | Scalar):
+            raise TranslationError(f".{node.attr} is not translated: {ast.unparse(node)}")
         return field_of(owner, node.attr)
 
     def _subscript(self, node: ast.Subscript) -> Value:
@@ -101,7 +108,31 @@ class Expressions(Scope):
         return found
 
     def _tuple(self, node: ast.Tuple) -> Value:
-        return self.tuple_of([self.value(entry) for entry in node.elts])
+        return self.tuple_of(self.entries(node.elts))
+
+    def entries(self, nodes: list[ast.expr]) -> list[Value]:
+        """Evaluate expressions in their order, of which `*a` is as many as the tuple `a` has."""
+        plain = [node.value if isinstance(node, ast.Starred) else node for node in nodes]
+        found: list[Value] = []
+        for value, node in zip(self.in_order(plain), nodes, strict=True):
+            found += parts_of(value) if isinstance(node, ast.Starred) else [value]
+        return found
+
+    def in_order(self, nodes: list[ast.expr]) -> list[Value]:
+        """Evaluate expressions one after the other; what is read before a call is not what it changes."""
+        found: list[Value] = []
+        for node in nodes:
+            first, value = self.then(Group(None, tuple(("", one) for one in found)), node)
+            found = [*parts_of(first), value]
+        return found
+
+    def then(self, first: Value, node: ast.expr) -> tuple[Value, Value]:
+        """Evaluate an expression after another value, as `in_order`."""
+        value, lines = self.apart(lambda: self.value(node))
+        if reads_memory(first) and any(CALL.search(line) for line in lines):
+            first = self.held(first)
+        self.lines += lines
+        return first, value
 
     def tuple_of(self, entries: list[Value], make: Any = None) -> Value:
         """Make a tuple, or a named tuple, from its entries."""
@@ -112,7 +143,7 @@ class Expressions(Scope):
         return Group(make, tuple(zip(names, entries, strict=True)))
 
     def _binop(self, node: ast.BinOp) -> Value:
-        left, right = self.value(node.left), self.value(node.right)
+        left, right = self.in_order([node.left, node.right])
         return self.combined(type(node.op), left, right)
 
     def combined(self, kind: type, left: Value, right: Value) -> Value:
@@ -134,7 +165,7 @@ class Expressions(Scope):
     def _compare(self, node: ast.Compare) -> Value:
         left, found = self.value(node.left), None
         for operation, right_node in zip(node.ops, node.comparators, strict=True):
-            right = self.value(right_node)
+            left, right = self.then(left, right_node)
             one = self._compared(type(operation), left, right)
             if len(node.ops) > 1 and isinstance(right, Scalar):
                 right = self.kept(right)
@@ -198,7 +229,7 @@ class Expressions(Scope):
                 raise TranslationError("a choice between tuples takes no calls")
             asked = self.kept(asked)
             chosen = [self._either(asked, a, b) for a, b in zip(first_parts, second_parts, strict=True)]
-            return self.tuple_of(chosen, first.make if isinstance(first, Group) else None)
+            return self.tuple_of(chosen, make_of(first))
         if not (before_first or before_second):
             return self._either(asked, first, second)
         dtype = joined(scalar(first).dtype, scalar(second).dtype)
@@ -240,9 +271,31 @@ def field_of(owner: Value, name: str) -> Value:
     raise TranslationError(f"no field {name!r}")
 
 
+def construct(node: ast.AST) -> str:
+    """Name a construct of Python: `a list comprehension`."""
+    word = type(node).__name__
+    known = {"ListComp": "list comprehension", "DictComp": "dict comprehension", "JoinedStr": "formatted string"}
+    known |= {"SetComp": "set comprehension", "GeneratorExp": "generator", "FunctionDef": "function in a function"}
+    return f"a {known.get(word, word.lower())}"
+
+
+def reads_memory(value: Value) -> bool:
+    """Tell whether a number, or one of a tuple, is an element of an array."""
+    if isinstance(value, Group):
+        return any(reads_memory(part) for _, part in value.fields)
+    return isinstance(value, Scalar | Record) and bool(re.search(r"\[|->", value.code))
+
+
+def make_of(value: Value) -> Any:
+    """Class of a named tuple; None of a tuple."""
+    if isinstance(value, Const):
+        return type(value.value) if is_named_tuple(value.value) else None
+    return value.type.make if isinstance(value, Record) else getattr(value, "make", None)
+
+
 def known_group(value: Const) -> Group:
     """A known tuple as its entries, each known."""
-    make = type(value.value) if is_named_tuple(value.value) else None
+    make = make_of(value)
     names = make._fields if make else tuple(f"f{k}" for k in range(len(value.value)))
     return Group(make, tuple(zip(names, parts_of(value), strict=True)))
 

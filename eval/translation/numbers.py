@@ -13,7 +13,18 @@ import numpy as np
 from beltarm_env.physics.driven.events import CLOSE, NEGLIGIBLE
 from beltarm_env.physics.driven.step import ROUNDING
 from beltarm_env.physics.trigonometry import ROUNDER
-from eval.translation.types import BOOL, INT, REAL, SINGLE, Const, NotConstantError, Scalar, TranslationError, joined
+from eval.translation.types import (
+    BOOL,
+    INT,
+    REAL,
+    SINGLE,
+    Const,
+    NotConstantError,
+    Scalar,
+    TranslationError,
+    joined,
+    shown,
+)
 
 PYTHON_OPERATORS: dict[type, Callable[..., Any]] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
@@ -48,6 +59,8 @@ def literal(value: Any, dtype: str) -> str:
     if dtype == BOOL:
         return "true" if value else "false"
     if dtype == INT:
+        if not -(2**31) < int(value) < 2**31:
+            raise TranslationError(f"{value} is beyond the whole numbers of 32 bits")
         return str(int(value))
     number = float(value)
     if number == ROUNDER:
@@ -73,7 +86,7 @@ def scalar(value: Any) -> Scalar:
     if isinstance(value, Const) and isinstance(value.value, NUMBERS):
         dtype = dtype_of_number(value.value)
         return Scalar(dtype, literal(value.value, dtype))
-    raise TranslationError(f"a number is expected, not {value}")
+    raise TranslationError(f"a number is expected, not {shown(value)}")
 
 
 def cast(value: Any, dtype: str) -> Scalar:
@@ -109,7 +122,7 @@ def constant(value: Any) -> Any:
     """
     if isinstance(value, Const):
         return value.value
-    raise NotConstantError(f"this has to be known when the program is written, and is {value}")
+    raise NotConstantError(f"this has to be known when the program is written: {shown(value)}")
 
 
 def binary(kind: type, left: Any, right: Any) -> Any:
@@ -119,8 +132,11 @@ def binary(kind: type, left: Any, right: Any) -> Any:
         TranslationError: If there is no such operation.
     """
     if isinstance(left, Const) and isinstance(right, Const):
+        values = left.value, right.value
+        if all(isinstance(one, NUMBERS) for one in values) and _wider(*values) == REAL:
+            values = [float(one) if isinstance(one, np.float32) else one for one in values]
         with np.errstate(all="ignore"):
-            return Const(PYTHON_OPERATORS[kind](left.value, right.value))
+            return Const(PYTHON_OPERATORS[kind](*values))
     a, b = scalar(left), scalar(right)
     if kind is ast.Pow:
         return _power(a, right)
@@ -133,14 +149,19 @@ def binary(kind: type, left: Any, right: Any) -> Any:
     if kind in (ast.Mod, ast.FloorDiv):
         if common == INT:
             return Scalar(INT, f"{'floor_mod' if kind is ast.Mod else 'floor_div'}({bare(a.code)}, {bare(b.code)})")
-        if kind is ast.Mod and common == REAL:
-            return Scalar(REAL, f"real_mod({bare(a.code)}, {bare(b.code)})")
+        if common == REAL:
+            name = "real_mod" if kind is ast.Mod else "real_floor_div"
+            return Scalar(REAL, f"{name}({bare(a.code)}, {bare(b.code)})")
     if kind not in C_OPERATORS or (kind in (ast.BitAnd, ast.BitOr) and common not in (BOOL, INT)):
         raise TranslationError(f"no operation {kind.__name__} on {a.dtype} and {b.dtype}")
     if common == INT and (kind, "1") in ((ast.Mult, a.code), (ast.Mult, b.code)):
         return b if a.code == "1" else a
     compares = kind in (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
     return Scalar(BOOL if compares else common, f"({a.code} {C_OPERATORS[kind]} {b.code})")
+
+
+def _wider(left: Any, right: Any) -> str:
+    return joined(dtype_of_number(left), dtype_of_number(right))
 
 
 def _power(base: Scalar, exponent: Any) -> Scalar:

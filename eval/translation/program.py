@@ -185,6 +185,9 @@ class Program:
                 body.block(tree.body)
             except TranslationError as error:
                 raise placed(error, function, body.line) from None
+            except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError) as error:
+                found = TranslationError(f"{type(error).__name__}: {error}")  # of what is known: of Python itself
+                raise placed(found, function, body.line) from error
             if not body.changed:
                 break
             returned = body.returned
@@ -224,7 +227,7 @@ class Program:
             body.parameters[place] = kind
             body.places[name] = place
             if body.assigned.get(name):
-                body.unify(name, kind)
+                shape = list(body.lengths(name, tuple(shape), body.unify(name, kind)))
             return Array(kind.dtype, tuple(shape), kind.strides, place, kind.constant)
         parameters.append(f"{self.struct(kind) if isinstance(kind, RecordType) else kind} {place}")
         body.parameters[place] = kind
@@ -246,7 +249,7 @@ class Program:
         returns = "void" if kind is None or isinstance(kind, ConstType) else kind
         returns = self.struct(returns) if isinstance(returns, RecordType) else returns
         unused = [p.split()[-1].lstrip("*") for p in parameters]
-        unused = [f"    (void){p};" for p in unused if not re.search(rf"\b{p}\b", text)]
+        unused = [f"    (void){p};" for p in unused if not re.search(rf"(?<![.>])\b{p}\b", text)]
         first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /")
         source = place(function)
         self.sources[source.partition(":")[0]] = None
@@ -268,6 +271,8 @@ class Program:
         caller.outside = {**function.__globals__, **inner.nonlocals, **self.overrides}
         try:
             return caller.value(body[0].value)
+        except TranslationError as error:
+            raise placed(error, function, caller.line) from None
         finally:
             caller.names, caller.outside, caller.line = names, outside, line
 

@@ -30,7 +30,7 @@ def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
 
 
 def assignments(tree: ast.FunctionDef) -> dict[str, int]:
-    """How often each name is assigned in a function, but by loops."""
+    """How often each name is assigned in a function; not by loops that alone set it, for themselves alone."""
     found: dict[str, int] = {argument.arg: 0 for argument in tree.args.args}
 
     def note(target: ast.expr, times: int) -> None:
@@ -47,7 +47,30 @@ def assignments(tree: ast.FunctionDef) -> dict[str, int]:
             note(node.target, 2 if isinstance(node, ast.AugAssign) else 1)
         elif isinstance(node, ast.For) and not isinstance(node.iter, ast.Call):
             note(node.target, 2)
+    loops = [node for node in ast.walk(tree) if isinstance(node, ast.For) and isinstance(node.target, ast.Name)]
+    for loop in loops:
+        name = loop.target.id
+        found.setdefault(name, 0)
+        if found[name] or (name != "_" and (_is_set_within(loop) or _is_read_beyond(tree, loops, name))):
+            found[name] += 2
     return {name: count + (1 if name in parameters and count else 0) for name, count in found.items()}
+
+
+def _is_set_within(loop: Any) -> bool:
+    """Tell whether a loop within a loop has the same variable."""
+    inner = [node for statement in loop.body for node in ast.walk(statement) if isinstance(node, ast.For)]
+    return any(isinstance(node.target, ast.Name) and node.target.id == loop.target.id for node in inner)
+
+
+def _is_read_beyond(tree: ast.FunctionDef, loops: list[Any], name: str) -> bool:
+    """Tell whether a function reads a variable of its loops where none of them runs."""
+
+    def reads(nodes: list[ast.stmt]) -> set[int]:
+        names = [node for part in nodes for node in ast.walk(part) if isinstance(node, ast.Name)]
+        return {id(node) for node in names if node.id == name and isinstance(node.ctx, ast.Load)}
+
+    within = [reads(loop.body) for loop in loops if loop.target.id == name]
+    return bool(reads(tree.body) - set().union(*within))
 
 
 def place(function: Callable[..., Any]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,14 +21,19 @@ from eval.translation.types import (
     TranslationError,
     Value,
     joined,
+    shown_type,
 )
 
 RESERVED = set(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true "
-    "false real square cube main y0 y1 yn j0 j1 jn gamma signgam exp log sin cos tan floor ceil sqrt fabs".split()
+    "false real main self memset NULL NAN INFINITY R ROUNDER PRECISE int8_t int16_t int32_t int64_t uint8_t uint16_t "
+    "uint32_t uint64_t size_t y0 y1 yn j0 j1 jn gamma signgam exp log sin cos tan pow round floor ceil sqrt fabs fmod "
+    "floorf ceilf sqrtf fabsf fmodf isnan isfinite isinf square cube fourth_power floor_div floor_mod real_sqrt "
+    "real_floor real_ceil real_fmod real_abs real_sign real_mod real_floor_div real_max real_min float_max float_min "
+    "int_max int_min int_abs".split()
 )
-"""Names that mean something else in C."""
+"""Names that mean something else in C, or in the headers of the programs."""
 
 PREFIX = "k_"
 """Of the names of functions, so that they never meet those of variables."""
@@ -61,7 +66,7 @@ class Scope:
     places: dict[str, str] = field(default_factory=dict)  # names of C of the kernel's variables
     parameters: dict[str, Any] = field(default_factory=dict)  # names of C and types
     assigned: dict[str, int] = field(default_factory=dict)  # how often each variable is, but by loops
-    loop_names: list[str] = field(default_factory=list)
+    temporaries: set[str] = field(default_factory=set)  # names of C that are assigned once, from the translation's need
 
     def write(self, text: str) -> None:
         """Write a line."""
@@ -75,10 +80,6 @@ class Scope:
             return found, self.lines
         finally:
             self.lines = before
-
-    def read(self, name: str) -> Value:
-        """Value of a variable."""
-        return self.names[name]
 
     def c_name(self, name: str) -> str:
         """Find a name of C for a variable."""
@@ -109,17 +110,42 @@ class Scope:
 
     def kept(self, value: Any) -> Any:
         """Compute a number now, into a variable."""
-        if isinstance(value, Scalar) and not value.code.isidentifier():
-            name = self.fresh(value.dtype, "t")
-            self.write(f"{name} = {bare(value.code)};")
-            return Scalar(value.dtype, name)
+        return self._copied(value) if isinstance(value, Scalar) and not value.code.isidentifier() else value
+
+    def held(self, value: Any) -> Any:
+        """Compute a value now, unless it is one that no later assignment or call changes."""
+        if isinstance(value, Group):
+            return Group(value.make, tuple((name, self.held(part)) for name, part in value.fields))
+        if isinstance(value, Scalar | Record | Array) and self.changes(value):
+            return self._copied(value)
         return value
+
+    def changes(self, value: Any) -> bool:
+        """Tell whether an expression may give something else later: it reads memory, or a variable set again."""
+        if isinstance(value, Group):
+            return any(self.changes(part) for _, part in value.fields)
+        if not isinstance(value, Scalar | Record | Array):
+            return False
+        if not isinstance(value, Array) and re.search(r"\[|->", value.code):
+            return True
+        again = {place for name, place in self.places.items() if self.assigned.get(name.partition(".")[0], 0) > 1}
+        return not again.isdisjoint(re.findall(r"[A-Za-z_]\w*", value.code))
+
+    def _copied(self, value: Any) -> Any:
+        name = self.fresh(type_of(value), "t")
+        self.temporaries.add(name)
+        self.write(f"{name} = {bare(value.code)};")
+        return replace(value, code=name)
 
     def unify(self, name: str, kind: Any) -> Any:
         """Type that a variable has, given that it is assigned one of `kind`."""
         if name not in self.kinds:
             self.kinds[name] = kind
-        common = joined(self.kinds[name], kind)
+        try:
+            common = joined(self.kinds[name], kind)
+        except TranslationError:
+            shown = f"{shown_type(self.kinds[name])} to {shown_type(kind)}"
+            raise TranslationError(f"{name} changes its type from {shown}: take two names") from None
         if common != self.kinds[name]:
             self.kinds[name], self.changed = common, True
         return common

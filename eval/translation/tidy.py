@@ -11,14 +11,14 @@ def without_unused(body: Scope) -> list[str]:
     """Declarations and lines, without variables that are never read, or that only pass a value on."""
     lines = list(body.lines)
     for name in body.locals:
-        if name.startswith("t_"):
+        if re.match(r"t_\d", name):
             lines = _passed_on(lines, name)
     while True:
         text = "\n".join(lines)
         unread = {
             name
             for name, local in body.locals.items()
-            if local.kind is not None and not re.search(rf"\b{name}\b(?! = )|= .*\b{name}\b", text)
+            if local.kind is not None and not re.search(rf"(?<![.>])\b{name}\b(?! = )|= .*(?<![.>])\b{name}\b", text)
         }
         kept = []
         for line in lines:

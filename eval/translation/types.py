@@ -130,6 +130,28 @@ def dtype_of(dtype: Any) -> str:
     return DTYPES[dtype]
 
 
+def shown_type(kind: Any) -> str:
+    """Name a type in a message."""
+    if isinstance(kind, ArrayType):
+        sizes = " by ".join("n" if size is None else str(size) for size in kind.shape)
+        return f"an array of {sizes} {kind.dtype}"
+    return f"a tuple {kind.name}" if isinstance(kind, RecordType) else str(kind)
+
+
+def shown(value: Any) -> str:
+    """Name a value in a message."""
+    if isinstance(value, Const):
+        return repr(value.value) if len(repr(value.value)) < 60 else f"a {type(value.value).__name__}"
+    if isinstance(value, Lazy):
+        return "an array expression"
+    if isinstance(value, Array):
+        return f"an array of shape {value.shape}"
+    if isinstance(value, Group | Record):
+        make = value.make if isinstance(value, Group) else value.type.make
+        return f"a {make.__name__}" if make is not None else "a tuple"
+    return f"{value.code}, which the program computes" if isinstance(value, Scalar) else str(value)
+
+
 def joined(a: Any, b: Any) -> Any:
     """Find the type that two types of one variable have in common: that of the wider number."""
     if a == b:
@@ -146,7 +168,7 @@ def joined(a: Any, b: Any) -> Any:
     if isinstance(a, RecordType) and isinstance(b, RecordType) and len(a.fields) == len(b.fields):
         fields = zip(a.fields, b.fields, strict=True)
         return record_type(a.make or b.make, tuple((m, joined(s, t)) for (m, s), (_, t) in fields))
-    raise TranslationError(f"a variable changes its type from {a} to {b}")
+    raise TranslationError(f"{shown_type(a)} and {shown_type(b)} have no type in common")
 
 
 def record_type(make: Any, fields: tuple[tuple[str, Any], ...]) -> RecordType:

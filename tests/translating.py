@@ -1,0 +1,160 @@
+"""Kernels as C, called from Python, and what the same functions give in plain Python."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eval.deploy.building import Toolchain, here
+from eval.deploy.source import TEMPLATES
+from eval.translation.arrays import contiguous
+from eval.translation.expressions import parts_of
+from eval.translation.function import Function
+from eval.translation.program import Program
+from eval.translation.tidy import without_unused
+from eval.translation.types import BOOL, INT, REAL, SINGLE, Array, Const, Group, Scalar, Value, dtype_of
+
+Kernel = Callable[..., Any]
+Calls = list[tuple[Any, ...]]
+CTYPES = {REAL: ctypes.c_double, SINGLE: ctypes.c_float, INT: ctypes.c_int32, BOOL: ctypes.c_bool}
+INTEGERS = np.int32  # arrays of whole numbers, as the program has them
+
+
+def compiler() -> Toolchain:
+    """This machine's compiler; the test is skipped where there is none."""
+    try:
+        return here()
+    except ValueError as error:
+        pytest.skip(str(error))
+
+
+def leaves(argument: Any) -> Iterator[Any]:
+    """Numbers and arrays of an argument."""
+    if isinstance(argument, tuple):
+        for part in argument:
+            yield from leaves(part)
+    elif argument is not None and not isinstance(argument, Const):
+        yield argument
+
+
+def kind_of(leaf: Any) -> str:
+    """Type of C of a number, or of an array's numbers."""
+    return dtype_of(leaf.dtype if isinstance(leaf, np.ndarray | np.generic) else type(leaf))
+
+
+def value_of(argument: Any, parameters: list[str]) -> Value:
+    """An argument as a value of the translation; numbers and arrays become parameters."""
+    if isinstance(argument, Const):
+        return argument
+    if argument is None:
+        return Const(None)
+    if isinstance(argument, tuple):
+        names = getattr(argument, "_fields", [f"f{k}" for k in range(len(argument))])
+        make = type(argument) if hasattr(argument, "_fields") else None
+        parts = zip(names, argument, strict=True)
+        return Group(make, tuple((name, value_of(part, parameters)) for name, part in parts))
+    kind, name = kind_of(argument), f"given_{len(parameters)}"
+    if isinstance(argument, np.ndarray):
+        parameters.append(f"{kind} *{name}")
+        return Array(kind, argument.shape, contiguous(argument.shape), name)
+    parameters.append(f"{kind} {name}")
+    return Scalar(kind, name)
+
+
+def results(value: Value) -> list[Scalar]:
+    """Numbers that a function returns."""
+    if isinstance(value, Const) and value.value is None:
+        return []
+    if isinstance(value, Scalar):
+        return [value]
+    return [number for part in parts_of(value) for number in results(part)]
+
+
+def translate(function: Kernel, arguments: tuple[Any, ...], program: Program, name: str = "run") -> str:
+    """Public function `name(arguments, double *out)` that calls a kernel, which is added to a program."""
+    parameters: list[str] = []
+    values = [value_of(argument, parameters) for argument in arguments]
+    scope = Function(program, {}, {})
+    found = program.call(scope, getattr(function, "py_func", function), values)
+    for k, number in enumerate(results(found)):
+        scope.write(f"out[{k}] = (double)({number.code});")
+    lines = "\n".join(f"    {line}" for line in ["(void)out;", *without_unused(scope)])
+    head = f"void {name}({', '.join([*parameters, 'double *out'])})"
+    return f"extern {head};\n{head}\n{{\n{lines}\n}}"
+
+
+def text_of(program: Program, functions: list[str]) -> str:
+    """A program's source."""
+    head = ["#include <string.h>", '#include "arithmetic.h"', *program.struct_texts, *program.used_tables()]
+    return "\n\n".join([*head, *program.texts, *functions, ""])
+
+
+class Translated:
+    """Kernels in C, in a library that is loaded.
+
+    Args:
+        folder: To build in.
+        kernels: By name, with arguments as they are called with.
+    """
+
+    def __init__(self, folder: Path, kernels: dict[str, tuple[Kernel, tuple[Any, ...]]]) -> None:
+        toolchain, program = compiler(), Program()
+        functions = [translate(kernel, given, program, name) for name, (kernel, given) in kernels.items()]
+        for header in ("real.h", "arithmetic.h"):
+            (folder / header).write_text(TEMPLATES.get_template(f"{header}.j2").render())
+        source, library = folder / "kernels.c", folder / "kernels.so"
+        source.write_text(text_of(program, functions))
+        toolchain.build([source], library, "-shared", "-fPIC")
+        self.library = ctypes.CDLL(str(library))
+
+    def call(self, name: str, *arguments: Any) -> list[float]:
+        """Numbers that a kernel returns; arrays among the arguments are written to."""
+        given, out = [], np.full(16, np.nan)
+        for leaf in leaves(arguments):
+            if isinstance(leaf, np.ndarray):
+                assert leaf.flags.c_contiguous
+                given.append(leaf.ctypes.data_as(ctypes.c_void_p))
+            else:
+                given.append(CTYPES[kind_of(leaf)](leaf))
+        getattr(self.library, name)(*given, out.ctypes.data_as(ctypes.c_void_p))
+        return list(out)
+
+
+def numbers(found: Any) -> list[float]:
+    """Numbers that a kernel returned in Python."""
+    return [float(leaf) for leaf in leaves((found,))]
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether numbers are equal to the last bit, the sign of zero included; one NaN is like another."""
+    a, b = np.asarray(a, np.float64).ravel(), np.asarray(b, np.float64).ravel()
+    both = np.isnan(a) & np.isnan(b)
+    return bool(((a.view(np.int64) == b.view(np.int64)) | both).all())
+
+
+def copied(argument: Any) -> Any:
+    """An argument whose arrays can be written to."""
+    if isinstance(argument, tuple):
+        parts = [copied(part) for part in argument]
+        return type(argument)(*parts) if hasattr(argument, "_fields") else tuple(parts)
+    if isinstance(argument, Const):
+        return argument.value
+    return argument.copy() if isinstance(argument, np.ndarray) else argument
+
+
+def assert_same(library: Translated, name: str, reference: Kernel, arguments: tuple[Any, ...]) -> None:
+    """Assert that a kernel returns and writes in C what it does in Python."""
+    python, compiled = copied(arguments), tuple(a if isinstance(a, Const) else copied(a) for a in arguments)
+    with np.errstate(all="ignore"):
+        wanted = numbers(reference(*python))
+    found = library.call(name, *compiled)[: len(wanted)]
+    assert same(wanted, found), f"{name}{arguments}: {wanted} in Python, {found} in C"
+    unknown = tuple(b for a, b in zip(arguments, python, strict=True) if not isinstance(a, Const))
+    for a, b in zip(leaves(unknown), leaves(compiled), strict=True):
+        if isinstance(a, np.ndarray):
+            assert same(a, b), f"{name}{arguments} writes {a} in Python, {b} in C"
