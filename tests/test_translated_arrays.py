@@ -212,7 +212,8 @@ def known_arrays(k: int, x: float) -> tuple[Any, ...]:
     sizes = 0
     for step in STEPS:
         sizes += step
-    return TABLE[k, 2] * x, TABLE[1, 1], TABLE[k][k], STEPS[k], WHOLES[k], TABLE.shape[1], len(STEPS), sizes, mean(TABLE[k])
+    known = TABLE.shape[1], len(STEPS), sizes, mean(TABLE[k])
+    return TABLE[k, 2] * x, TABLE[1, 1], TABLE[k][k], STEPS[k], WHOLES[k], *known
 
 
 def updated(memory: Memory, x: float) -> float:

@@ -52,9 +52,10 @@ class Assignments(Calls):
 
     def _independent(self, targets: list[ast.expr], parts: list[Value]) -> bool:
         """Tell whether values can be assigned one by one, for none is made of a variable that is a target too."""
-        places = [self.places.get(target.id, target.id) for target in targets if isinstance(target, ast.Name)]
-        codes = " ".join(_codes(part) for part in parts)
-        return len(places) == len(targets) and not any(re.search(rf"\b{place}\b", codes) for place in places)
+        names = {target.id for target in targets if isinstance(target, ast.Name)}
+        places = {place for name, place in self.places.items() if name.partition(".")[0] in names}
+        read = re.findall(r"[A-Za-z_]\w*", " ".join(_codes(part) for part in parts))
+        return len(names) == len(targets) and places.isdisjoint(read)
 
     def place_of(self, target: ast.Subscript) -> Array | Scalar:
         """Element or part of an array that is assigned to."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from eval.translation import arrays
 from eval.translation.expressions import Expressions, make_of, parts_of
-from eval.translation.numbers import bare, binary, cast, constant, scalar
+from eval.translation.numbers import bare, cast, constant, scalar
 from eval.translation.scope import Local
 from eval.translation.types import (
     BOOL,
@@ -163,6 +163,9 @@ def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[
 def _absolute(self: Calls, value: Value) -> Value:
     if isinstance(value, Const):
         return Const(abs(value.value))
+    over = arrays.over_elements(lambda one: _absolute(self, one), [value], self.table)
+    if over is not None:
+        return over
     number = scalar(value)
     names = {REAL: "real_abs", SINGLE: "fabsf", INT: "int_abs"}
     return Scalar(number.dtype, f"{names[number.dtype]}({bare(number.code)})")
@@ -228,7 +231,7 @@ def _full(self: Calls, shape: Value, value: Value, dtype: Value = _FLOAT64) -> V
 
 
 def _square(self: Calls, value: Value) -> Value:
-    return binary(ast.Pow, value, Const(2))
+    return self.combined(ast.Pow, value, Const(2))
 
 
 TRANSLATED: dict[Any, Callable[..., Value]] = {
