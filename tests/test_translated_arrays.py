@@ -30,7 +30,7 @@ class Inner(NamedTuple):
     """An array and a number."""
 
     row: Any
-    count: int
+    times: int
 
 
 def case(*calls: tuple[Any, ...]) -> Any:
@@ -219,7 +219,7 @@ def known_arrays(k: int, x: float) -> tuple[Any, ...]:
 def updated(memory: Memory, x: float) -> float:
     """Write into all that there is."""
     memory.state[:] = x
-    memory.inner.row[1] += memory.inner.count
+    memory.inner.row[1] += memory.inner.times
     if memory.spare is not None:
         memory.spare[0] = 9.0
     return memory.inner.row[1]
@@ -242,7 +242,7 @@ def numbers_beside_arrays(a: Any, x: float, y: float) -> tuple[float, ...]:
     x, y = y, x
     before, after = after, before
     a[0] = x
-    return before.spare, after.spare, before.inner.row[0], after.inner.row[0], after.inner.count, x, y
+    return before.spare, after.spare, before.inner.row[0], after.inner.row[0], after.inner.times, x, y
 
 
 class Workspace(NamedTuple):
@@ -273,9 +273,9 @@ def known_design(design: Any, low: float) -> tuple[float, ...]:
 
 
 @case((Inner(row(3), 2), 0.5))
-def names_of_fields(inner: Inner, count: float) -> float:
+def names_of_fields(inner: Inner, times: float) -> float:
     row = inner.row
-    return row[0] * inner.count
+    return row[0] * inner.times
 
 
 @case((row(3),), (np.array([math.nan, 1.0, -0.0]),))

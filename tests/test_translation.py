@@ -299,7 +299,7 @@ class Range(NamedTuple):
     """A pair, and how often."""
 
     pair: Pair
-    count: int
+    times: int
     note: Any = None
 
 
@@ -349,7 +349,7 @@ def named_tuples(a: float, b: float) -> tuple[float, ...]:
     turned = pair._replace(low=high)
     around = Range(pair._replace(high=7.0), 3)
     around = around._replace(pair=Pair(around.pair.low + 1.0, around.pair.high))
-    wide = width(around.pair, shift=around.count) + width(pair, 3.0)
+    wide = width(around.pair, shift=around.times) + width(pair, 3.0)
     return low, high, *turned, wide, around.pair[1], 1.0 if around.note is None else 2.0
 
 
@@ -365,8 +365,8 @@ def tuples_kept(a: float, b: float) -> tuple[float, ...]:
 @case([(Range(Pair(1.0, 2.0), 3), 0.5), (Range(Pair(3.0, -2.0), 0), 1.5)])
 def tuples_taken(around: Range, x: float) -> tuple[float, ...]:
     chosen = around.pair if x > 1.0 else Pair(x, x)
-    either = Pair(x, 1) if around.count > 1 else Pair(-1, x)
-    return chosen.low, width(chosen, 1.5), either.low, either.high, around.count
+    either = Pair(x, 1) if around.times > 1 else Pair(-1, x)
+    return chosen.low, width(chosen, 1.5), either.low, either.high, around.times
 
 
 def scaled_by(factor: float, pair: Pair) -> Kernel:

@@ -132,9 +132,9 @@ def binary(kind: type, left: Any, right: Any) -> Any:
         TranslationError: If there is no such operation.
     """
     if isinstance(left, Const) and isinstance(right, Const):
-        values = left.value, right.value
+        values: list[Any] = [left.value, right.value]
         if all(isinstance(one, NUMBERS) for one in values) and _wider(*values) == REAL:
-            values = [float(one) if isinstance(one, np.float32) else one for one in values]
+            values = [float(one) if dtype_of_number(one) == SINGLE else one for one in values]
         with np.errstate(all="ignore"):
             return Const(PYTHON_OPERATORS[kind](*values))
     a, b = scalar(left), scalar(right)

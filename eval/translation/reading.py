@@ -47,7 +47,7 @@ def assignments(tree: ast.FunctionDef) -> dict[str, int]:
             note(node.target, 2 if isinstance(node, ast.AugAssign) else 1)
         elif isinstance(node, ast.For) and not isinstance(node.iter, ast.Call):
             note(node.target, 2)
-    loops = [node for node in ast.walk(tree) if isinstance(node, ast.For) and isinstance(node.target, ast.Name)]
+    loops: list[Any] = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
     for loop in loops:
         name = loop.target.id
         found.setdefault(name, 0)
