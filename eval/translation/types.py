@@ -172,14 +172,12 @@ def joined(a: Any, b: Any) -> Any:
 
 
 def record_type(make: Any, fields: tuple[tuple[str, Any], ...]) -> RecordType:
-    """Make the type of a struct; named after its class where its fields are plain reals, else after its types too."""
+    """Make the type of a struct, called like its class, or like its entries' types."""
+    if make is not None:
+        return RecordType(make.__name__.lstrip("_"), fields, make)
     short = {REAL: "r", SINGLE: "f", INT: "i", BOOL: "b"}
     codes = "".join(short.get(kind, "") if isinstance(kind, str) else f"_{kind.name}_" for _, kind in fields)
-    if make is None:
-        return RecordType(f"Tuple_{codes}".replace("__", "_").rstrip("_"), fields)
-    plain = all(not isinstance(kind, str) or kind == REAL for _, kind in fields)
-    name = make.__name__.lstrip("_")
-    return RecordType(name if plain else f"{name}_{codes}".replace("__", "_").rstrip("_"), fields, make)
+    return RecordType(f"Tuple_{codes}".replace("__", "_").rstrip("_"), fields)
 
 
 def is_named_tuple(value: Any) -> bool:
