@@ -57,7 +57,11 @@ class InTheLoop:
         self._quantum = 2 * np.pi / counts_per_turn
         self._made = tempfile.TemporaryDirectory()
         program = Path(self._made.name) / name
-        toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program, *flags)
+        try:
+            toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program, *flags)
+        except BaseException:
+            self._made.cleanup()
+            raise
         command = [*toolchain.runner, str(program)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._say(f"arms {len(moves)} {counts_per_turn}")

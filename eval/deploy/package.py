@@ -75,7 +75,11 @@ def write(folder: Path, loop: Loop, more: dict[str, bytes] | None = None) -> Non
         if folder.exists():
             replaced = made.with_name(f"{made.name}-replaced")
             folder.rename(replaced)
-            made.rename(folder)
+            try:
+                made.rename(folder)
+            except BaseException:
+                replaced.rename(folder)
+                raise
             shutil.rmtree(replaced)
         else:
             made.rename(folder)
