@@ -272,6 +272,13 @@ def known_design(design: Any, low: float) -> tuple[float, ...]:
     return design.left[1] * left, mean(design.left) * design.right, left
 
 
+@case((Const(Workspace(TABLE[0], TABLE[1])), 1, 1.5))
+def names_of_tables(design: Any, k: int, x: float) -> float:
+    DESIGN_LEFT = 2.0 * x  # noqa: N806
+    TABLE = x  # noqa: N806
+    return DESIGN_LEFT * design.left[k] + mean(design.right) * TABLE + mean(design.left)
+
+
 @case((Inner(row(3), 2), 0.5))
 def names_of_fields(inner: Inner, times: float) -> float:
     row = inner.row

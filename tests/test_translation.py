@@ -126,7 +126,9 @@ def choices(k: int, x: float) -> tuple[Any, ...]:
 @case([(k, x) for k in (-2, 0, 3) for x in (-1.0, 0.0, 2.0)])
 def bools_as_numbers(k: int, x: float) -> tuple[Any, ...]:
     up = x > 0.0
-    return up + up, up * x, up + 1, up - k, k & 1, k | 4, bool(k), int(up), float(up)
+    either = max(up, k > 0) + min(up, True) + abs(up)
+    found = 0 if k and (x or k) else 1
+    return either, found, up + up, up * x, up + 1, up - k, k & 1, k | 4, bool(k), int(up), float(up)
 
 
 @case([(0.5,), (-3.0,)])
@@ -394,6 +396,16 @@ def doubled(x: Any) -> Any:
 @case([(3, 0.1)])
 def called_with_types(n: int, x: float) -> tuple[Any, ...]:
     return doubled(n) // 4, doubled(x), doubled(x > 0.0) // 2, doubled(np.float64(n)) / 4
+
+
+def product(pair: Pair, x: float) -> float:
+    """Return a product that knows the sign of zero."""
+    return pair.low * x
+
+
+@case([(1.0,), (-2.5,)])
+def zeros_of_both_signs(x: float) -> tuple[float, float]:
+    return product(Pair(0.0, 1.0), x), product(Pair(-0.0, 1.0), x)
 
 
 @case([(3.0, 0.1)])

@@ -252,6 +252,11 @@ def broken_off(x: float) -> float:
     return x
 
 
+@refuses("and, or of numbers", "x or 1.0")
+def number_or_number(x: float) -> float:
+    return x or 1.0  # HERE
+
+
 @refuses("for ... else")
 def loop_with_else(x: float) -> float:
     for _ in range(3):  # HERE

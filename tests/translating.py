@@ -13,11 +13,10 @@ import pytest
 from eval.deploy.building import Toolchain, here
 from eval.deploy.source import TEMPLATES
 from eval.translation.arrays import contiguous
-from eval.translation.expressions import parts_of
 from eval.translation.function import Function
 from eval.translation.program import Program
 from eval.translation.tidy import without_unused
-from eval.translation.types import BOOL, INT, REAL, SINGLE, Array, Const, Group, Scalar, Value, dtype_of
+from eval.translation.types import BOOL, INT, REAL, SINGLE, Array, Const, Group, Scalar, Value, dtype_of, parts_of
 
 Kernel = Callable[..., Any]
 Calls = list[tuple[Any, ...]]

@@ -10,7 +10,6 @@ import numpy as np
 
 from eval.translation import arrays
 from eval.translation.calls import Calls
-from eval.translation.expressions import known_group, parts_of
 from eval.translation.numbers import NUMBERS, bare, cast, scalar
 from eval.translation.scope import type_of
 from eval.translation.types import (
@@ -26,6 +25,8 @@ from eval.translation.types import (
     Size,
     TranslationError,
     Value,
+    known_group,
+    parts_of,
     record_type,
 )
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from eval.translation import arrays
-from eval.translation.expressions import Expressions, make_of, parts_of
+from eval.translation.expressions import Expressions
 from eval.translation.numbers import bare, cast, constant, scalar
 from eval.translation.scope import Local
 from eval.translation.types import (
@@ -27,6 +27,8 @@ from eval.translation.types import (
     Value,
     dtype_of,
     joined,
+    make_of,
+    parts_of,
 )
 
 LARGEST = 512
@@ -154,6 +156,7 @@ def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[
     found: Value = values[0]
     for value in values[1:]:
         dtype = joined(scalar(found).dtype, scalar(value).dtype)
+        dtype = INT if dtype == BOOL else dtype
         a, b = cast(found, dtype), cast(value, dtype)
         kind = {REAL: "real", SINGLE: "float", INT: "int"}[dtype]
         found = Scalar(dtype, f"{kind}_{name}({bare(a.code)}, {bare(b.code)})")
@@ -166,7 +169,7 @@ def _absolute(self: Calls, value: Value) -> Value:
     over = arrays.over_elements(lambda one: _absolute(self, one), [value], self.table)
     if over is not None:
         return over
-    number = scalar(value)
+    number = cast(value, INT) if scalar(value).dtype == BOOL else scalar(value)
     names = {REAL: "real_abs", SINGLE: "fabsf", INT: "int_abs"}
     return Scalar(number.dtype, f"{names[number.dtype]}({bare(number.code)})")
 

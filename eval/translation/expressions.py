@@ -19,12 +19,15 @@ from eval.translation.types import (
     Group,
     Lazy,
     Record,
-    RecordType,
     Scalar,
     TranslationError,
     Value,
+    field_of,
     is_named_tuple,
     joined,
+    make_of,
+    parts_of,
+    reads_memory,
 )
 
 CALL = re.compile(rf"\b{PREFIX}\w+\(")
@@ -154,11 +157,10 @@ class Expressions(Scope):
         return binary(kind, left, right) if over is None else over
 
     def _unaryop(self, node: ast.UnaryOp) -> Value:
-        operand = self.value(node.operand)
         kind = type(node.op)
+        operand = self.asked(node.operand) if kind is ast.Not else self.value(node.operand)
         if kind is ast.Not:
-            asked = condition(operand)
-            return Const(not asked.value) if isinstance(asked, Const) else unary(kind, asked)
+            return Const(not operand.value) if isinstance(operand, Const) else unary(kind, operand)
         over = arrays.over_elements(lambda a: unary(kind, a), [operand], self.table)
         return unary(kind, operand) if over is None else over
 
@@ -189,7 +191,19 @@ class Expressions(Scope):
             return Const(is_none == (kind is ast.Is))
         return binary(kind, left, right)
 
-    def _boolop(self, node: ast.BoolOp) -> Value:
+    def asked(self, node: ast.expr) -> Any:
+        """Evaluate what an `if` asks: a known bool, or an expression."""
+        return self._boolop(node, asks=True) if isinstance(node, ast.BoolOp) else condition(self.value(node))
+
+    def _boolop(self, node: ast.BoolOp, asks: bool = False) -> Value:
+        def operand_of(operand: ast.expr) -> Any:
+            if asks or isinstance(operand, ast.BoolOp):
+                return self.asked(operand) if asks else self.value(operand)
+            value = self.value(operand)
+            if scalar(value).dtype != BOOL:
+                raise TranslationError(f"and, or of numbers are translated in conditions alone: {ast.unparse(node)}")
+            return condition(value)
+
         conjunction = isinstance(node.op, ast.And)
         found: Any = None
         for operand in node.values:
@@ -198,9 +212,9 @@ class Expressions(Scope):
                     return found
                 found = None
             if found is None:
-                found = condition(self.value(operand))
+                found = operand_of(operand)
                 continue
-            later, written = self.apart(lambda operand=operand: condition(self.value(operand)))
+            later, written = self.apart(lambda operand=operand: operand_of(operand))
             if isinstance(later, Const):
                 if later.value != conjunction:
                     return later
@@ -218,7 +232,7 @@ class Expressions(Scope):
         return found
 
     def _ifexp(self, node: ast.IfExp) -> Value:
-        asked = condition(self.value(node.test))
+        asked = self.asked(node.test)
         if isinstance(asked, Const):
             return self.value(node.body if asked.value else node.orelse)
         first, before_first = self.apart(lambda: self.value(node.body))
@@ -258,59 +272,9 @@ class Expressions(Scope):
         raise NotImplementedError
 
 
-def field_of(owner: Value, name: str) -> Value:
-    """Field of a named tuple, by name."""
-    if isinstance(owner, Record):
-        for field, kind in owner.type.fields:
-            if field == name:
-                return _member(f"{owner.code}.{name}", kind)
-    if isinstance(owner, Group):
-        for field, value in owner.fields:
-            if field == name:
-                return value
-    raise TranslationError(f"no field {name!r}")
-
-
 def construct(node: ast.AST) -> str:
     """Name a construct of Python: `a list comprehension`."""
     word = type(node).__name__
     known = {"ListComp": "list comprehension", "DictComp": "dict comprehension", "JoinedStr": "formatted string"}
     known |= {"SetComp": "set comprehension", "GeneratorExp": "generator", "FunctionDef": "function in a function"}
     return f"a {known.get(word, word.lower())}"
-
-
-def reads_memory(value: Value) -> bool:
-    """Tell whether a number, or one of a tuple, is an element of an array."""
-    if isinstance(value, Group):
-        return any(reads_memory(part) for _, part in value.fields)
-    return isinstance(value, Scalar | Record) and bool(re.search(r"\[|->", value.code))
-
-
-def make_of(value: Value) -> Any:
-    """Class of a named tuple; None of a tuple."""
-    if isinstance(value, Const):
-        return type(value.value) if is_named_tuple(value.value) else None
-    return value.type.make if isinstance(value, Record) else getattr(value, "make", None)
-
-
-def known_group(value: Const) -> Group:
-    """A known tuple as its entries, each known."""
-    make = make_of(value)
-    names = make._fields if make else tuple(f"f{k}" for k in range(len(value.value)))
-    return Group(make, tuple(zip(names, parts_of(value), strict=True)))
-
-
-def parts_of(value: Value) -> list[Value]:
-    """Entries of a tuple."""
-    if isinstance(value, Group):
-        return [part for _, part in value.fields]
-    if isinstance(value, Record):
-        return [_member(f"{value.code}.{name}", kind) for name, kind in value.type.fields]
-    if isinstance(value, Const) and isinstance(value.value, tuple):
-        names = getattr(value.value, "_fields", [""] * len(value.value))
-        return [Const(part, f"{value.name}_{name}") for part, name in zip(value.value, names, strict=True)]
-    raise TranslationError("a tuple is expected")
-
-
-def _member(code: str, kind: Any) -> Value:
-    return Record(kind, code) if isinstance(kind, RecordType) else Scalar(kind, code)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from eval.translation.expressions import known_group
 from eval.translation.numbers import NUMBERS, bare, cast, scalar
 from eval.translation.scope import type_of
 from eval.translation.statements import Statements
@@ -18,6 +17,7 @@ from eval.translation.types import (
     TranslationError,
     Value,
     joined,
+    known_group,
 )
 
 
@@ -65,7 +65,7 @@ def _all_numbers(value: Any) -> bool:
 def key_of(value: Any) -> Any:
     """What tells known values apart."""
     if value is None or isinstance(value, str | int | float | bool):
-        return (type(value).__name__, value)
+        return (type(value).__name__, repr(value))  # 0.0 and -0.0 are two
     if isinstance(value, tuple):
         return (type(value).__name__, *map(key_of, value))
     return id(value)

@@ -17,7 +17,7 @@ from eval.translation.numbers import NUMBERS, bare, cast, literal, scalar
 from eval.translation.reading import assignments, place, placed, tree_of
 from eval.translation.scope import PREFIX, RESERVED, type_of
 from eval.translation.statements import Statements
-from eval.translation.tidy import without_unused
+from eval.translation.tidy import text_of
 from eval.translation.types import (
     Array,
     ArrayType,
@@ -50,6 +50,7 @@ class Program:
         self.struct_texts: list[str] = []
         self.tables: dict[Any, tuple[str, str]] = {}
         self.taken: set[str] = set(RESERVED)
+        self.locals: set[str] = set()  # names of variables, which no table takes
         self._kept: list[Any] = []  # so that no identity is used twice
         self._running: list[Any] = []
         self._written: dict[str, str] = {}  # text to name: functions that differ in types alone may be the same
@@ -87,7 +88,7 @@ class Program:
 
     def _free(self, name: str) -> str:
         wanted, k = name, 2
-        while wanted in self.taken:
+        while wanted in self.taken or wanted in self.locals:
             wanted, k = f"{name}_{k}", k + 1
         self.taken.add(wanted)
         return wanted
@@ -192,7 +193,8 @@ class Program:
                 break
             returned = body.returned
         name = PREFIX + function.__name__.strip("_")
-        text = self._text(function, name, body, parameters)
+        self.sources[place(function).partition(":")[0]] = None
+        text = text_of(function, name, body, parameters)
         if text not in self._written:
             self._written[text] = self._free(name)
             self.texts.append(text.replace(f"{name}(", f"{self._written[text]}(", 1))
@@ -241,23 +243,6 @@ class Program:
                 return Scalar(common, wide)
             body.places[name] = place
         return Record(kind, place) if isinstance(kind, RecordType) else Scalar(kind, place)
-
-    def _text(self, function: Callable[..., Any], name: str, body: Function, parameters: list[str]) -> str:
-        lines = without_unused(body)
-        text = "\n".join(lines)
-        kind = body.returned
-        returns = "void" if kind is None or isinstance(kind, ConstType) else kind
-        returns = self.struct(returns) if isinstance(returns, RecordType) else returns
-        unused = [p.split()[-1].lstrip("*") for p in parameters]
-        unused = [f"    (void){p};" for p in unused if not re.search(rf"(?<![.>])\b{p}\b", text)]
-        first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /")
-        source = place(function)
-        self.sources[source.partition(":")[0]] = None
-        head = f"static {returns} {name}({', '.join(parameters) or 'void'})"
-        if len(head) > 118:
-            head = f"static {returns} {name}(\n    " + ",\n    ".join(parameters) + ")"
-        comment = textwrap.fill(f"{source}: {first}".rstrip(": "), 112, subsequent_indent="   ")
-        return "\n".join([f"/* {comment} */", head, "{", *unused, *(f"    {line}" for line in lines), "}"])
 
     def _written_out(self, caller: Statements, function: Callable[..., Any], values: list[Value]) -> Value:
         """Evaluate a function that is one return statement, in the place of its call."""

@@ -88,6 +88,7 @@ class Scope:
         while wanted in self.taken:
             wanted += "_"
         self.taken.add(wanted)
+        self.program.locals.add(wanted)
         return wanted
 
     def fresh(self, kind: Any, stem: str) -> str:

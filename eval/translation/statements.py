@@ -6,8 +6,8 @@ import ast
 from typing import Any
 
 from eval.translation.assigning import Assignments
-from eval.translation.expressions import construct, parts_of
-from eval.translation.numbers import bare, cast, condition, constant, scalar
+from eval.translation.expressions import construct
+from eval.translation.numbers import bare, cast, constant, scalar
 from eval.translation.types import (
     BOOL,
     INT,
@@ -16,6 +16,7 @@ from eval.translation.types import (
     Scalar,
     TranslationError,
     Value,
+    parts_of,
 )
 
 
@@ -66,7 +67,7 @@ class Statements(Assignments):
         return True
 
     def _do_if(self, statement: ast.If) -> bool:
-        asked = condition(self.value(statement.test))
+        asked = self.asked(statement.test)
         if isinstance(asked, Const):
             return self.block(statement.body if asked.value else statement.orelse)
         self.write(f"if ({bare(asked.code)}) {{")
@@ -91,7 +92,7 @@ class Statements(Assignments):
         return all(left)
 
     def _do_while(self, statement: ast.While) -> None:
-        asked, lines = self.apart(lambda: condition(self.value(statement.test)))
+        asked, lines = self.apart(lambda: self.asked(statement.test))
         if isinstance(asked, Const):
             if not asked.value:
                 return

@@ -1,10 +1,16 @@
-"""Tidying of a translated function: variables where they are first assigned, none that nobody reads."""
+"""Text of a translated function: variables where they are first assigned, none that nobody reads."""
 
 from __future__ import annotations
 
+import inspect
 import re
+import textwrap
+from collections.abc import Callable
+from typing import Any
 
+from eval.translation.reading import place
 from eval.translation.scope import PREFIX, Scope
+from eval.translation.types import ConstType, RecordType
 
 
 def without_unused(body: Scope) -> list[str]:
@@ -58,3 +64,21 @@ def _passed_on(lines: list[str], name: str) -> list[str]:
         target = used.strip().removesuffix(f"{name};")
         return [*lines[: uses[0]], f"{indent}{target}{source};", *lines[uses[1] + 1 :]]
     return lines
+
+
+def text_of(function: Callable[..., Any], name: str, body: Any, parameters: list[str]) -> str:
+    """Write a function: a comment, its head, and its lines."""
+    lines = without_unused(body)
+    text = "\n".join(lines)
+    kind = body.returned
+    returns = "void" if kind is None or isinstance(kind, ConstType) else kind
+    returns = body.program.struct(returns) if isinstance(returns, RecordType) else returns
+    unused = [p.split()[-1].lstrip("*") for p in parameters]
+    unused = [f"    (void){p};" for p in unused if not re.search(rf"(?<![.>])\b{p}\b", text)]
+    first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /")
+    source = place(function)
+    head = f"static {returns} {name}({', '.join(parameters) or 'void'})"
+    if len(head) > 118:
+        head = f"static {returns} {name}(\n    " + ",\n    ".join(parameters) + ")"
+    comment = textwrap.fill(f"{source}: {first}".rstrip(": "), 112, subsequent_indent="   ")
+    return "\n".join([f"/* {comment} */", head, "{", *unused, *(f"    {line}" for line in lines), "}"])

@@ -11,6 +11,7 @@ Lazy       elements of an expression over arrays, computed one by one where it i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -183,3 +184,53 @@ def record_type(make: Any, fields: tuple[tuple[str, Any], ...]) -> RecordType:
 def is_named_tuple(value: Any) -> bool:
     """Tell whether a Python value is a named tuple."""
     return isinstance(value, tuple) and hasattr(value, "_fields")
+
+
+def field_of(owner: Value, name: str) -> Value:
+    """Field of a named tuple, by name."""
+    if isinstance(owner, Record):
+        for field, kind in owner.type.fields:
+            if field == name:
+                return _member(f"{owner.code}.{name}", kind)
+    if isinstance(owner, Group):
+        for field, value in owner.fields:
+            if field == name:
+                return value
+    raise TranslationError(f"no field {name!r}")
+
+
+def reads_memory(value: Value) -> bool:
+    """Tell whether a number, or one of a tuple, is an element of an array."""
+    if isinstance(value, Group):
+        return any(reads_memory(part) for _, part in value.fields)
+    return isinstance(value, Scalar | Record) and bool(re.search(r"\[|->", value.code))
+
+
+def make_of(value: Value) -> Any:
+    """Class of a named tuple; None of a tuple."""
+    if isinstance(value, Const):
+        return type(value.value) if is_named_tuple(value.value) else None
+    return value.type.make if isinstance(value, Record) else getattr(value, "make", None)
+
+
+def known_group(value: Const) -> Group:
+    """A known tuple as its entries, each known."""
+    make = make_of(value)
+    names = make._fields if make else tuple(f"f{k}" for k in range(len(value.value)))
+    return Group(make, tuple(zip(names, parts_of(value), strict=True)))
+
+
+def parts_of(value: Value) -> list[Value]:
+    """Entries of a tuple."""
+    if isinstance(value, Group):
+        return [part for _, part in value.fields]
+    if isinstance(value, Record):
+        return [_member(f"{value.code}.{name}", kind) for name, kind in value.type.fields]
+    if isinstance(value, Const) and isinstance(value.value, tuple):
+        names = getattr(value.value, "_fields", [""] * len(value.value))
+        return [Const(part, f"{value.name}_{name}") for part, name in zip(value.value, names, strict=True)]
+    raise TranslationError("a tuple is expected")
+
+
+def _member(code: str, kind: Any) -> Value:
+    return Record(kind, code) if isinstance(kind, RecordType) else Scalar(kind, code)
