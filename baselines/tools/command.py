@@ -85,7 +85,8 @@ def require_bounds(options: object, **bounds: tuple[int, int | None]) -> None:
         value = getattr(options, name)
         if value is not None and not (least <= value and (largest is None or value <= largest)):
             allowed = f"be at least {least}" if largest is None else f"lie within {least} and {largest}"
-            raise ValueError(f"--{name} must {allowed}, got {value}")
+            option = name.replace("_", "-")
+            raise ValueError(f"--{option} must {allowed}, got {value}")
 
 
 def require_known(names: Collection[str], known: Collection[str], complaint: str) -> None:
