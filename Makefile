@@ -8,7 +8,7 @@ READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench docs clean scenarios physics paper loops drive sensors guard observers steps tune learning film readme
+.PHONY: help compare train setup test fuzz coverage lint format bench docs clean scenarios physics paper loops drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
@@ -54,7 +54,7 @@ format: $(READY)  ## Format the code
 bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the same run
 	$(BIN)/python eval/bench.py $(ARGS)
 
-docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its tutorials: three minutes
+docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its tutorials (needs a C compiler): three minutes
 	rm -rf docs/_build docs/gallery
 	$(BIN)/python -m sphinx --fail-on-warning docs docs/_build
 	@echo "Open docs/_build/index.html"
@@ -90,6 +90,9 @@ sensors: $(READY)  ## What an accelerometer buys, in docs/sensors
 
 guard: $(READY)  ## What the guard is worth where something breaks, in docs/guard; takes ten minutes
 	$(BIN)/python eval/faults.py --out docs/guard $(ARGS)
+
+embedded: $(READY)  ## Controllers as programs: equality, time, flash and memory, in docs/embedded; takes ten minutes
+	$(BIN)/python eval/embedded.py --out docs/embedded $(ARGS)
 
 observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/observers
 	$(BIN)/python eval/observers.py --out docs/observers $(ARGS)
