@@ -1,4 +1,4 @@
-"""The programs of docs/deploy.md, as they are on the page: Python is run, C is compiled against an exported program."""
+"""The programs of docs/deploy.md, as on the page: Python is run, C is compiled against an exported controller."""
 
 from __future__ import annotations
 
