@@ -23,8 +23,7 @@ from eval.comparison.splits import main_split
 from eval.deploy.building import here
 from eval.deploy.check import compare
 from eval.deploy.controllers import controller_of, loop_of
-from eval.deploy.fmu import write_fmu
-from eval.deploy.package import require_free, write
+from eval.deploy.package import require_free, write, write_arm
 from eval.deploy.sizes import footprint, processors_for
 
 ARM = "arm"
@@ -62,9 +61,8 @@ def export(config: Config) -> None:
     require_bounds(config, episodes=(1, 200), plan_samples=(1, 19))
     require_free(config.out)
     if config.source == ARM:
-        config.out.mkdir(exist_ok=True)
-        write_fmu(config.out / "beltarm.fmu", ArmParams())
-        print(f"written to {config.out}: beltarm.fmu")
+        platforms = write_arm(config.out, ArmParams())
+        print(f"written to {config.out}: beltarm.fmu, for {', '.join(platforms)}")
         return
     if config.check:
         here()  # before the work, not after it

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from baselines.tools.provenance import command_line, software
+from beltarm_env import ArmParams
 from beltarm_env.task.ranges import EDITION
 from eval.deploy.building import FLAGS
+from eval.deploy.fmu import write_fmu
 from eval.deploy.source import TEMPLATES, Loop, sources
 
 FORMAT = "beltarm-export"
@@ -50,27 +52,50 @@ def write(folder: Path, loop: Loop, more: dict[str, bytes] | None = None) -> Non
         ValueError: If the folder is in use for something else.
         OSError: If it cannot be written.
     """
-    require_free(folder)
     files = {name: text.encode() for name, text in sources(loop).items()} | (more or {})
     page = TEMPLATES.get_template("README.md.j2").render(loop=loop, flags=" ".join(FLAGS))
-    files["README.md"] = page.encode()
-    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
+    write_files(folder, loop.name, loop.title, loop.params, {**files, "README.md": page.encode()})
+
+
+def write_arm(folder: Path, params: ArmParams) -> list[str]:
+    """Write an arm as beltarm.fmu into a folder; return the platforms that it runs on.
+
+    Raises:
+        ValueError: If the folder is in use for something else, or there is no compiler.
+        OSError: If it cannot be written.
+    """
+    with tempfile.TemporaryDirectory() as made:
+        path = Path(made) / "beltarm.fmu"
+        platforms = write_fmu(path, params)
+        write_files(folder, "arm", "The arm of beltarm as an FMU", params, {path.name: path.read_bytes()})
+    return platforms
+
+
+def write_files(folder: Path, name: str, title: str, params: ArmParams, files: dict[str, bytes]) -> None:
+    """Write files and their manifest into a folder, which is replaced if it holds an earlier export.
+
+    Raises:
+        ValueError: If the folder is in use for something else.
+        OSError: If it cannot be written.
+    """
+    require_free(folder)
+    hashes = {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())}
     manifest: dict[str, Any] = {
         "format": FORMAT,
-        "name": loop.name,
-        "title": loop.title,
+        "name": name,
+        "title": title,
         "edition": EDITION,
-        "gear_ratio": loop.params.gear_ratio,
-        "torque_limit": loop.params.torque_limit,
+        "gear_ratio": params.gear_ratio,
+        "torque_limit": params.torque_limit,
         "command": command_line(),
         "software": software("numpy", "numba"),
         "sha256": hashes,
     }
-    files[MANIFEST] = (json.dumps(manifest, indent=2) + "\n").encode()
+    text = (json.dumps(manifest, indent=2) + "\n").encode()
     made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
     try:
-        for name, content in files.items():
-            (made / name).write_bytes(content)
+        for file, content in {**files, MANIFEST: text}.items():
+            (made / file).write_bytes(content)
         made.chmod(0o755)
         if folder.exists():
             replaced = made.with_name(f"{made.name}-replaced")
