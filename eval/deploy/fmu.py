@@ -188,7 +188,12 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
         for kind, suffix, toolchain in _toolchains():
             library = Path(folder) / f"beltarm{suffix}"
             position = () if suffix == ".dll" else ("-fPIC",)
-            toolchain.build(sources, library, "-fvisibility=hidden", "-shared", *position)
+            try:
+                toolchain.build(sources, library, "-fvisibility=hidden", "-shared", *position)
+            except ValueError:
+                if not made:  # this machine's own; others are a gift
+                    raise
+                continue
             files[f"binaries/{kind}/{library.name}"] = library.read_bytes()
             made.append(kind)
 
