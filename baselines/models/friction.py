@@ -40,7 +40,8 @@ from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import Reference
 
-_RESTING = 1e-6  # joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding
+RESTING = 1e-6
+"""Joint speed below which a reference rests [rad/s]: planned speeds end at zero but for rounding."""
 
 
 class DryFriction(NamedTuple):
@@ -74,7 +75,7 @@ def commanded_direction(wanted: Reference, push: float, width: float) -> float:
         width: The push that is compensated in full while the reference rests [N m].
     """
     speed = wanted.speed + 0.5 * CONTROL_PERIOD * wanted.acceleration
-    return min(max(push / width, -1.0), 1.0) if abs(speed) < _RESTING else np.sign(speed)
+    return min(max(push / width, -1.0), 1.0) if abs(speed) < RESTING else np.sign(speed)
 
 
 class Compensation(NamedTuple):

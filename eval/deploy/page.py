@@ -83,9 +83,9 @@ machine's compiler with `-O2 -ffp-contract=off` and run in the loop with simulat
 
 {times_table(results)}
 
-Times are of one arm on this machine, a desktop's processor; the period is {1e6 * CONTROL_PERIOD:.0f} µs. The longest
-sample of `adaptive`, and of what builds on it, holds a plan that is made anew while the arm moves. `reset` makes the
-first plan, before the move.
+Times are of one arm on this machine, a processor of a server, without what else it did meanwhile; the period is
+{1e6 * CONTROL_PERIOD:.0f} µs. The longest sample of `adaptive`, and of what builds on it, holds a plan that is made
+anew while the arm moves. `reset` makes the first plan, before the move.
 
 Where such a plan takes longer than a sample, `--plan-samples {SPREAD}` spreads it over {SPREAD} samples. Its later
 samples are planned first, and until the new plan has come down to now, the arm follows the old one:
@@ -106,6 +106,8 @@ bound from the compiler's own figures along the deepest calls. No time is given:
 Torques are compared for the same encoder counts, sample by sample; the cost is that of the closed loop. It holds where
 99.9 % of the torques are within 1 ‰ of the limit and the mean cost is within 1 %:
 {", ".join(f"`{n}`" for n in single)}.
+Of the others without a filter that identifies, the direction in which friction is overcome changes a sample earlier or
+later now and then, which the closed loop hardly notices.
 Those that identify the arm ({", ".join(f"`{n}`" for n in without)}) find slopes by small differences of simulations,
 which single precision does not have; their sources refuse to be compiled in it. On a processor without doubles, use one
 of the others.

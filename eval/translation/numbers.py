@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.models.friction import RESTING
 from beltarm_env.physics.driven.events import CLOSE, NEGLIGIBLE
 from beltarm_env.physics.driven.step import ROUNDING
 from beltarm_env.physics.trigonometry import ROUNDER
@@ -41,7 +42,7 @@ C_OPERATORS: dict[type, str] = {
 }
 NUMBERS: Any = (int, float, bool, np.integer, np.floating, np.bool_)
 
-TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5}
+TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5, RESTING: 1e-4}
 """Tolerances of the kernels that are below the rounding of single precision, and what stands for them there."""
 
 
