@@ -174,7 +174,9 @@ class Jump:
 
     params = design_model()
 
-    def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[Any, Any]:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
         return np.full((len(observation), 1), -1 if state is None else 1, np.float32), True
 
 
