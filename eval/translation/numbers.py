@@ -42,7 +42,7 @@ C_OPERATORS: dict[type, str] = {
 }
 NUMBERS: Any = (int, float, bool, np.integer, np.floating, np.bool_)
 
-TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5, RESTING: 1e-4}
+TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5, RESTING: 5e-6}
 """Tolerances of the kernels that are below the rounding of single precision, and what stands for them there."""
 
 
