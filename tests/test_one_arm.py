@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,18 @@ from beltarm_env.task.seeds import VALIDATION
 STEPS = 120
 
 
+def arrays_of(memory: Any) -> Iterator[Any]:
+    """Arrays in a memory of named tuples."""
+    for part in memory:
+        yield from arrays_of(part) if isinstance(part, tuple) else (part,)
+
+
 @pytest.mark.parametrize("params", [design_model(), ArmParams()], ids=["design model", "ideal drive"])
 @pytest.mark.parametrize("make", [PreviewController, LqgController, RobustController])
 def test_a_law_for_one_arm_is_the_controller(make: Any, params: ArmParams):
     controller = make(params=params)
     law, design, memory = controller.kernel()
-    for part in memory:
+    for part in arrays_of(memory):
         part[:] = np.nan
     env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
     for episode in range(2):

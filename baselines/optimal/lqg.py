@@ -40,7 +40,6 @@ from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled
-from beltarm_env.kernels.simulate import Room
 from beltarm_env.task.reference import MoveShape
 
 
@@ -84,13 +83,7 @@ class LqgDesign(NamedTuple):
 class LqgArm(NamedTuple):
     """Memory of the law for one arm, written in place."""
 
-    state: Floats  # of the observer, see `Track`
-    ahead: Floats
-    disturbance: Floats
-    moved: Floats
-    block: Floats  # in which it simulates the arm, see `Room`
-    work: Floats
-    actions: Floats
+    track: Track  # of the observer
     corners: Floats  # of the smoothed move, shape (CORNERS,)
     added: Floats  # torque beside the feedback's [N m], shape (1,)
 
@@ -126,14 +119,13 @@ def _torques(
 @compiled
 def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: LqgArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
-    room = Room(memory.block, memory.work, memory.actions)
-    track = Track(memory.state, memory.ahead, memory.disturbance, memory.moved, room)
+    track = memory.track
     track_arm(design.observer, now, begins, track)
     if begins:
         move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
         write_corners(move, design.plant, design.first_spread, design.spread, memory.corners)
     last = 0.0 if begins else now.last_command - memory.added[0]
-    deviation, added = _torques(design, memory.corners, now.step, memory.ahead, memory.disturbance[0], last)
+    deviation, added = _torques(design, memory.corners, now.step, track.ahead, track.disturbance[0], last)
     memory.added[0] = added
     return deviation + added
 
@@ -200,9 +192,7 @@ class LqgController(ClassicalController[LqgMemory]):
 
     def kernel(self) -> LawKernel:
         """The law for one arm."""
-        state, ahead, disturbance, moved, room = self._observer.track()
-        memory = LqgArm(state, ahead, disturbance, moved, *room, np.zeros(CORNERS), np.zeros(1))
-        return LawKernel(lqg_law, self._design, memory)
+        return LawKernel(lqg_law, self._design, LqgArm(self._observer.track(), np.zeros(CORNERS), np.zeros(1)))
 
     def law(self, reading: Reading, begins: Flags, memory: LqgMemory | None) -> tuple[Floats, LqgMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""

@@ -39,7 +39,6 @@ from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
 from beltarm_env.jit import compiled, inlined
-from beltarm_env.kernels.simulate import Room
 from beltarm_env.task.reference import MoveShape
 
 
@@ -84,13 +83,7 @@ class PreviewDesign(NamedTuple):
 class PreviewArm(NamedTuple):
     """Memory of the law for one arm, written in place."""
 
-    state: Floats  # of the observer, see `Track`
-    ahead: Floats
-    disturbance: Floats
-    moved: Floats
-    block: Floats  # in which it simulates the arm, see `Room`
-    work: Floats
-    actions: Floats
+    track: Track  # of the observer
     plan: Floats  # shape (1200, 10)
     added: Floats  # torque beside the plan's [N m], shape (1,)
 
@@ -107,8 +100,7 @@ def _torques(
 @compiled
 def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: PreviewArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
-    room = Room(memory.block, memory.work, memory.actions)
-    track = Track(memory.state, memory.ahead, memory.disturbance, memory.moved, room)
+    track = memory.track
     track_arm(design.observer, now, begins, track)
     if begins:
         move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
@@ -116,7 +108,7 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Previe
     last = 0.0 if begins else now.last_command - memory.added[0]
     step, share = step_of_plan(now.step + design.observer.delay)
     low, high = memory.plan[step], memory.plan[step + 1]
-    torque, added = _torques(design, low, high, share, memory.ahead, memory.disturbance[0], last)
+    torque, added = _torques(design, low, high, share, track.ahead, track.disturbance[0], last)
     memory.added[0] = added
     return torque + added
 
@@ -175,20 +167,14 @@ class PreviewController(ClassicalController[PreviewMemory]):
 
     def kernel(self) -> LawKernel:
         """The law for one arm."""
-        state, ahead, disturbance, moved, room = self._observer.track()
         plan = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
-        return LawKernel(
-            preview_law, self._design, PreviewArm(state, ahead, disturbance, moved, *room, plan, np.zeros(1))
-        )
+        return LawKernel(preview_law, self._design, PreviewArm(self._observer.track(), plan, np.zeros(1)))
 
     def law(self, reading: Reading, begins: Flags, memory: PreviewMemory | None) -> tuple[Floats, PreviewMemory]:
         """Torque [N m] of one sample, see `ClassicalController`."""
         estimate = self._observer.update(memory.estimate if memory else None, reading, begins)
         plans = replaced(memory.plans if memory else None, begins, lambda arm: self._planned(reading.move[arm]))
-        before, time = (
-            memory.added if memory else np.zeros(len(begins)),
-            reading.step.astype(np.float64) + self._design.observer.delay,
-        )
+        time = reading.step.astype(np.float64) + self._design.observer.delay
         torques, added = _law_of_arms(
             self._design,
             rows_at(plans, time),
@@ -197,7 +183,7 @@ class PreviewController(ClassicalController[PreviewMemory]):
             begins,
             estimate.ahead,
             estimate.disturbance,
-            before,
+            memory.added if memory else np.zeros(len(begins)),
         )
         return torques, PreviewMemory(plans, estimate, added)
 
