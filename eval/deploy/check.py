@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from beltarm_env.arrays import Floats
-from beltarm_env.rollout import Controller, rollout
+from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.comparison.splits import Split
 from eval.deploy.building import Toolchain, here
@@ -59,15 +59,34 @@ def compare(
     Raises:
         ValueError: If there is no compiler, or the sources do not compile.
     """
-    arguments, moves = split.arguments(slice(episodes)), split.moves[:episodes]
-    counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
-    python = rollout(controller, episodes, **arguments)
-    limit = loop.params.torque_limit
-    with InTheLoop(folder, loop.name, moves, limit, toolchain or here(), counts, flags) as program:
-        compiled = rollout(program, episodes, **arguments)
+    python = rollout(controller, episodes, **split.arguments(slice(episodes)))
+    return agreement(folder, loop, python, split, episodes, toolchain, flags)
+
+
+def agreement(
+    folder: Path,
+    loop: Loop,
+    python: Recording,
+    split: Split,
+    episodes: int,
+    toolchain: Toolchain | None = None,
+    flags: tuple[str, ...] = (),
+) -> Agreement:
+    """Run a program on the scenarios that the controller has been recorded on, see `compare`."""
+    with program_for(folder, loop, split, episodes, toolchain, flags) as program:
+        compiled = rollout(program, episodes, **split.arguments(slice(episodes)))
         times = program.times()
     length = min(len(python.torque), len(compiled.torque))
     a, b = python.torque[:length], compiled.torque[:length]
     same = (a == b) | (np.isnan(a) & np.isnan(b))
     largest = float(np.nanmax(np.abs(a - b), initial=0.0))
     return Agreement(same.size, int(same.sum()), largest, (python.cost, compiled.cost), times)
+
+
+def program_for(
+    folder: Path, loop: Loop, split: Split, episodes: int, toolchain: Toolchain | None, flags: tuple[str, ...]
+) -> InTheLoop:
+    """Compile a program for the first scenarios of a split, and start it; see `compare`."""
+    counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
+    moves, limit = split.moves[:episodes], loop.params.torque_limit
+    return InTheLoop(folder, loop.name, moves, limit, toolchain or here(), counts, flags)

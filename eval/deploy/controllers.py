@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy.bundle import load_controller, read_spec
+from agents.policy.bundle import MANIFEST, load_controller, read_spec
 from agents.policy.correction import correction
 from agents.residual.controller import ResidualController
 from agents.residual.guarded import GuardedResidualController
@@ -55,9 +55,9 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         identifies, params = isinstance(controller, IdentifyingController), controller.params
         propose = identifying(kernel.law) if identifies else classical(kernel.law)
         title = f"Controller {source!r} of beltarm"
-        loop = _loop(source, title, params, propose, kernel.design, kernel.memory, guard, source, 0.0)
-        return replace(loop, identifies=identifies, plans=identifies)
-    if not (Path(source) / "policy.json").is_file():
+        loop = Loop(source, title, params, step_of(propose), kernel.design, kernel.memory, identifies, identifies)
+        return _behind_guard(loop, propose, source, 0.0) if guard else loop
+    if not (Path(source) / MANIFEST).is_file():
         nearest = difflib.get_close_matches(source, CONTROLLERS, 1, 0.4)
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"
         raise ValueError(f"{source!r} is neither a classical controller nor the folder of a policy; {hint}")
@@ -71,39 +71,29 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     memory = Learned(kernel.memory, filtering, corrected.memory)
     title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {read_spec(source)[1]['content_hash']}"
     propose = learned(kernel.law, told, shared)
-    loop = _loop(
-        spec.algorithm,
-        title,
-        controller.params or ArmParams(),
-        propose,
-        design,
-        memory,
-        guard,
-        spec.base,
-        spec.residual.limit,
-    )
-    return replace(loop, identifies=told, plans=isinstance(base, AdaptiveController))
+    params, plans = controller.params or ArmParams(), isinstance(base, AdaptiveController)
+    loop = Loop(spec.algorithm, title, params, step_of(propose), design, memory, told, plans)
+    return _behind_guard(loop, propose, spec.base, spec.residual.limit) if guard else loop
 
 
-def _loop(
-    name: str,
-    title: str,
-    params: ArmParams,
-    propose: Kernel,
-    design: Any,
-    memory: Any,
-    guard: bool,
-    base: str,
-    residual: float,
-) -> Loop:
-    if not guard:
-        return Loop(name, title, params, step_of(propose), design, memory)
+def _behind_guard(loop: Loop, propose: Kernel, base: str, residual: float) -> Loop:
+    """Loop with the guard behind a controller.
+
+    Args:
+        loop: Of the controller alone.
+        propose: Of the controller.
+        base: Name of the controller, or of what it corrects.
+        residual: Largest residual, over the torque limit.
+    """
     servo: Any = servo_for(base)
-    kernel = servo.kernel() if servo is not None else LawKernel(propose, None, None)
-    step = guarded_step(propose, kernel.law if servo is not None else None)
-    constants = Guarded(design, kernel.design, GuardSettings().design(params, residual))
-    kept = Guarded(memory, kernel.memory, GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp)))
-    return Loop(name, f"{title}, behind the guard", params, step, constants, kept)
+    law, fixed, memory = servo.kernel() if servo is not None else (None, None, None)
+    return replace(
+        loop,
+        title=f"{loop.title}, behind the guard",
+        step=guarded_step(propose, law),
+        design=Guarded(loop.design, fixed, GuardSettings().design(loop.params, residual)),
+        memory=Guarded(loop.memory, memory, GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp))),
+    )
 
 
 def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:

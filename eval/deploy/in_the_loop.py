@@ -15,6 +15,7 @@ from beltarm_env.observation import index, scales
 from eval.deploy.building import Toolchain
 
 _ANGLE = index("motor_angle")
+_ANGLE_SCALE = scales()[_ANGLE]
 
 
 class StepTimes(NamedTuple):
@@ -70,7 +71,7 @@ class InTheLoop:
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Torque over its limit, shape (n, 1), see `Controller`; the memory is in the program."""
-        angles = observation[:, _ANGLE] * scales()[_ANGLE]
+        angles = observation[:, _ANGLE] * _ANGLE_SCALE
         counts = np.rint(angles / self._quantum).astype(int)
         begins = np.ones(len(counts), np.bool_) if state is None else episode_start
         for arm in [] if begins is None else np.flatnonzero(begins):

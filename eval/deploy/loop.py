@@ -18,7 +18,7 @@ from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Integers, Singles
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import IDEAL, LANES, load_move, store_plant
+from beltarm_env.kernels.layout import IDEAL, LANES, store_plant
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.tile import TILE_ROWS
 from beltarm_env.observation import ENCODER, size
@@ -84,9 +84,3 @@ def commanded(device: Device, action: float, limit: float) -> float:
     block[at.STEP * LANES] += 1.0
     device.begins[0] = 0
     return action * limit
-
-
-@compiled
-def move_of(device: Device) -> MoveShape:
-    """The move that the loop is in."""
-    return load_move(device.block, 0)

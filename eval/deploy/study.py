@@ -11,13 +11,12 @@ import numpy as np
 
 from agents.policy.bundle import POLICIES
 from beltarm_env.arrays import Floats
-from beltarm_env.rollout import rollout
-from beltarm_env.task.sensors import ENCODER_COUNTS
+from beltarm_env.rollout import Controller, Recording, rollout
 from eval.comparison.splits import Split
-from eval.deploy.building import SINGLE, here
-from eval.deploy.check import Agreement, compare
+from eval.deploy.building import SINGLE
+from eval.deploy.check import Agreement, agreement, program_for
 from eval.deploy.controllers import controller_of, loop_of
-from eval.deploy.in_the_loop import InTheLoop, StepTimes
+from eval.deploy.in_the_loop import StepTimes
 from eval.deploy.package import write
 from eval.deploy.sizes import PROCESSORS, Footprint, footprint, processors_for
 from eval.deploy.source import Loop
@@ -72,9 +71,11 @@ def examine(source: str, splits: list[Split], episodes: int) -> Exported:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "export"
         write(folder, loop)
-        found = [compare(folder, loop, controller, split, episodes) for split in splits]
-        singles = [compare(folder, loop, controller, split, episodes, flags=ANYWAY) for split in splits]
-        off = np.concatenate([_beside(folder, loop, controller, split, episodes) for split in splits])
+        off, recordings = [], []
+        for split in splits:
+            recordings.append(_beside(folder, loop, controller, split, episodes, off))
+        found = _agreements(folder, loop, recordings, splits, episodes)
+        singles = _agreements(folder, loop, recordings, splits, episodes, ANYWAY)
         footprints = {core: footprint(folder, loop.name, core) for core in processors_for(loop)}
     return Exported(
         loop.name,
@@ -82,8 +83,8 @@ def examine(source: str, splits: list[Split], episodes: int) -> Exported:
         sum(each.samples for each in found),
         sum(each.equal for each in found),
         max((each.times for each in found), key=lambda times: times.longest),
-        SinglePrecision(off, _more(singles)),
-        _spread(source, controller, splits, episodes) if loop.plans else None,
+        SinglePrecision(np.concatenate(off), _more(singles)),
+        _spread(source, recordings, splits, episodes) if loop.plans else None,
         {core: footprints.get(core) for core in PROCESSORS},
     )
 
@@ -94,20 +95,35 @@ def _more(found: list[Agreement]) -> float:
     return float(after.mean() / before.mean() - 1)
 
 
-def _spread(source: str, controller: Any, splits: list[Split], episodes: int) -> Spread:
+def _agreements(
+    folder: Path,
+    loop: Loop,
+    recordings: list[Recording],
+    splits: list[Split],
+    episodes: int,
+    flags: tuple[str, ...] = (),
+) -> list[Agreement]:
+    pairs = zip(recordings, splits, strict=True)
+    return [agreement(folder, loop, python, split, episodes, flags=flags) for python, split in pairs]
+
+
+def _spread(source: str, recordings: list[Recording], splits: list[Split], episodes: int) -> Spread:
     loop = loop_of(source, plan_samples=SPREAD)
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "export"
         write(folder, loop)
-        found = [compare(folder, loop, controller, split, episodes) for split in splits]
+        found = _agreements(folder, loop, recordings, splits, episodes)
     return Spread(max((each.times for each in found), key=lambda times: times.longest), _more(found))
 
 
-def _beside(folder: Path, loop: Loop, controller: Any, split: Split, episodes: int) -> Floats:
-    """Torque of a program in single precision less the controller's, which moves the arms; over its limit."""
-    counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
-    limit, differences = loop.params.torque_limit, []
-    with InTheLoop(folder, loop.name, split.moves[:episodes], limit, here(), counts, ANYWAY) as program:
+def _beside(
+    folder: Path, loop: Loop, controller: Controller, split: Split, episodes: int, differences: list[Floats]
+) -> Recording:
+    """Record a controller, with a program in single precision beside it, which moves nothing.
+
+    Adds to `differences` by how much the program's torque is off in each sample, over the limit.
+    """
+    with program_for(folder, loop, split, episodes, None, ANYWAY) as program:
 
         class Both:
             params = loop.params
@@ -121,5 +137,4 @@ def _beside(folder: Path, loop: Loop, controller: Any, split: Split, episodes: i
                 differences.append(np.abs(beside - action)[:, 0])
                 return action, (memory, kept)
 
-        rollout(Both(), episodes, **split.arguments(slice(episodes)))
-    return np.concatenate(differences)
+        return rollout(Both(), episodes, **split.arguments(slice(episodes)))

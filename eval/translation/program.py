@@ -54,7 +54,6 @@ class Program:
         self._kept: list[Any] = []  # so that no identity is used twice
         self._running: list[Any] = []
         self._written: dict[str, str] = {}  # text to name: functions that differ in types alone may be the same
-        self.sources: dict[str, None] = {}
 
     def struct(self, kind: RecordType) -> str:
         """Name of a struct, declared at its first use."""
@@ -193,7 +192,6 @@ class Program:
                 break
             returned = body.returned
         name = PREFIX + function.__name__.strip("_")
-        self.sources[place(function).partition(":")[0]] = None
         text = text_of(function, name, body, parameters)
         if text not in self._written:
             self._written[text] = self._free(name)
