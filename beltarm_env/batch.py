@@ -13,19 +13,18 @@ from beltarm_env import observation
 from beltarm_env.arm import COLUMN, FIELDS, WHOLE, ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.episodes import begin_episodes, episode_totals, tip_errors
+from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
 from beltarm_env.kernels.layout import BUILT, IDEAL
-from beltarm_env.kernels.observe import observe_arms
+from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
-from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
-from beltarm_env.task.accelerometer import DRAWS as SENSOR_DRAWS
-from beltarm_env.task.moves import DRAWS as MOVE_DRAWS
+from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
+from beltarm_env.task.streams import Streams, wrapping
 from beltarm_env.timing import CONTROL_PERIOD
 
 if TYPE_CHECKING:
@@ -35,12 +34,6 @@ if TYPE_CHECKING:
 
 _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
-DRAWS = len(FIELDS) + MOVE_DRAWS + SENSOR_DRAWS
-"""Uniform random numbers an episode takes, whatever is randomised or fixed, so that streams stay aligned."""
-_BEFORE_MOVE = FIELDS.index("current_loop_time_constant")  # draws of the arm; then the move, the drive, the sensors
-_OF_MOVE = slice(_BEFORE_MOVE, _BEFORE_MOVE + MOVE_DRAWS)
-_OF_ARM = np.r_[:_BEFORE_MOVE, _OF_MOVE.stop : len(FIELDS) + MOVE_DRAWS]
-_DRIVE_COLUMNS = np.array(DRIVE_COLUMNS)
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -142,15 +135,14 @@ class ArmBatch:
         self._bounds = range_bounds(resolve_ranges(randomization))
         check_ranges_integrable(self._bounds, self.model)
         self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
-        self.driven: at.Driven = IDEAL
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
+        self._num_built = 0
         self.delays = _delays(delay, num_arms)
         self.blocks = at.empty_blocks(num_arms)
         self.scratch, self.tile = new_scratch()
         self.engine = _engine(model, num_arms)
         if self.engine is not None:
             self.engine.check(self._bounds)
-        self._nothing = np.full((num_arms, 4), np.nan)  # no value given: of a move, of a state
         self.table = np.tile(self._bounds[0], (num_arms, 1))
         bounds = observation.bounds(sensors)
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float32)
@@ -173,8 +165,8 @@ class ArmBatch:
         given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 
-        of_sensors = uniforms[:, -SENSOR_DRAWS:]
-        table = draw_table(self._bounds, uniforms[:, _OF_ARM])
+        table = np.empty((count, len(FIELDS)))
+        draw_table(self._bounds, uniforms, table)
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for given in np.unique(column) if name in WHOLE else (column.min(), column.max()):
@@ -185,25 +177,41 @@ class ArmBatch:
             if self.engine is not None:
                 self.engine.check(table)
 
-        given = self._nothing[:count].copy() if given_move else self._nothing[:count]
+        given = np.full((count, 4), np.nan)
         for name, value in given_move.items():
             given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
             if not np.isfinite(column).all():
                 raise ValueError(f"move[{name!r}] must be finite, got {value!r}")
-        moves = draw_moves(self.profile, uniforms[:, _OF_MOVE], given)
+        moves = draw_moves(self.profile, uniforms[:, FIRST_OF_MOVE:END_OF_MOVE], given)
         if given_move:
             check_moves(self.profile, moves)
 
-        states = self._nothing[:count]
+        states = np.full((count, 4), np.nan)
         if options.get("state") is not None:
             states = _states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
-        self._built[arms] = table[:, _DRIVE_COLUMNS].any(axis=1)
-        self.driven = BUILT if self._built.any() else IDEAL
-        sensing = self.resolution, self.delays, of_sensors
-        begin_episodes(self.blocks, arms, table, moves, states, *sensing, self.model)
+        sensing = self.resolution, self.delays, uniforms
+        of_model = self._built, self.model
+        self._num_built += begin_episodes(self.blocks, arms, table, moves, states, *sensing, *of_model)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
+
+    def restart(self, arms: Integers, streams: Streams, observations: Singles) -> None:
+        """Begin new random episodes for some arms, without options, and write their first observations.
+
+        Args:
+            arms: Integers of the arms.
+            streams: Random streams of all arms, of which theirs move on.
+            observations: Shape (num_arms, size), of which theirs are written.
+        """
+        sensing = self.resolution, self.delays
+        with wrapping():
+            self._num_built += restart_episodes(
+                self.blocks, arms, streams, self._bounds, self.table, *sensing, self._built, self.profile, self.model
+            )
+        if self.engine is not None:
+            self.engine.begin(arms, self.table[arms], self.states[arms])
+        observe_some(self.blocks, self.tile, observations, arms, self.profile, self.tier, self.driven)
 
     def advance_in_engine(self, actions: Floats) -> None:
         """Move all arms by one control period in `engine`, where it is not the kernels that do.
@@ -225,11 +233,14 @@ class ArmBatch:
         count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
         at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
 
-    def observe(self, observations: Singles, arms: Integers) -> None:
-        """Write the observations of (at least) some arms into `observations`, shape (num_arms, size)."""
-        chosen = np.zeros(len(self.blocks), dtype=np.bool_)
-        chosen[arms // at.LANES] = True
-        observe_arms(self.blocks, self.tile, observations, chosen, self.profile, self.tier, self.driven)
+    def observe(self, observations: Singles) -> None:
+        """Write the observations of all arms into `observations`, shape (num_arms, size)."""
+        observe_arms(self.blocks, self.tile, observations, self.profile, self.tier, self.driven)
+
+    @property
+    def driven(self) -> at.Driven:
+        """Whether drives as they are built are among the arms."""
+        return BUILT if self._num_built else IDEAL
 
     @property
     def all_arms(self) -> Integers:

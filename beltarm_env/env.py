@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from beltarm_env import observation
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
+from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
+from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
@@ -182,7 +183,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
         self._ready = self._running = True
         result = np.empty((1, self._size), np.float32)
-        self._batch.observe(result, _ARM)
+        self._batch.observe(result)
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":

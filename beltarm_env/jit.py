@@ -4,51 +4,184 @@ Equations are plain functions of floats, written once. `inlined` marks those tha
 flat loop over arms and vectorises it; `compiled` marks the kernels that Python calls. With `NUMBA_DISABLE_JIT=1` both
 leave the functions as they are, and the very same code runs as plain Python.
 
-Without wrappers for C callers, which nobody calls, compiling takes a third less time.
-
 No `fastmath`: strict IEEE arithmetic is what makes one arm and arm *i* of a batch agree bit for bit.
+
+**Parts.** numba makes machine code of every function, also of those that only kernels call, and optimises each together
+with all that it calls. Here what a kernel calls is a part: numba finds its types and translates it for LLVM, and that
+is all. The kernel that Python calls is linked from its parts, and only this whole is optimised, once. Compiling takes
+half the time.
 
 **Cache.** numba keeps compiled kernels on disk, and takes one for fresh as long as the file that defines it is
 unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256
 of all sources that a kernel can be made of: those of this package and of the kernel's own. An edited equation is thus
 never run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`). Where the cache lacks a kernel, a
-line on stderr says why the first call takes so long.
+line on stderr says why the first call takes so long. A kernel that the cache has is loaded without the compiler.
 """
 
 from __future__ import annotations
 
 import hashlib
 import multiprocessing
+import os
+import pickle
 import sys
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Iterable
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, Literal, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core import config
+from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
+from numba.core.environment import lookup_environment
+from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
+from numba.core.typed_passes import NativeLowering
 
 ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
+_OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
+_PLAIN = bool(getattr(config, "DISABLE_JIT", 0))
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a scalar equation for inlining into kernels."""
-    return _jitted(function, forceinline=True)
+    return function if _PLAIN else cast("Callable[_P, _R]", _Inlined(function))
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a kernel, cached on disk."""
-    return _jitted(function, nogil=True)
+    return function if _PLAIN else cast("Callable[_P, _R]", _Kernel(function))
 
 
-def _jitted(function: Callable[_P, _R], **more: Any) -> Callable[_P, _R]:
-    options = {"error_model": "numpy", "no_cfunc_wrapper": True, **more}
-    jitted: Any = numba.njit(**options)(function)
-    if jitted is not function:  # not with NUMBA_DISABLE_JIT=1
-        jitted._cache = _ContentKeyedCache(function)
-    return cast("Callable[_P, _R]", jitted)
+class _Inlined:
+    """An equation: a part of kernels, and a kernel of its own only if Python calls it."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._alone(*arguments)
+
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__
+
+    @cached_property
+    def _alone(self) -> _Kernel:
+        return _Kernel(self.py_func)
+
+    @cached_property
+    def _part(self) -> _Part:
+        return _Part(self.py_func, targetoptions={"forceinline": True})
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes the equation for where a kernel calls it."""
+        return self._part._numba_type_
+
+
+class _Kernel(CPUDispatcher):
+    """A kernel that Python calls; where another kernel calls it, a part of that one."""
+
+    def __init__(self, function: Callable[..., Any], *_: Any, **__: Any) -> None:
+        super().__init__(function, targetoptions={**_OPTIONS, "nogil": True}, pipeline_class=_WholeCompiler)
+        self._cache = _ContentKeyedCache(function)
+
+    @cached_property
+    def _part(self) -> _Part:
+        return _Part(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self._part._numba_type_
+
+
+class _Part(CPUDispatcher):
+    """A function that kernels call."""
+
+    def __init__(self, function: Callable[..., Any], *_: Any, targetoptions: dict[str, Any] | None = None) -> None:
+        options = {**_OPTIONS, "no_cpython_wrapper": True, **(targetoptions or {})}
+        super().__init__(function, targetoptions=options, pipeline_class=_PartCompiler)
+
+    def add_overload(self, cres: Any) -> None:
+        self.overloads[tuple(cres.signature.args)] = cres
+
+
+class _PartLibrary(JITCodeLibrary):
+    """Code of a part, neither linked nor optimised."""
+
+    def finalize(self) -> None:
+        self._finalized = True
+
+
+class _WholeLibrary(JITCodeLibrary):
+    """Code of a kernel, linked from its parts."""
+
+    def finalize(self) -> None:
+        found: dict[Any, None] = {}
+        _collect(self._linking_libraries, found)
+        # Callers first: LLVM leaves out what nothing calls yet.
+        self._linking_libraries = list(found)[::-1]
+        super().finalize()
+
+
+def _collect(libraries: Iterable[Any], found: dict[Any, None]) -> None:
+    """Note these libraries and all that they call, each behind what it calls."""
+    for library in libraries:
+        if library not in found:
+            if isinstance(library, _PartLibrary):
+                _collect(library._linking_libraries, found)
+            found[library] = None
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):
+    _name = "beltarm_part_lowering"
+
+    def run_pass(self, state: Any) -> Literal[True]:
+        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        entry = object()  # numba finds a function by what would call its machine code
+        state.targetctx.insert_user_function(entry, state["cr"].fndesc, [state.library])
+        state["cr"] = state["cr"]._replace(cfunc=entry)
+        return True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _WholeLowering(NativeLowering):
+    _name = "beltarm_whole_lowering"
+
+    def run_pass(self, state: Any) -> Literal[True]:
+        code = state.targetctx.codegen()
+        state.library = _WholeLibrary(code, state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        super().run_pass(state)
+        for variable in state.library._final_module.global_variables:
+            environment = lookup_environment(variable.name)  # what a part needs to raise
+            if environment is not None:
+                code.set_env(variable.name, environment)
+        return True
+
+
+class _PartCompiler(CompilerBase):
+    lowering: Any = _PartLowering
+
+    def define_pipelines(self) -> list[Any]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [(self.lowering if step is NativeLowering else step, text) for step, text in passes.passes]
+        passes.finalize()
+        return [passes]
+
+
+class _WholeCompiler(_PartCompiler):
+    lowering = _WholeLowering
 
 
 def sources_digest(*folders: Path) -> str:
@@ -67,15 +200,44 @@ class _ContentKeyedCache(FunctionCache):
         super().__init__(function)
         digest = _digest_behind(function.__module__.partition(".")[0])
         # The whole name changes, not just the stamp inside: another process may read the old files meanwhile.
-        self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}-{digest}", digest)
+        self._cache_file = _SignatureFiles(Path(self._cache_path), f"{self._impl.filename_base}-{digest}")
         _drop_outdated(Path(self._cache_path), digest)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Look a kernel up; numba compiles one that is not found."""
-        found = super().load_overload(sig, target_context)
+        rtsys.initialize(target_context)  # all that a kernel needs to run; numba would load its compiler as well
+        found = self._load_overload(sig, target_context)
         if found is None:
             _announce()
         return found
+
+
+class _SignatureFiles:
+    """Files of one function, one for each signature.
+
+    numba has one index of all signatures instead, and of two processes that write it at a time one is forgotten, or its
+    code is taken for the other's.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder = folder
+        self._name = name
+
+    def _path(self, key: Any) -> Path:
+        return self._folder / f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+
+    def load(self, key: Any) -> Any:
+        try:
+            kept, data = pickle.loads(self._path(key).read_bytes())
+        except (OSError, pickle.UnpicklingError, EOFError, ValueError, AttributeError, ImportError, IndexError):
+            return None  # not there, or damaged: compiled anew
+        return data if kept == (numba.__version__, key) else None
+
+    def save(self, key: Any, data: Any) -> None:
+        path = self._path(key)
+        temporary = path.with_name(f"{path.name}.{os.getpid()}")
+        temporary.write_bytes(dumps(((numba.__version__, key), data)))
+        temporary.replace(path)
 
 
 @cache

@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -15,14 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from beltarm_env import observation
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
-from beltarm_env.batch import DRAWS, TOTALS, ArmBatch, new_renderer
+from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.step import step_arms
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
+from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
+from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
 
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 _NONE = np.empty(0, dtype=np.intp)
@@ -102,7 +103,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.sensors = sensors
         self._size = observation.size(sensors)
-        self._generators: list[np.random.Generator] = []
+        self._streams: Streams | None = None  # of random numbers, one per arm, from the first reset on
         self._ready = False  # all arms reset at least once
         self._ended = _NONE  # arms whose episode ended in the last step
         self._renderers = None
@@ -129,12 +130,16 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             arms = np.flatnonzero(self._checked_mask(options.pop("reset_mask")))
             if not self._ready:
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
-        self._seed(seed, arms)
-        self._batch.reset(arms, self._draws(arms), options)
+        streams = self._seeded(seed, arms)
+        draws = np.empty((len(arms), DRAWS))
+        with wrapping():
+            draw(streams, arms, draws)
+        self._batch.reset(arms, draws, options)
+        self._streams = streams
         self._ready = True
         self._ended = np.setdiff1d(self._ended, arms)
         result = np.empty((self.num_envs, self._size), np.float32)
-        self._batch.observe(result, self._batch.all_arms)
+        self._batch.observe(result)
         return result, {}
 
     def step(self, actions: Singles) -> tuple[Singles, Floats, Flags, Flags, dict[str, Any]]:
@@ -214,16 +219,11 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
 
     def _restart(self, arms: Integers, result: Singles) -> None:
         """Begin new random episodes and put their first observations into `result`."""
-        self._batch.reset(arms, self._draws(arms), None)
-        self._batch.observe(result, arms)
+        assert self._streams is not None, "there was a reset"
+        self._batch.restart(arms, self._streams, result)
 
-    def _draws(self, arms: Integers) -> Floats:
-        draws = np.empty((len(arms), DRAWS))
-        for row, arm in zip(draws, arms.tolist(), strict=True):
-            self._generators[arm].random(out=row)
-        return draws
-
-    def _seed(self, seed: int | Sequence[int | None] | None, arms: Integers) -> None:
+    def _seeded(self, seed: int | Sequence[int | None] | None, arms: Integers) -> Streams:
+        """Return the streams of all arms, with those of some seeded."""
         if seed is None or isinstance(seed, int | np.integer):
             super().reset(seed=None if seed is None else int(seed))
             seeds = [None if seed is None else int(seed) + arm for arm in range(self.num_envs)]
@@ -231,12 +231,13 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             seeds = list(seed)
             if len(seeds) != self.num_envs:
                 raise ValueError(f"seed must be one number or {self.num_envs} of them, got {len(seeds)}")
-        if not self._generators:
-            entropy = self.np_random.integers(2**63, size=self.num_envs)
-            self._generators = [seeding.np_random(int(number))[0] for number in entropy]
-        for arm in arms:
-            if (own := seeds[arm]) is not None:
-                self._generators[arm] = seeding.np_random(own)[0]
+        if self._streams is None:
+            streams = seeded(self.np_random.integers(2**63, size=self.num_envs).tolist())
+        else:
+            streams = self._streams.copy()
+        own = {int(arm): checked_seed(seeds[arm]) for arm in arms if seeds[arm] is not None}
+        streams[list(own)] = seeded(list(own.values()))
+        return streams
 
     def _checked_mask(self, mask: object) -> Flags:
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):

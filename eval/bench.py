@@ -18,6 +18,7 @@ from rich.table import Table
 
 from baselines.tools.command import run_command
 from eval.speed.accuracy import accuracy_row
+from eval.speed.parts import parts_table
 from eval.speed.start_up import start_up_rows
 from eval.speed.stepping import batch_rows, single_row
 from eval.speed.training import training_rows
@@ -33,6 +34,8 @@ class Config:
     """Repetitions of each measurement. The best one counts."""
     steps: int = 100
     """Steps per repetition of a batch. Single arms take a hundred times as many."""
+    parts: bool = False
+    """Also measure what the parts of a batch's step take."""
     training: bool = False
     """Also run `train/ppo.py` with its defaults, and report when its policy halves the paper's figures. Takes
     minutes."""
@@ -45,6 +48,8 @@ def run(config: Config) -> None:
     console = Console()
     rows = batch_rows(config.arms, config.steps, config.repetitions)
     rows += [single_row(config.steps, config.repetitions), accuracy_row(), *start_up_rows(config.repetitions)]
+    if config.parts:
+        console.print(parts_table(config.arms, config.steps, config.repetitions))
     if config.training:
         rows += training_rows()
     if config.training_loop:

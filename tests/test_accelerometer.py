@@ -18,7 +18,6 @@ from scipy.stats import chi2, norm
 
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.batch import DRAWS
 from beltarm_env.observation import decode
 from beltarm_env.physics.kinematics import TipMotion
 from beltarm_env.rollout import rollout
@@ -34,6 +33,7 @@ from beltarm_env.task.accelerometer import (
     noise_seed,
     reading,
 )
+from beltarm_env.task.draws import DRAWS
 
 Floats = NDArray[np.float64]
 

@@ -15,8 +15,12 @@ from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
 from beltarm_env.arm import Plant, plant_of
+from beltarm_env.jit import compiled
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.layout import LANES, load_state, store_plant, store_state
+from beltarm_env.kernels.runge_kutta import DIRECTION, DT, NEXT, RK4_ROWS, TORQUE, rk4_steps
 from beltarm_env.observation import decode
-from beltarm_env.physics.integrator import mode_margin, rk4_step, step_to_mode_change
+from beltarm_env.physics.integrator import mode_change, mode_margin
 from beltarm_env.physics.models import (
     FULL_ARM,
     LUMPED,
@@ -45,6 +49,20 @@ SLOWEST_TRAINED = {name: pair[1] for name, pair in IDEAL_RANGES.items()} | {
 
 def plant(**changes: float) -> Plant:
     return plant_of(np.array(astuple(ArmParams(**changes))))
+
+
+@compiled
+def _rk4_step(work: Floats, x: ArmState, arm: Plant, model: Model) -> ArmState:
+    store_state(work, at.STATE, 0, x)
+    store_plant(work, 0, arm)
+    rk4_steps(work, work, 1, model)
+    return load_state(work, NEXT, 0)
+
+
+def rk4_step(x: ArmState, torque: float, direction: float, dt: float, arm: Plant, model: Model) -> ArmState:
+    work = np.zeros(RK4_ROWS * LANES)
+    work[TORQUE * LANES], work[DIRECTION * LANES], work[DT * LANES] = torque, direction, dt
+    return _rk4_step(work, x, arm, model)
 
 
 def at_rest(joint: float, torsion: float = 0.0, torsion_speed: float = 0.0) -> Floats:
@@ -217,8 +235,8 @@ class TestIntegrator:
             if mode_margin(y, torque, 1.0, arm, model) >= 0:
                 continue
             stops += 1
-            *_, remaining = step_to_mode_change(x, torque, 1.0, CONTROL_PERIOD, y, arm, model)
-            there = rk4_step(x, torque, 1.0, CONTROL_PERIOD - remaining, arm, model)
+            share, _ = mode_change(x, torque, 1.0, CONTROL_PERIOD, y, arm, model)
+            there = rk4_step(x, torque, 1.0, share * CONTROL_PERIOD, arm, model)
             # 15 ns of the sample: 4e-5 rad/s of the motor at most
             assert abs(there.motor_speed) < 1e-5 * abs(y.motor_speed - x.motor_speed), x
         assert stops > 500

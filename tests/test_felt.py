@@ -142,7 +142,7 @@ class TestKnowledge:
     def test_kinematic_error_and_zero_g_output_are_found(self):
         _, felt, table, memory = followed("adaptive")
         size, phase = table[:, COLUMN.kinematic_error], table[:, COLUMN.kinematic_error_phase]
-        z = memory.belief.tracks.mean
+        z = memory.belief.tracks.mean.T
         np.testing.assert_allclose(z[arm_of.ERROR_SINE], size * np.cos(phase), atol=8e-6)
         np.testing.assert_allclose(z[arm_of.ERROR_COSINE], size * np.sin(phase), atol=8e-6)
         assert size.max() > 2e-4

@@ -94,3 +94,50 @@ def test_the_digest_sees_contents_names_and_sub_folders(tmp_path: Path):
     (tmp_path / "sub" / "a.py").rename(tmp_path / "a.py")
     assert len({first, second, sources_digest(tmp_path)}) == 3
     assert sources_digest(tmp_path) == sources_digest(tmp_path)
+
+
+def test_a_cached_kernel_is_loaded_without_the_compiler(toy: Path):
+    code = f"import sys; {PLAIN}; print('numba.np.arraymath' in sys.modules)"
+    assert [done(toy, code).stdout.split() for _ in range(2)] == [["2.0", "True"], ["2.0", "False"]]
+
+
+REFUSING = "from toy.jit import inlined\n\n@inlined\ndef friction(speed):\n    if speed < 0.0:\n        raise ValueError('backwards', speed)\n    return speed\n"  # noqa: E501
+TRIED = """
+from toy.kernel import torque
+from toy.laws.law import friction
+for called in (torque, friction):
+    try:
+        called(-2.0)
+    except ValueError as error:
+        print(*error.args)
+"""
+
+
+def test_what_a_part_raises_arrives_compiled_and_from_the_cache(toy: Path):
+    (toy / "laws" / "law.py").write_text(REFUSING)
+    assert [done(toy, TRIED).stdout for _ in range(2)] == ["backwards -2.0\n" * 2] * 2
+
+
+def test_processes_that_compile_at_a_time_do_not_overwrite_their_kernels(tmp_path: Path):
+    one, other = (jit._SignatureFiles(tmp_path, "law") for _ in range(2))
+    one.save("float64", "code for float64")
+    other.save("int64", "code for int64")
+    assert one.load("int64") == "code for int64" and other.load("float64") == "code for float64"
+    assert one.load("float32") is None
+
+
+def test_a_kernel_of_another_signature_is_not_taken_for_ones_own(tmp_path: Path):
+    class Twin(str):
+        def __eq__(self, other: object) -> bool:
+            return self is other
+
+        __hash__ = str.__hash__
+
+    files = jit._SignatureFiles(tmp_path, "law")
+    files.save("float64", "code")
+    assert files.load(Twin("float64")) is None
+
+
+def test_equations_and_kernels_are_sent_to_other_processes(toy: Path):
+    code = "import pickle; from toy.kernel import torque, friction; print(*[pickle.loads(pickle.dumps(f))(2.0) for f in (torque, friction)])"  # noqa: E501
+    assert done(toy, code).stdout == "2.0 2.0\n"

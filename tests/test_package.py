@@ -20,7 +20,7 @@ LAYERS = {
     "baselines": ("agents", "train", "eval"),
     "agents": ("train", "eval"),
 }
-DEPENDENCIES = {"gymnasium", "numpy", "numba"}
+DEPENDENCIES = {"gymnasium", "llvmlite", "numba", "numpy"}
 OPTIONAL = {"pygame", "mujoco", "matplotlib", "pandas", "pyarrow"}
 
 

@@ -189,7 +189,7 @@ def test_a_folder_is_carried_to_machines_that_lack_it(tmp_path: Path):
 
 OWN = """
 import numpy as np
-from beside import GAIN
+from near_the_policy import GAIN
 class Own:
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         return np.full((len(observation), 1), GAIN, np.float32), None
@@ -199,7 +199,7 @@ class Own:
 def test_a_comparison_is_the_same_on_ray(tmp_path: Path):
     """With a policy and a user's own controller, whose files the workers do not have when they run."""
     (tmp_path / "own").mkdir()
-    (tmp_path / "own/beside.py").write_text("GAIN = 0.1\n")
+    (tmp_path / "own/near_the_policy.py").write_text("GAIN = 0.1\n")
     (tmp_path / "own/own.py").write_text(OWN)
     (policy,) = learned_methods(shipped_policies()[:1])
     methods = [policy, added_method(f"{tmp_path}/own/own.py:Own")]

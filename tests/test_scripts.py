@@ -162,12 +162,22 @@ def test_a_readme_of_other_results_is_noticed(
 
 def test_bench_prints_ratios(tmp_path: Path) -> None:
     environment = {**os.environ, "COLUMNS": "200"}
-    command = [sys.executable, str(ROOT / "eval/bench.py"), "--arms", "64", "--repetitions", "1", "--steps", "2"]
+    options = ["--arms", "64", "--repetitions", "1", "--steps", "2", "--parts"]
+    command = [sys.executable, str(ROOT / "eval/bench.py"), *options]
     result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert "vector step, N = 64" in result.stdout
     assert "CartPole-v1" in result.stdout
-    rows = ("full arm", "single step through make", "tip error of 5", "import beltarm_env", "warm cache", "cold cache")
+    rows = (
+        "full arm",
+        "motion",
+        "whole step",
+        "single step through make",
+        "tip error of 5",
+        "import beltarm_env",
+        "warm cache",
+        "cold cache",
+    )
     assert [row for row in rows if row not in result.stdout] == []
 
 

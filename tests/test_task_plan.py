@@ -64,7 +64,7 @@ def test_anchoring_changes_nothing_about_the_law():
     there += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], there.shape)
     after, room = [plan.copy() for plan in before], plan_room()
     for arm, move in enumerate(MOVES):
-        plan_squares(MoveShape(*move), TABLE[arm], plan_cost(WEIGHTS), room, np.empty((1200, 10)))
+        plan_squares(MoveShape(*move), TABLE[arm], plan_cost(WEIGHTS), 0, room, np.empty((1200, 10)))
         anchor(after[arm], time[arm], there[arm], problem_of(MoveShape(*move), TABLE[arm]), room.model)
     for later in (1, 2, 100):
         whole = np.floor(time) + later
@@ -80,7 +80,7 @@ def test_anchoring_changes_nothing_about_the_law():
 
 def test_what_is_past_stays():
     (before, *_), room, move = planned(0), plan_room(), MoveShape(*MOVES[0])
-    plan_squares(move, TABLE[0], plan_cost(WEIGHTS), room, np.empty((1200, 10)))
+    plan_squares(move, TABLE[0], plan_cost(WEIGHTS), 0, room, np.empty((1200, 10)))
     after = before.copy()
     assert improve(after, 101, problem_of(move, TABLE[0]), room)
     assert (after[:101, 9] == before[:101, 9]).all() and (after[:102, :4] == before[:102, :4]).all()

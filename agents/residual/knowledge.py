@@ -92,8 +92,8 @@ def residual_observation_space(sensors: str = "encoder", knowledge: Knowledge = 
 class Filters(NamedTuple):
     """Part of a `Belief` about m arms that the agent is told of."""
 
-    mean: Floats  # of z, shape (SIZE, m)
-    covariance: Floats  # shape (SIZE, SIZE, m)
+    mean: Floats  # of z, shape (m, SIZE)
+    covariance: Floats  # shape (m, SIZE, SIZE)
     surprise: Floats  # shape (m,)
     angle: Floats  # last measured [rad], shape (m,)
     commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
@@ -137,19 +137,19 @@ def tell_belief(telling: Telling, now: Sample, filters: Filters, i: int, unexpla
         unexplained: From `note_unexplained`, shape (RECENT,).
         told: Written, shape (entries,).
     """
-    z, plant = filters.mean, telling.plant
-    x = ArmState(z[0, i], z[1, i], z[2, i], z[3, i])
+    z, plant = filters.mean[i], telling.plant
+    x = ArmState(z[0], z[1], z[2], z[3])
     error = tip_error(tip_motion(x, plant), now.reference_angle, now.reference_speed, plant)
     for k in range(_TIP_AT - _STATE_AT):
-        _write(told, _STATE_AT + k, z[1 + k, i], telling)
+        _write(told, _STATE_AT + k, z[1 + k], telling)
     _write(told, _TIP_AT, error.x, telling)
     _write(told, _TIP_AT + 1, error.y, telling)
     _write(told, _TIP_AT + 2, error.x_speed, telling)
     _write(told, _TIP_AT + 3, error.y_speed, telling)
     for k in range(_DOUBTS_AT - _CONSTANTS_AT):
-        _write(told, _CONSTANTS_AT + k, z[_IDENTIFIED + k, i], telling)
+        _write(told, _CONSTANTS_AT + k, z[_IDENTIFIED + k], telling)
     for k in range(_SURPRISE_AT - _DOUBTS_AT):
-        variance = filters.covariance[_DOUBTED + k, _DOUBTED + k, i]
+        variance = filters.covariance[i, _DOUBTED + k, _DOUBTED + k]
         _write(told, _DOUBTS_AT + k, math.sqrt(0.0 if variance < 0.0 else variance), telling)
     _write(told, _SURPRISE_AT, filters.surprise[i], telling)
     for k in range(RECENT):
@@ -163,4 +163,4 @@ def note_unexplained(filters: Filters, i: int, begins: bool, unexplained: Floats
     """Put what a filter could not explain of the latest angle before that of earlier samples, shape (RECENT,)."""
     for k in range(RECENT - 1, 0, -1):
         unexplained[k] = 0.0 if begins else unexplained[k - 1]
-    unexplained[0] = filters.angle[i] - filters.mean[0, i]
+    unexplained[0] = filters.angle[i] - filters.mean[i, 0]

@@ -33,6 +33,7 @@ def connected(address: str | None, cores: int | None = None) -> Iterator[Any]:
     """
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else Ray warns of what it will do one day
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # else Ray sends statistics of its use to its makers
+    os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "0")  # else a program that is begun later may print, or hang
     token = (Path.home() / ".ray" / "auth_token").exists() or "RAY_AUTH_TOKEN" in os.environ
     if token and address is not None:
         os.environ.setdefault("RAY_AUTH_MODE", "token")  # as Ray does by itself where it is given no address

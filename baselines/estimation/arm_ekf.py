@@ -50,15 +50,15 @@ from baselines.estimation.believed_arm import (
     RIPPLE,
     SIZE,
     STEPS,
-    ripple_shape,
 )
 from baselines.estimation.believed_motion import simulate
 from baselines.estimation.felt import AXES
-from baselines.estimation.filter_design import Design, Room, Tracks
+from baselines.estimation.filter_design import Design, Inputs, Room, Tracks
 from baselines.models.linear import between, place
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
+from beltarm_env.kernels.layout import LANES
 
 _SLIDES = 2  # counts that a motor at rest cannot move by
 _LOOSE = 1e-2  # torque noise that lets a simulated motor go [N m]
@@ -69,191 +69,212 @@ _MISTRUSTED = 100.0  # of W
 _DEAF = 1e6  # W of an accelerometer that is not listened to
 _ROUNDING = 12**0.5  # resolution over the standard deviation of rounding to it
 _LESS_SURE = (1e-4, 1.0, 1e-4, 0.09)  # variances of x of a filter that begins anew
+_AT_ONCE = 5  # rows of the covariance
 
 
 @compiled
-def _write_jacobian(before: Floats, room: Room) -> None:
-    """Write the derivatives by z, before it, of x after a sample and of what is felt over it, see `_propagate`."""
-    jacobian, predicted = room.jacobian, room.predicted
-    rows, size, count = jacobian.shape
+def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Floats) -> None:
+    """Write the derivatives by z of x after a sample and of what is felt over it, see `_propagate`.
+
+    Args:
+        predicted: As `simulate` writes it, of one arm.
+        shapes: Of the ripple, as `simulate` leaves them.
+        arm: Which of them.
+        jacobian: Shape (rows, size), written.
+    """
+    rows, size = jacobian.shape
     for i in range(rows):
         for j in range(DIFFERENCED):
-            for arm in range(count):
-                jacobian[i, j, arm] = (predicted[j + 1, i, arm] - predicted[0, i, arm]) / STEPS[j]
+            jacobian[i, j] = (predicted[i, j + 1] - predicted[i, 0]) / STEPS[j]
     for k in range(len(ORDERS)):
-        for arm in range(count):
-            sine, cosine = ripple_shape(before[0, arm], before[1, arm], k)
-            for i in range(rows):
-                jacobian[i, RIPPLE.start + 2 * k, arm] = jacobian[i, DISTURBANCE, arm] * sine
-                jacobian[i, RIPPLE.start + 2 * k + 1, arm] = jacobian[i, DISTURBANCE, arm] * cosine
+        sine, cosine = shapes[2 * k * LANES + arm], shapes[(2 * k + 1) * LANES + arm]
+        for i in range(rows):
+            jacobian[i, RIPPLE.start + 2 * k] = jacobian[i, DISTURBANCE] * sine
+            jacobian[i, RIPPLE.start + 2 * k + 1] = jacobian[i, DISTURBANCE] * cosine
     if size > SIZE:
-        for j in range(2):
-            k = DIFFERENCED + j
-            for i in range(rows):
-                for arm in range(count):
-                    jacobian[i, ERROR_SINE + j, arm] = (predicted[k + 1, i, arm] - predicted[0, i, arm]) / STEPS[k]
-        for axis in range(AXES):
-            for i in range(rows):
-                for arm in range(count):
-                    jacobian[i, BIAS + axis, arm] = 1.0 if i == 4 + axis else 0.0
+        for i in range(rows):
+            for j in range(2):
+                k = DIFFERENCED + j
+                jacobian[i, ERROR_SINE + j] = (predicted[i, k + 1] - predicted[i, 0]) / STEPS[k]
+            for axis in range(AXES):
+                jacobian[i, BIAS + axis] = 1.0 if i == 4 + axis else 0.0
 
 
 @compiled
-def _learn(tracks: Tracks, entry: int, room: Room) -> None:
+def _learn(mean: Floats, covariance: Floats, entry: int, innovation: float, variance: float, room: Room) -> None:
     """Correct mean and covariance by the innovation of one entry and its variance."""
-    mean, covariance, row, gain = tracks.mean, tracks.covariance, room.row, room.gain
-    size, count = mean.shape
-    for i in range(size):
-        for arm in range(count):
-            row[i, arm] = covariance[entry, i, arm]
-            gain[i, arm] = covariance[i, entry, arm] / room.total[arm]
-            mean[i, arm] += gain[i, arm] * room.innovation[arm]
-    for i in range(size):
-        for j in range(size):
-            for arm in range(count):
-                covariance[i, j, arm] = covariance[i, j, arm] - gain[i, arm] * row[j, arm]
+    row, gain = room.row, room.gain
+    for i in range(len(mean)):
+        row[i] = covariance[entry, i]
+        gain[i] = covariance[i, entry] / variance
+        mean[i] += gain[i] * innovation
+    for i in range(len(mean)):
+        share = gain[i]
+        for j in range(len(mean)):
+            covariance[i, j] -= share * row[j]
 
 
 @compiled
-def _propagate(tracks: Tracks, kept: float, room: Room) -> None:
+def _times_covariance(factors: Floats, covariance: Floats, product: Floats) -> None:
+    """Write some rows times the covariance, of which they may be shorter; sums are in the order of their terms."""
+    size = len(factors)
+    for j in range(size):
+        product[j] = 0.0
+    whole = size - size % _AT_ONCE
+    for m in range(0, whole, _AT_ONCE):  # several rows at once, since a sum is read and written for each
+        f0, f1, f2, f3, f4 = factors[m], factors[m + 1], factors[m + 2], factors[m + 3], factors[m + 4]
+        for j in range(size):
+            total = product[j] + f0 * covariance[m, j] + f1 * covariance[m + 1, j] + f2 * covariance[m + 2, j]
+            product[j] = total + f3 * covariance[m + 3, j] + f4 * covariance[m + 4, j]
+    for m in range(whole, size):
+        f0 = factors[m]
+        for j in range(size):
+            product[j] += f0 * covariance[m, j]
+
+
+@compiled
+def _propagate(covariance: Floats, kept: float, room: Room) -> None:
     """Turn a covariance into that before the measurement: F P F' + Q.
 
     F is the unit matrix but for its rows of x, of what is felt, which come last, and of d; Q is of x and of what is
     felt alone, from what torque and torsional acceleration do to them, each by its standard deviation: `Room.noise`.
 
     Args:
-        tracks: With an accelerometer, there are AXES more rows and columns, which are written.
+        covariance: With an accelerometer, there are AXES more rows and columns, which are written.
         kept: Share of d that is left.
-        room: With the simulations; changed.
+        room: With noise and Jacobian; changed.
     """
-    _write_jacobian(tracks.mean, room)
-    covariance, jacobian, half, noise = tracks.covariance, room.jacobian, room.half, room.noise
-    rows, size, count = jacobian.shape
-    for j in range(size):
-        for i in range(rows):
-            for arm in range(count):
-                total = 0.0
-                for m in range(size):
-                    total += jacobian[i, m, arm] * covariance[m, j, arm]
-                half[i, j, arm] = total
+    jacobian, half, noise = room.jacobian, room.half, room.noise
+    rows, size = jacobian.shape
+    for i in range(rows):
+        _times_covariance(jacobian[i], covariance, half[i])
     for i in range(rows):
         to = i if i < 4 else size + i - 4
         for j in range(rows):
-            for arm in range(count):
-                total = noise[0, i, arm] * noise[0, j, arm] + noise[1, i, arm] * noise[1, j, arm]
-                for m in range(size):
-                    total += half[i, m, arm] * jacobian[j, m, arm]
-                covariance[to, j if j < 4 else size + j - 4, arm] = total
+            total = noise[0, i] * noise[0, j] + noise[1, i] * noise[1, j]
+            for m in range(size):
+                total += half[i, m] * jacobian[j, m]
+            covariance[to, j if j < 4 else size + j - 4] = total
         for j in range(4, size):
-            for arm in range(count):
-                covariance[to, j, arm] = covariance[j, to, arm] = half[i, j, arm]
+            covariance[to, j] = covariance[j, to] = half[i, j]
     for i in range(len(covariance)):
-        for arm in range(count):
-            covariance[i, DISTURBANCE, arm] *= kept
-            covariance[DISTURBANCE, i, arm] *= kept
+        covariance[i, DISTURBANCE] *= kept
+        covariance[DISTURBANCE, i] *= kept
 
 
 @compiled
-def _write_noise(design: Design, tracks: Tracks, measured: Floats, resolution: Floats, room: Room) -> None:
-    """Write what the process noise does to x and to what is felt, and whether motors hold."""
-    predicted, noise = room.predicted, room.noise
-    rows = noise.shape[1]
-    for arm in range(len(measured)):
-        speed = predicted[0, 1, arm]
-        sticks = speed == 0.0
-        holds = sticks and abs(measured[arm] - predicted[0, 0, arm]) <= _SLIDES * resolution[arm]
-        doubtful = design.doubtful / (1 + (speed / design.slow) ** 2)
-        sliding = (design.torque + doubtful) * max(tracks.surprise[arm], 1.0)
-        torque = (0.0 if holds else _LOOSE) if sticks else sliding
-        room.holds[arm] = 1.0 if holds else 0.0
-        row, weight = place(predicted[0, 0, arm] / design.nominal[COLUMN.gear_ratio])
+def _write_noise(
+    design: Design, surprise: float, predicted: Floats, measured: float, resolution: float, noise: Floats
+) -> bool:
+    """Write what the process noise does to x and to what is felt, and return whether the motor holds.
+
+    Args:
+        design: Of the filter.
+        surprise: w.
+        predicted: As `simulate` writes it, of one arm.
+        measured: Motor angle [rad].
+        resolution: Of the encoder [rad].
+        noise: Shape (2, rows), written.
+    """
+    speed = predicted[1, 0]
+    sticks = speed == 0.0
+    holds = sticks and abs(measured - predicted[0, 0]) <= _SLIDES * resolution
+    doubtful = design.doubtful / (1 + (speed / design.slow) ** 2)
+    sliding = (design.torque + doubtful) * max(surprise, 1.0)
+    torque = (0.0 if holds else _LOOSE) if sticks else sliding
+    row, weight = place(predicted[0, 0] / design.nominal[COLUMN.gear_ratio])
+    for i in range(4):
+        by_torque = between(design.by_noise[row, 0, i], design.by_noise[row + 1, 0, i], weight)
+        by_acceleration = between(design.by_noise[row, 1, i], design.by_noise[row + 1, 1, i], weight)
+        noise[0, i], noise[1, i] = torque * by_torque, design.acceleration * by_acceleration
+    for axis in range(4, noise.shape[1]):
+        noise[0, axis] = noise[1, axis] = 0.0
         for i in range(4):
-            by_torque = between(design.by_noise[row, 0, i], design.by_noise[row + 1, 0, i], weight)
-            by_acceleration = between(design.by_noise[row, 1, i], design.by_noise[row + 1, 1, i], weight)
-            noise[0, i, arm], noise[1, i, arm] = torque * by_torque, design.acceleration * by_acceleration
-        for axis in range(4, rows):
-            noise[0, axis, arm] = noise[1, axis, arm] = 0.0
-            for i in range(4):
-                after = len(predicted) - 4 + i
-                slope = (predicted[after, axis, arm] - predicted[0, axis, arm]) / STEPS[i]
-                noise[0, axis, arm] += slope * noise[0, i, arm]
-                noise[1, axis, arm] += slope * noise[1, i, arm]
+            after = predicted.shape[1] - 4 + i
+            slope = (predicted[axis, after] - predicted[axis, 0]) / STEPS[i]
+            noise[0, axis] += slope * noise[0, i]
+            noise[1, axis] += slope * noise[1, i]
+    return holds
 
 
 @compiled
 def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
     """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad]."""
-    size = len(design.mean)
+    z, covariance, size = tracks.mean[arm], tracks.covariance[arm], len(design.mean)
     for i in range(size):
-        tracks.mean[i, arm] = design.mean[i]
+        z[i] = design.mean[i]
         for j in range(size):
-            tracks.covariance[i, j, arm] = design.covariance[i, j]
-    tracks.mean[0, arm] = angle
+            covariance[i, j] = design.covariance[i, j]
+    z[0] = angle
     deviation = resolution / _ROUNDING
-    tracks.covariance[0, 0, arm] = deviation * deviation
+    covariance[0, 0] = deviation * deviation
     tracks.surprise[arm] = tracks.unrest[arm] = 1.0
 
 
 @compiled
-def _watch(design: Design, tracks: Tracks, room: Room) -> None:
+def _watch(design: Design, tracks: Tracks, arm: int, unrest: float) -> None:
     """Keep z within its bounds; where a filter is lost, let it begin with the nominal constants again, less sure."""
+    z = tracks.mean[arm]
     for i in range(len(design.mean)):
-        for arm in range(len(tracks.surprise)):
-            tracks.mean[i, arm] = min(max(tracks.mean[i, arm], LOWEST[i]), HIGHEST[i])
-    for arm in range(len(tracks.surprise)):
-        unrest = _DEAF if tracks.unrest[arm] >= _DEAF else max(room.unrest[arm], 1.0)
-        mistrusted = _MISTRUSTED < unrest < _DEAF
-        if mistrusted or tracks.surprise[arm] > _LOST:
-            angle, speed = tracks.mean[0, arm], tracks.mean[1, arm]
-            torsion, torsion_speed = tracks.mean[2, arm], tracks.mean[3, arm]
-            begin_track(design, tracks, arm, angle, 0.0)
-            tracks.mean[1, arm], tracks.mean[2, arm], tracks.mean[3, arm] = speed, torsion, torsion_speed
-            for i in range(4):
-                tracks.covariance[i, i, arm] = _LESS_SURE[i]
-        tracks.unrest[arm] = _DEAF if mistrusted else unrest
+        z[i] = min(max(z[i], LOWEST[i]), HIGHEST[i])
+    unrest = _DEAF if tracks.unrest[arm] >= _DEAF else max(unrest, 1.0)
+    mistrusted = _MISTRUSTED < unrest < _DEAF
+    if mistrusted or tracks.surprise[arm] > _LOST:
+        angle, speed, torsion, torsion_speed = z[0], z[1], z[2], z[3]
+        begin_track(design, tracks, arm, angle, 0.0)
+        z[1], z[2], z[3] = speed, torsion, torsion_speed
+        for i in range(4):
+            tracks.covariance[arm, i, i] = _LESS_SURE[i]
+    tracks.unrest[arm] = _DEAF if mistrusted else unrest
 
 
 @compiled
-def step(design: Design, tracks: Tracks, commands: Floats, measured: Floats, resolution: Floats, room: Room) -> None:
+def _correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, resolution: float, room: Room) -> None:
+    """Correct one filter by its measurement, once its arm has been simulated."""
+    z, covariance, predicted = tracks.mean[arm], tracks.covariance[arm], room.predicted[arm]
+    measured, size, axes = seen.angle[arm], len(design.mean), len(z) - len(design.mean)
+    _write_jacobian(predicted, room.simulation.shapes, arm, room.jacobian)
+    holds = _write_noise(design, tracks.surprise[arm], predicted, measured, resolution, room.noise)
+    _propagate(covariance, design.kept, room)
+    for i in range(4):
+        z[i] = predicted[i, 0]
+    for axis in range(axes):
+        z[size + axis] = predicted[4 + axis, 0] + z[BIAS + axis]
+    z[DISTURBANCE] *= design.kept
+    for i in range(4, size):
+        covariance[i, i] += design.growth[i]
+    innovation, rounding = measured - z[0], resolution * resolution
+    covariance[0, 0] += rounding / 120  # keeps the angle open to the encoder
+    variance = covariance[0, 0] + rounding / 12
+    unrest = tracks.unrest[arm]
+    if not holds:
+        tracks.surprise[arm] += _WATCH * (innovation * innovation / variance - tracks.surprise[arm])
+    _learn(z, covariance, 0, innovation, variance, room)
+    for axis in range(axes):
+        innovation = seen.felt[arm, axis] - z[size + axis]
+        noise, mistrust = seen.felt_variance[arm, axis], tracks.unrest[arm]
+        variance = covariance[size + axis, size + axis] + noise * (mistrust * mistrust)
+        shock = min(innovation * innovation / variance, _SHOCK)
+        unrest *= 1 + _WATCH * (shock - 1)
+        _learn(z, covariance, size + axis, innovation, variance, room)
+    if holds:
+        z[1] = 0.0
+    _watch(design, tracks, arm, unrest)
+
+
+@compiled
+def step(design: Design, tracks: Tracks, commands: Floats, seen: Inputs, resolution: Floats, room: Room) -> None:
     """Predict over one sample and correct by its measurement.
 
     Args:
         design: Of the filters.
-        tracks: The filters; changed. With an accelerometer, z and its covariance have room for AXES more entries.
-        commands: Up to this sample, latest first [N m], shape (m, HISTORY).
-        measured: Motor angle [rad], shape (m,).
-        resolution: Of the encoder [rad], shape (m,).
-        room: With what is felt; changed.
+        tracks: The filters of up to `ARMS` arms; changed. With an accelerometer, z and its covariance have room for
+            AXES more entries.
+        commands: Up to this sample, latest first [N m], shape (arms, HISTORY).
+        seen: Measurements.
+        resolution: Of the encoder [rad], shape (arms,).
+        room: Changed.
     """
-    mean, covariance, innovation, total = tracks.mean, tracks.covariance, room.innovation, room.total
-    predicted, size, axes = room.predicted, len(design.mean), len(mean) - len(design.mean)
-    simulate(mean[:size], design.nominal, commands, room.simulation, predicted)
-    _write_noise(design, tracks, measured, resolution, room)
-    _propagate(tracks, design.kept, room)
-    for arm in range(len(measured)):
-        for i in range(4):
-            mean[i, arm] = predicted[0, i, arm]
-        for axis in range(axes):
-            mean[size + axis, arm] = predicted[0, 4 + axis, arm] + mean[BIAS + axis, arm]
-        mean[DISTURBANCE, arm] *= design.kept
-        for i in range(4, size):
-            covariance[i, i, arm] += design.growth[i]
-        innovation[arm], rounding = measured[arm] - mean[0, arm], resolution[arm] * resolution[arm]
-        covariance[0, 0, arm] += rounding / 120  # keeps the angle open to the encoder
-        total[arm] = covariance[0, 0, arm] + rounding / 12
-        room.unrest[arm] = tracks.unrest[arm]
-        if room.holds[arm] == 0.0:
-            tracks.surprise[arm] += _WATCH * (innovation[arm] * innovation[arm] / total[arm] - tracks.surprise[arm])
-    _learn(tracks, 0, room)
-    for axis in range(axes):
-        for arm in range(len(measured)):
-            innovation[arm] = room.felt[axis, arm] - mean[size + axis, arm]
-            variance, unrest = room.felt_variance[axis, arm], tracks.unrest[arm]
-            total[arm] = covariance[size + axis, size + axis, arm] + variance * (unrest * unrest)
-            shock = min(innovation[arm] * innovation[arm] / total[arm], _SHOCK)
-            room.unrest[arm] *= 1 + _WATCH * (shock - 1)
-        _learn(tracks, size + axis, room)
-    for arm in range(len(measured)):
-        if room.holds[arm] == 1.0:
-            mean[1, arm] = 0.0
-    _watch(design, tracks, room)
+    simulate(tracks.mean, design.nominal, commands, room.simulation, room.predicted)
+    for arm in range(len(tracks.surprise)):
+        _correct(design, tracks, arm, seen, resolution[arm], room)

@@ -24,6 +24,8 @@ How it moves is in `baselines.estimation.believed_motion`.
 from __future__ import annotations
 
 import math
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,7 @@ from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
+from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sin_cos, wrapped
 from beltarm_env.task.accelerometer import BIAS as ZERO_G
 
@@ -78,6 +81,8 @@ REACH = 4
 """Samples over which the current loop remembers commands."""
 HISTORY = int(LONGEST) + 2 + REACH
 """Commands of the past that the motion depends on."""
+ARMS = 32
+"""Arms that are simulated side by side, each with copies of it: up to LANES of both together."""
 _ROWS = np.array([FIELDS.index(name) for name in IDENTIFIED])
 _LEFT_OUT = ("payload_mass", "torque_constant_error", "friction_drift", "torque_ripple", "kinematic_error")
 
@@ -94,48 +99,111 @@ def nominal_row(params: ArmParams) -> Floats:
     return row
 
 
-@compiled
-def believe(z: Floats, nominal: Floats, row: Floats) -> None:
-    """Write the constants that a z stands for, shape (len(FIELDS),), all but its ripple and d.
-
-    Args:
-        z: Shape (SIZE or FELT_SIZE,).
-        nominal: From `nominal_row`.
-        row: Written.
-    """
-    for i in range(len(nominal)):
-        row[i] = nominal[i]
-    for i in range(len(_ROWS)):
-        row[_ROWS[i]] = nominal[_ROWS[i]] * exponential(z[LOGS.start + i])
-    _believe_drive(z, nominal, row)
-
-
-@compiled
-def _believe_drive(z: Floats, nominal: Floats, row: Floats) -> None:
-    """Write the constants of the drive alone."""
-    lag = min(z[LAG], z[DELAY])
-    row[COLUMN.current_loop_time_constant] = lag * CONTROL_PERIOD
-    row[COLUMN.command_latency] = max(z[DELAY] - lag, _EARLIEST) * CONTROL_PERIOD
-    row[COLUMN.friction_variation] = math.sqrt(z[SINE] * z[SINE] + z[COSINE] * z[COSINE])
-    row[COLUMN.friction_variation_phase] = polar_angle(z[SINE], z[COSINE])
-    row[COLUMN.static_friction_excess] = max(nominal[COLUMN.static_friction_excess] + z[EXCESS], 0.0)
-    row[COLUMN.belt_stiffening] = min(max(nominal[COLUMN.belt_stiffening] + z[STIFFENING], 0.0), 0.6)
-    if len(z) > SIZE:
-        sine, cosine = z[ERROR_SINE], z[ERROR_COSINE]
-        row[COLUMN.kinematic_error] = math.sqrt(sine * sine + cosine * cosine)
-        row[COLUMN.kinematic_error_phase] = polar_angle(sine, cosine)
+Constants = namedtuple("Constants", FIELDS)
+"""All constants of one arm: a row that is not an array."""
 
 
 @inlined
-def believe_perturbed(z: Floats, entry: int, nominal: Floats, believed: Floats, row: Floats) -> None:
-    """Write the constants as `believe`, from those believed in where z has not been perturbed in one entry."""
+def constants_of(constants: Floats, lane: int) -> Any:
+    """Load the constants of one lane."""
+    return Constants(
+        constants[lane],
+        constants[LANES + lane],
+        constants[2 * LANES + lane],
+        constants[3 * LANES + lane],
+        constants[4 * LANES + lane],
+        constants[5 * LANES + lane],
+        constants[6 * LANES + lane],
+        constants[7 * LANES + lane],
+        constants[8 * LANES + lane],
+        constants[9 * LANES + lane],
+        constants[10 * LANES + lane],
+        constants[11 * LANES + lane],
+        constants[12 * LANES + lane],
+        constants[13 * LANES + lane],
+        constants[14 * LANES + lane],
+        constants[15 * LANES + lane],
+        constants[16 * LANES + lane],
+        constants[17 * LANES + lane],
+        constants[18 * LANES + lane],
+        constants[19 * LANES + lane],
+        constants[20 * LANES + lane],
+        constants[21 * LANES + lane],
+        constants[22 * LANES + lane],
+        constants[23 * LANES + lane],
+        constants[24 * LANES + lane],
+        constants[25 * LANES + lane],
+        constants[26 * LANES + lane],
+    )
+
+
+@compiled
+def take(beliefs: Floats, z: Floats) -> None:
+    """Copy z of some arms into lanes.
+
+    Args:
+        beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
+        z: A row of LANES for each entry, shape (SIZE * LANES,) or (FELT_SIZE * LANES,); written.
+    """
+    for lane in range(len(beliefs)):
+        for i in range(len(z) // LANES):
+            z[i * LANES + lane] = beliefs[lane, i]
+
+
+@compiled
+def believe(z: Floats, arms: int, nominal: Floats, constants: Floats) -> None:
+    """Write the constants that z stands for, all but its ripple and d.
+
+    Args:
+        z: Of some arms, from `take`.
+        arms: How many.
+        nominal: From `nominal_row`.
+        constants: A row of LANES for each of `FIELDS`, shape (len(FIELDS) * LANES,); written.
+    """
     for i in range(len(nominal)):
-        row[i] = believed[i]
+        for lane in range(arms):
+            constants[i * LANES + lane] = nominal[i]
+    for i in range(len(_ROWS)):
+        _believe_log(z, arms, i, nominal, constants)
+    _believe_drive(z, arms, nominal, constants)
+
+
+@compiled
+def believe_entry(z: Floats, entry: int, arms: int, nominal: Floats, constants: Floats) -> None:
+    """Write the constants that depend on an entry of z; arguments as of `believe`."""
     if entry >= LOGS.stop:
-        _believe_drive(z, nominal, row)
+        _believe_drive(z, arms, nominal, constants)
     elif entry >= LOGS.start:
-        column = _ROWS[entry - LOGS.start]
-        row[column] = nominal[column] * exponential(z[entry])
+        _believe_log(z, arms, entry - LOGS.start, nominal, constants)
+
+
+@compiled
+def _believe_log(z: Floats, arms: int, k: int, nominal: Floats, constants: Floats) -> None:
+    """Write the constant of which the logarithm is LOGS.start + k."""
+    to, entry, unit = _ROWS[k] * LANES, (LOGS.start + k) * LANES, nominal[_ROWS[k]]
+    for lane in range(arms):
+        constants[to + lane] = unit * exponential(z[entry + lane])
+
+
+@compiled
+def _believe_drive(z: Floats, arms: int, nominal: Floats, constants: Floats) -> None:
+    """Write the constants of the drive alone."""
+    for lane in range(arms):
+        delay, sine, cosine = z[DELAY * LANES + lane], z[SINE * LANES + lane], z[COSINE * LANES + lane]
+        lag = min(z[LAG * LANES + lane], delay)
+        excess = nominal[COLUMN.static_friction_excess] + z[EXCESS * LANES + lane]
+        stiffening = nominal[COLUMN.belt_stiffening] + z[STIFFENING * LANES + lane]
+        constants[COLUMN.current_loop_time_constant * LANES + lane] = lag * CONTROL_PERIOD
+        constants[COLUMN.command_latency * LANES + lane] = max(delay - lag, _EARLIEST) * CONTROL_PERIOD
+        constants[COLUMN.friction_variation * LANES + lane] = math.sqrt(sine * sine + cosine * cosine)
+        constants[COLUMN.friction_variation_phase * LANES + lane] = polar_angle(sine, cosine)
+        constants[COLUMN.static_friction_excess * LANES + lane] = max(excess, 0.0)
+        constants[COLUMN.belt_stiffening * LANES + lane] = min(max(stiffening, 0.0), 0.6)
+    if len(z) > SIZE * LANES:
+        for lane in range(arms):
+            sine, cosine = z[ERROR_SINE * LANES + lane], z[ERROR_COSINE * LANES + lane]
+            constants[COLUMN.kinematic_error * LANES + lane] = math.sqrt(sine * sine + cosine * cosine)
+            constants[COLUMN.kinematic_error_phase * LANES + lane] = polar_angle(sine, cosine)
 
 
 @inlined
@@ -150,39 +218,43 @@ def ripple_shape(angle: float, speed: float, k: int) -> tuple[float, float]:
 
 
 @compiled
-def ripple_torque(beliefs: Floats, arm: int, angle: float, speed: float) -> float:
+def write_ripple(of: Floats, z: Floats, arms: int, shapes: Floats, torques: Floats) -> None:
+    """Write the torque ripple [N m] of some arms over a sample, as `ripple_torque`.
+
+    Args:
+        of: Lanes of which the first two rows are the motor's angle [rad] and speed [rad/s] when it begins.
+        z: Of the arms, from `take`.
+        arms: How many.
+        shapes: Sine and cosine of each of ORDERS from `ripple_shape`, a row each, written.
+        torques: Shape (LANES,), written.
+    """
+    for lane in range(arms):
+        torques[lane] = 0.0
+    for k in range(len(ORDERS)):
+        for lane in range(arms):
+            sine, cosine = ripple_shape(of[lane], of[LANES + lane], k)
+            shapes[2 * k * LANES + lane], shapes[(2 * k + 1) * LANES + lane] = sine, cosine
+            by_sine, by_cosine = (RIPPLE.start + 2 * k) * LANES + lane, (RIPPLE.start + 2 * k + 1) * LANES + lane
+            torques[lane] += z[by_sine] * sine + z[by_cosine] * cosine
+
+
+@compiled
+def ripple_torque(z: Floats, angle: float, speed: float) -> float:
     """Torque ripple [N m] over a sample that begins at a motor angle [rad], at a speed.
 
     Args:
-        beliefs: z of m arms, shape (SIZE or FELT_SIZE, m).
-        arm: Which of them.
+        z: Of the arm, shape (SIZE,) or (FELT_SIZE,).
         angle: [rad]
         speed: [rad/s]
     """
     total = 0.0
     for k in range(len(ORDERS)):
         sine, cosine = ripple_shape(angle, speed, k)
-        total += beliefs[RIPPLE.start + 2 * k, arm] * sine + beliefs[RIPPLE.start + 2 * k + 1, arm] * cosine
+        total += z[RIPPLE.start + 2 * k] * sine + z[RIPPLE.start + 2 * k + 1] * cosine
     return total
 
 
 @inlined
-def other_torque(beliefs: Floats, arm: int, angle: float, speed: float) -> float:
+def other_torque(z: Floats, angle: float, speed: float) -> float:
     """Torque ripple and d, what acts on a motor beside its drive and friction [N m]; arguments as `ripple_torque`."""
-    return beliefs[DISTURBANCE, arm] + ripple_torque(beliefs, arm, angle, speed)
-
-
-@compiled
-def write_believed(beliefs: Floats, nominal: Floats, z: Floats, table: Floats) -> None:
-    """Write the constants of m arms, columns as `ArmParams`, shape (m, len(FIELDS)).
-
-    Args:
-        beliefs: z of the arms, shape (SIZE or FELT_SIZE, m).
-        nominal: From `nominal_row`.
-        z: Room for that of one arm.
-        table: Written.
-    """
-    for arm in range(len(table)):
-        for i in range(len(z)):
-            z[i] = beliefs[i, arm]
-        believe(z, nominal, table[arm])
+    return z[DISTURBANCE] + ripple_torque(z, angle, speed)

@@ -6,22 +6,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.estimation.believed_arm import DELAY, DIFFERENCED, FELT_SIZE, LAG, SHORTEST, SIZE, nominal_row
-from baselines.estimation.believed_motion import Simulation, simulation_room
+from baselines.estimation.believed_arm import ARMS, DELAY, DIFFERENCED, FELT_SIZE, LAG, SHORTEST, SIZE, nominal_row
+from baselines.estimation.believed_lanes import Simulation, simulation_room
 from baselines.estimation.felt import AXES
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.models.linear import linear_arms
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arrays import Floats
+from beltarm_env.arrays import Flags, Floats
 
 
 class Tracks(NamedTuple):
-    """State of m filters, each of one arm, along the last axis: kernels process many of them side by side."""
+    """State of m filters, each of one arm."""
 
-    mean: Floats  # z, shape (SIZE or FELT_SIZE, m)
-    covariance: Floats  # of it, shape (SIZE, SIZE, m) or (FELT_SIZE, FELT_SIZE, m)
+    mean: Floats  # z, shape (m, SIZE) or (m, FELT_SIZE)
+    covariance: Floats  # of it, shape (m, SIZE, SIZE) or (m, FELT_SIZE, FELT_SIZE)
     surprise: Floats  # w, shape (m,)
     unrest: Floats  # W of the accelerometer, shape (m,); 1 without one
+
+
+class Inputs(NamedTuple):
+    """What m arms tell in one sample."""
+
+    angle: Floats  # measured [rad], shape (m,)
+    command: Floats  # of the last sample [N m], shape (m,)
+    begins: Flags  # whether an episode begins, shape (m,)
+    felt: Floats  # readings of an accelerometer, as of `felt.unfiltered`, shape (m, AXES); or (m, 1), unused
+    felt_variance: Floats  # of their noise, of the same shape
+
+
+def inputs_of(angle: Floats, command: Floats, begins: Flags) -> Inputs:
+    """What arms without accelerometers tell; arguments of shape (m,)."""
+    unused = np.zeros((len(angle), 1))
+    return Inputs(angle, command, begins, unused, unused)
 
 
 class Design(NamedTuple):
@@ -40,32 +56,26 @@ class Design(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room for `step`, for m arms; what it holds between two calls does not matter, but `felt` and `felt_variance`."""
+    """Room for `step`; what it holds between two calls does not matter."""
 
     simulation: Simulation
     predicted: Floats  # as `simulate` writes it
-    jacobian: Floats  # shape (rows, size, m) with 4 rows, or 4 + AXES with an accelerometer
-    half: Floats  # its product with the covariance, shape (rows, size, m)
-    noise: Floats  # shape (2, rows, m)
-    row: Floats  # of the covariance, shape (size + axes, m)
-    gain: Floats  # shape (size + axes, m)
-    innovation: Floats  # shape (m,)
-    total: Floats  # variance of it, shape (m,)
-    unrest: Floats  # shape (m,)
-    holds: Floats  # whether the motor does not move: 1 or 0; shape (m,)
-    felt: Floats  # readings of an accelerometer from `felt.unfiltered`, shape (AXES, m); or (1, m), unused
-    felt_variance: Floats  # of their noise, of the same shape
+    jacobian: Floats  # from here on of one arm, shape (rows, size) with 4 rows, or 4 + AXES with an accelerometer
+    half: Floats  # its product with the covariance, shape (rows, size)
+    noise: Floats  # shape (2, rows)
+    row: Floats  # of the covariance, shape (size + axes,)
+    gain: Floats  # shape (size + axes,)
 
 
 def room_for(count: int, felt: bool = False) -> Room:
-    """Room for the filters of `count` arms."""
+    """Room for the filters of `count` arms, or of `ARMS` at a time."""
     size, axes = (FELT_SIZE, AXES) if felt else (SIZE, 0)
     simulations = 1 + DIFFERENCED + (2 + 4 if felt else 0)
     shapes = (
-        *((simulations, 4 + axes), (4 + axes, size), (4 + axes, size), (2, 4 + axes), (size + axes,)),
-        *((size + axes,), (), (), (), (), (max(axes, 1),), (max(axes, 1),)),
+        *((min(count, ARMS), 4 + axes, simulations), (4 + axes, size), (4 + axes, size), (2, 4 + axes)),
+        *(size + axes, size + axes),
     )
-    return Room(simulation_room(size), *(np.zeros((*shape, count)) for shape in shapes))
+    return Room(simulation_room(size), *map(np.zeros, shapes))
 
 
 def filter_design(params: ArmParams, uncertainty: Uncertainty, felt: bool = False) -> Design:

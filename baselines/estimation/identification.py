@@ -11,19 +11,19 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from baselines.estimation.believed_arm import DELAY, LOGS, other_torque, write_believed
+from baselines.estimation.believed_arm import ARMS, DELAY, LOGS, other_torque
+from baselines.estimation.believed_lanes import write_believed
 from baselines.estimation.felt import AXES, unfiltered
-from baselines.estimation.filter_design import Tracks, filter_design
+from baselines.estimation.filter_design import Tracks, filter_design, inputs_of
 from baselines.estimation.identify import (
     Estimate,
-    Inputs,
     Notes,
     Workspace,
     begin,
     empty_estimate,
     empty_notes,
-    estimate,
-    identify,
+    estimate_all,
+    identify_all,
     workspace_for,
 )
 from baselines.estimation.uncertainty import Uncertainty
@@ -39,7 +39,7 @@ Memory = TypeVar("Memory")
 @compiled
 def _write_other_torques(mean: Floats, states: Floats, torques: Floats) -> None:
     for arm in range(len(states)):
-        torques[arm] = other_torque(mean, arm, states[arm, 0], states[arm, 1])
+        torques[arm] = other_torque(mean[arm], states[arm, 0], states[arm, 1])
 
 
 @dataclass(frozen=True)
@@ -53,34 +53,39 @@ class Belief:
     felt: Floats | None = field(default=None, repr=False)  # last accelerations [m/s^2], shape (n, 2), where measured
 
     @property
+    def notes(self) -> Notes:
+        """The same as kernels read it."""
+        return Notes(self.tracks, self.count, self.angle, self.commands)
+
+    @property
     def state(self) -> Floats:
         """Estimated x, shape (n, 4)."""
-        return self.tracks.mean[:4].T.copy()
+        return self.tracks.mean[:, :4].copy()
 
     @property
     def logs(self) -> Floats:
         """Logarithm of each of IDENTIFIED over its nominal value, shape (n, 6)."""
-        return self.tracks.mean[LOGS].T.copy()
+        return self.tracks.mean[:, LOGS].copy()
 
     @property
     def delay(self) -> Floats:
         """Delay from command to measurement [samples], shape (n,)."""
-        return self.tracks.mean[DELAY].copy()
+        return self.tracks.mean[:, DELAY].copy()
 
     @property
     def constants(self) -> Floats:
         """All of z but the arm's state, shape (n, SIZE - 4)."""
-        return self.tracks.mean[4:].T.copy()
+        return self.tracks.mean[:, 4:].copy()
 
     @property
     def covariance(self) -> Floats:
         """Covariance of z, shape (n, SIZE, SIZE)."""
-        return np.moveaxis(self.tracks.covariance, -1, 0)
+        return self.tracks.covariance
 
     @property
     def variance(self) -> Floats:
         """Diagonals of `covariance`, shape (n, SIZE)."""
-        return self.tracks.covariance.diagonal()
+        return self.tracks.covariance.diagonal(axis1=1, axis2=2)
 
     def with_constants(self, which: Flags, constants: Floats, covariance: Floats) -> Belief:
         """Belief at the beginning of an episode, with the constants of some arms replaced by a prior.
@@ -91,8 +96,8 @@ class Belief:
             covariance: Of these, shape (n, SIZE - 4, SIZE - 4).
         """
         mean, spread = self.tracks.mean.copy(), self.tracks.covariance.copy()
-        mean[4:, which] = constants[which].T
-        spread[4:, 4:, which] = np.moveaxis(covariance[which], 0, -1)
+        mean[which, 4:] = constants[which]
+        spread[which, 4:, 4:] = covariance[which]
         return replace(self, tracks=self.tracks._replace(mean=mean, covariance=spread))
 
 
@@ -123,7 +128,7 @@ class ArmIdentifier:
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
         table = np.empty((len(belief.count), len(FIELDS)))
-        write_believed(belief.tracks.mean, self.design.nominal, np.empty(len(self.design.mean)), table)
+        write_believed(belief.tracks.mean, self.design.nominal, self._workspace(1).filter.simulation, table)
         return table
 
     def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:
@@ -134,30 +139,39 @@ class ArmIdentifier:
             reading: Measurements, and the torque commanded at the last sample.
             begins: Which arms begin an episode, at rest where their encoder is, with nothing known; shape (n,).
         """
+        count, size = len(begins), len(self.design.mean)
+        inputs, felt = inputs_of(reading.motor_angle, reading.last_command, begins), None
+        notes = empty_notes(count, size + AXES if self._felt else size, np.empty)
+        if self._felt:
+            felt = reading.acceleration
+            assert felt is not None, "decoded with the acceleration, see `sensors`"
+            readings, variance = unfiltered(felt, felt if belief is None or belief.felt is None else belief.felt)
+            inputs = inputs._replace(
+                felt=np.ascontiguousarray(readings.T), felt_variance=np.ascontiguousarray(variance.T)
+            )
         if belief is None:
-            begins = np.ones(len(begins), np.bool_)
-        notes = self._copied(belief, len(begins), AXES if self._felt else 0)
-        work = self._workspace(len(begins))
-        felt = reading.acceleration if self._felt else None
-        if felt is not None:
-            before = felt if belief is None or belief.felt is None else belief.felt
-            work.filter.felt[:], work.filter.felt_variance[:] = unfiltered(felt, before)
-        identify(self.design, Inputs(reading.motor_angle, reading.last_command, begins), notes, work)
-        return self._believed(notes, felt)
+            inputs = inputs._replace(begins=np.ones(count, np.bool_))
+        before = notes if belief is None else belief.notes
+        identify_all(self.design, inputs, before, belief is not None, notes, self._workspace(count))
+        tracks = notes.tracks
+        if self._felt:
+            square = np.ascontiguousarray(tracks.covariance[:, :size, :size])
+            tracks = tracks._replace(mean=tracks.mean[:, :size].copy(), covariance=square)
+        return Belief(tracks, notes.counts, notes.angle, notes.commands, felt)
 
     def reset(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
         """Reset the belief about arms that begin an episode, at rest at motor angles [rad] of shape (n,)."""
         if not begins.any():
             return belief
-        notes = self._copied(belief, len(angle), 0)
-        begin(self.design, Inputs(angle, angle, begins), notes)
-        return self._believed(notes, belief.felt)
+        tracks = Tracks(*(part.copy() for part in belief.tracks))
+        notes = Notes(tracks, belief.count.copy(), belief.angle.copy(), belief.commands.copy())
+        begin(self.design, inputs_of(angle, angle, begins), notes)
+        return Belief(*notes, belief.felt)
 
     def estimate(self, belief: Belief) -> Estimate:
         """Estimates that follow from a belief."""
         result = empty_estimate(len(belief.count))
-        notes = Notes(belief.tracks, belief.count, belief.angle, belief.commands)
-        estimate(self.design, notes, self._workspace(len(belief.count)), result)
+        estimate_all(self.design, belief.notes, self._workspace(len(belief.count)), result)
         return result
 
     def other_torques(self, belief: Belief, states: Floats) -> Floats:
@@ -171,29 +185,7 @@ class ArmIdentifier:
         _write_other_torques(belief.tracks.mean, states, torques)
         return torques
 
-    def _copied(self, belief: Belief | None, count: int, more: int) -> Notes:
-        """What is known of n arms, copied; z with some more entries."""
-        size = len(self.design.mean)
-        if belief is not None and not more:
-            tracks = Tracks(*(part.copy() for part in belief.tracks))
-            return Notes(tracks, belief.count.copy(), belief.angle.copy(), belief.commands.copy())
-        notes = empty_notes(count, size + more)
-        if belief is not None:
-            notes.tracks.mean[:size], notes.tracks.covariance[:size, :size] = belief.tracks[:2]
-            notes.tracks.surprise[:], notes.tracks.unrest[:] = belief.tracks[2:]
-            notes.counts[:], notes.angle[:], notes.commands[:] = belief.count, belief.angle, belief.commands
-        return notes
-
-    def _believed(self, notes: Notes, felt: Floats | None) -> Belief:
-        """Belief from notes, of z without more entries."""
-        tracks, size = notes.tracks, len(self.design.mean)
-        if len(tracks.mean) > size:
-            tracks = tracks._replace(
-                mean=tracks.mean[:size].copy(), covariance=np.ascontiguousarray(tracks.covariance[:size, :size])
-            )
-        return Belief(tracks, notes.counts, notes.angle, notes.commands, felt)
-
     def _workspace(self, count: int) -> Workspace:
-        if len(self._work.resolution) != count:
+        if len(self._work.resolution) != min(count, ARMS):
             self._work = workspace_for(count, self._felt)
         return self._work

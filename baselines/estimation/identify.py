@@ -12,18 +12,21 @@ the commands given before: `estimate`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from baselines.estimation.arm_ekf import begin_track, step
-from baselines.estimation.believed_arm import DELAY, HISTORY, LOGS, write_believed
-from baselines.estimation.believed_motion import simulate
-from baselines.estimation.filter_design import Design, Room, Tracks, room_for
+from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
+from baselines.estimation.believed_lanes import load, write_table
+from baselines.estimation.believed_motion import move_on
+from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for
 from baselines.estimation.observer import QUANTUM
 from beltarm_env.arm import FIELDS
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
+from beltarm_env.kernels.layout import LANES
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""
@@ -39,14 +42,6 @@ class Notes(NamedTuple):
     commands: Floats  # the last ones, latest first [N m], shape (m, HISTORY)
 
 
-class Inputs(NamedTuple):
-    """What m arms tell in one sample."""
-
-    angle: Floats  # measured [rad], shape (m,)
-    command: Floats  # of the last sample [N m], shape (m,)
-    begins: Flags  # whether an episode begins, shape (m,)
-
-
 class Estimate(NamedTuple):
     """What controllers need to know of m arms."""
 
@@ -57,28 +52,21 @@ class Estimate(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Room for the identification of m arms; what it holds between two calls does not matter."""
+    """Room for identification; what it holds between two calls does not matter."""
 
     filter: Room
-    resolution: Floats  # shape (m,)
-    z: Floats  # shape (SIZE or FELT_SIZE, m)
-    commands: Floats  # shape (m, HISTORY)
-    following: Floats  # x a sample later, shape (1, 4, m)
+    resolution: Floats  # shape (m,), or (ARMS,)
 
 
 def workspace_for(count: int, felt: bool = False) -> Workspace:
-    """Room for the identification of `count` arms, with accelerometers on their ends if `felt`."""
-    room = room_for(count, felt)
-    size = len(room.simulation.z)
-    return Workspace(
-        room, np.zeros(count), np.zeros((size, count)), np.zeros((count, HISTORY)), np.zeros((1, 4, count))
-    )
+    """Room for the identification of `count` arms, or of `ARMS` at a time, with accelerometers if `felt`."""
+    return Workspace(room_for(count, felt), np.zeros(min(count, ARMS)))
 
 
-def empty_notes(count: int, size: int) -> Notes:
-    """Room for what is known of `count` arms of which z has `size` entries."""
-    tracks = Tracks(np.zeros((size, count)), np.zeros((size, size, count)), np.zeros(count), np.zeros(count))
-    return Notes(tracks, np.zeros(count), np.zeros(count), np.zeros((count, HISTORY)))
+def empty_notes(count: int, size: int, empty: Callable[..., Floats] = np.zeros) -> Notes:
+    """Room for what is known of `count` arms of which z has `size` entries; `empty` makes an array of a shape."""
+    tracks = Tracks(empty((count, size)), empty((count, size, size)), empty(count), empty(count))
+    return Notes(tracks, empty(count), empty(count), empty((count, HISTORY)))
 
 
 def empty_estimate(count: int) -> Estimate:
@@ -123,14 +111,14 @@ def begin(design: Design, inputs: Inputs, notes: Notes) -> None:
 
 @compiled
 def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> None:
-    """Bring what is known up to this sample.
+    """Bring what is known of up to `ARMS` arms up to this sample.
 
     Args:
         design: Of the filters.
         inputs: Of this sample.
         notes: Up to the last sample; of arms that begin an episode, anything. Changed. With an accelerometer, z and its
             covariance have room for AXES more entries.
-        work: With what an accelerometer feels; changed.
+        work: Changed.
     """
     begin(design, inputs, notes)
     going = 0
@@ -145,15 +133,57 @@ def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> N
         work.resolution[arm] = max(count, QUANTUM) if count > 0.0 else COARSEST
     if going == 0:
         return
-    step(design, notes.tracks, notes.commands, inputs.angle, work.resolution, work.filter)
+    step(design, notes.tracks, notes.commands, inputs, work.resolution, work.filter)
     begin(design, inputs, notes)
     for arm in range(len(inputs.angle)):
         notes.angle[arm] = inputs.angle[arm]
 
 
 @compiled
+def _some_notes(notes: Notes, low: int, high: int) -> Notes:
+    """What is known of some arms."""
+    of = notes.tracks
+    tracks = Tracks(of.mean[low:high], of.covariance[low:high], of.surprise[low:high], of.unrest[low:high])
+    return Notes(tracks, notes.counts[low:high], notes.angle[low:high], notes.commands[low:high])
+
+
+@compiled
+def identify_all(design: Design, inputs: Inputs, before: Notes, begun: bool, notes: Notes, work: Workspace) -> None:
+    """Bring what is known of any number of arms up to this sample, as `identify`: some at a time, which caches hold.
+
+    Args:
+        design: Of the filters.
+        inputs: Of this sample.
+        before: Up to the last sample; z without room for more entries.
+        begun: Whether anything is known.
+        notes: Up to this sample, written; with room for more entries where there are accelerometers.
+        work: Changed.
+    """
+    size = len(design.mean)
+    for low in range(0, len(inputs.begins), ARMS):
+        high = min(low + ARMS, len(inputs.begins))
+        old, new = _some_notes(before, low, high), _some_notes(notes, low, high)
+        for arm in range(high - low if begun else 0):
+            new.tracks.surprise[arm], new.tracks.unrest[arm] = old.tracks.surprise[arm], old.tracks.unrest[arm]
+            new.counts[arm], new.angle[arm] = old.counts[arm], old.angle[arm]
+            new.commands[arm] = old.commands[arm]
+            for i in range(size):
+                new.tracks.mean[arm, i] = old.tracks.mean[arm, i]
+                for j in range(size):
+                    new.tracks.covariance[arm, i, j] = old.tracks.covariance[arm, i, j]
+        some = Inputs(
+            inputs.angle[low:high],
+            inputs.command[low:high],
+            inputs.begins[low:high],
+            inputs.felt[low:high],
+            inputs.felt_variance[low:high],
+        )
+        identify(design, some, new, work)
+
+
+@compiled
 def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) -> None:
-    """Write what controllers need to know.
+    """Write what controllers need to know of up to `ARMS` arms.
 
     The states to come, D samples on, follow from the commands given before: from sample to sample they are simulated
     with the last command held, and interpolated in between.
@@ -164,30 +194,33 @@ def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) ->
         work: Changed.
         result: Written.
     """
-    mean, z, commands, following = notes.tracks.mean, work.z, work.commands, work.following
-    size, count = z.shape
-    most = 0
-    for arm in range(count):
-        result.delay[arm] = mean[DELAY, arm]
-        most = max(most, int(mean[DELAY, arm]))
-        for i in range(size):
-            z[i, arm] = mean[i, arm]
+    mean, room, most = notes.tracks.mean, work.filter.simulation, 0
+    load(mean, design.nominal, room)
+    write_table(room.constants, result.table)
+    for arm in range(len(mean)):
+        result.delay[arm] = mean[arm, DELAY]
+        most = max(most, int(mean[arm, DELAY]))
         for i in range(4):
-            result.states[arm, i] = mean[i, arm]
+            result.states[arm, i] = mean[arm, i]
         for k in range(LOGS.stop - LOGS.start):
-            result.logs[arm, k] = mean[LOGS.start + k, arm]
-        for k in range(HISTORY):
-            commands[arm, k] = notes.commands[arm, k]
+            result.logs[arm, k] = mean[arm, LOGS.start + k]
     for k in range(most + 1):
-        for arm in range(count):
-            for age in range(HISTORY - 1, 0, -1):
-                commands[arm, age] = commands[arm, age - 1]
-        simulate(z, design.nominal, commands, work.filter.simulation, following)
-        for arm in range(count):
+        for i in range(4 * LANES):
+            room.block[i] = room.loaded[i]
+        move_on(notes.commands, k + 1, room)
+        for arm in range(len(mean)):
             whole = int(result.delay[arm])
             part = result.delay[arm] - whole
-            for i in range(4):
-                if k == whole:
-                    result.states[arm, i] = z[i, arm] + part * (following[0, i, arm] - z[i, arm])
-                z[i, arm] = following[0, i, arm]
-    write_believed(mean, design.nominal, work.filter.simulation.z, result.table)
+            for i in range(4 if k == whole else 0):
+                before = room.block[i * LANES + arm]
+                result.states[arm, i] = before + part * (room.loaded[i * LANES + arm] - before)
+
+
+@compiled
+def estimate_all(design: Design, notes: Notes, work: Workspace, result: Estimate) -> None:
+    """Write what controllers need to know of any number of arms, as `estimate`."""
+    for low in range(0, len(result.delay), ARMS):
+        high = min(low + ARMS, len(result.delay))
+        states, delay, logs, table = result
+        some = Estimate(states[low:high], delay[low:high], logs[low:high], table[low:high])
+        estimate(design, _some_notes(notes, low, high), work, some)

@@ -38,7 +38,7 @@ from baselines.optimal.adaptive_law import (
     write_compensations,
     write_motor_torques,
 )
-from baselines.planning.plan import GAIN, Weights, plan_cost, planned, rows_at
+from baselines.planning.plan import GAIN, Weights, plan_cost, planned
 from baselines.planning.replanning import EVERY, STEPS, PlanCache, Situation
 from baselines.reading import Reading
 from beltarm_env import EPISODE_STEPS, ArmParams, design_model
@@ -166,7 +166,7 @@ class AdaptiveController(ClassicalController[AdaptiveMemory], IdentifyingControl
         now = Situation(reading.move, reading.step, time, found.states, found.logs, found.table)
         cache = memory.cache if memory else PlanCache.empty(now.logs)
         cache = cache.begun(begins, now, self._weights, self._improvements)
-        write_motor_torques(self._compensation, found, belief.tracks.mean, rows_at(cache.plans, time), time, torques)
+        write_motor_torques(self._compensation, found, belief.tracks.mean, cache.rows_at(time), time, torques)
         return torques, AdaptiveMemory(belief, cache.renewed(now, self._weights))
 
     def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:

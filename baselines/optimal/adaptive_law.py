@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.estimation.believed_arm import SIZE, other_torque
-from baselines.estimation.filter_design import Design
+from baselines.estimation.filter_design import Design, Inputs, inputs_of
 from baselines.estimation.identify import (
     Estimate,
-    Inputs,
     Notes,
     Workspace,
     empty_estimate,
@@ -69,19 +68,18 @@ def write_compensations(of: Compensation, friction: Floats, speed: Floats, torqu
 
 
 @inlined
-def motor_torque(of: Compensation, planned: float, row: Floats, mean: Floats, arm: int, state: Floats) -> float:
+def motor_torque(of: Compensation, planned: float, row: Floats, z: Floats, state: Floats) -> float:
     """Add to the torque of a plan [N m] what friction, ripple and d take.
 
     Args:
         of: What of friction is compensated.
         planned: By the plan [N m].
         row: Constants of the arm, shape (len(FIELDS),).
-        mean: z of m arms, shape (SIZE or FELT_SIZE, m).
-        arm: Which of them.
+        z: Of the arm, shape (SIZE,) or (FELT_SIZE,).
         state: x at the time at which the torque acts, shape (4,).
     """
     friction, _ = sliding_torque(row, state)
-    return planned + compensated(of, friction, state[1], planned) - other_torque(mean, arm, state[0], state[1])
+    return planned + compensated(of, friction, state[1], planned) - other_torque(z, state[0], state[1])
 
 
 @compiled
@@ -93,7 +91,7 @@ def write_motor_torques(
     Args:
         of: What of friction is compensated.
         found: What is estimated of the arms.
-        mean: z of them, shape (SIZE or FELT_SIZE, n).
+        mean: z of them, shape (n, SIZE or FELT_SIZE).
         pairs: Rows of their plans before and after the time, shape (n, 2, 10).
         time: At which the torques act, since the episode's start [samples], shape (n,).
         torques: [N m], shape (n,), written.
@@ -102,7 +100,7 @@ def write_motor_torques(
         _, share = step_of_plan(time[arm])
         state = found.states[arm]
         planned = torque_between(pairs[arm, 0], pairs[arm, 1], share, state, 0.0)  # the gain does not weigh its change
-        torques[arm] = motor_torque(of, planned, found.table[arm], mean, arm, state)
+        torques[arm] = motor_torque(of, planned, found.table[arm], mean[arm], state)
 
 
 class AdaptiveDesign(NamedTuple):
@@ -128,7 +126,7 @@ class ArmMemory(NamedTuple):
 
 def arm_memory() -> ArmMemory:
     """Memory for one arm."""
-    found, inputs = empty_estimate(1), Inputs(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
+    found, inputs = empty_estimate(1), inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
     logs, plan = np.zeros(found.logs.shape[1]), np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
     return ArmMemory(empty_notes(1, SIZE), logs, plan, inputs, found, workspace_for(1), plan_room())
 
@@ -154,7 +152,7 @@ def torque(design: AdaptiveDesign | SpreadDesign, now: Sample, memory: ArmMemory
     """Torque [N m] by the plan, once `begun` has been there."""
     found = memory.found
     planned = torque_of_plan(memory.plan, now.step + found.delay[0], found.states[0], 0.0)
-    return motor_torque(design.compensation, planned, found.table[0], memory.notes.tracks.mean, 0, found.states[0])
+    return motor_torque(design.compensation, planned, found.table[0], memory.notes.tracks.mean[0], found.states[0])
 
 
 @compiled
@@ -163,7 +161,7 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
     found = memory.found
     if is_stale(now.step, found.logs[0], memory.logs):
         move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
-        plan_squares(move, found.table[0], design.cost, memory.planning, memory.plan)
+        plan_squares(move, found.table[0], design.cost, now.step, memory.planning, memory.plan)
         for k in range(len(memory.logs)):
             memory.logs[k] = found.logs[0, k]
 

@@ -104,7 +104,7 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Previe
     track_arm(design.observer, now, begins, track)
     if begins:
         move = MoveShape(now.start, now.goal, now.duration, now.ramp_time)
-        plan_rows(move, design.plant, design.model, design.cost, memory.plan)
+        plan_rows(move, design.plant, design.model, design.cost, 0, memory.plan)
     last = 0.0 if begins else now.last_command - memory.added[0]
     step, share = step_of_plan(now.step + design.observer.delay)
     low, high = memory.plan[step], memory.plan[step + 1]
@@ -190,5 +190,5 @@ class PreviewController(ClassicalController[PreviewMemory]):
     def _planned(self, move: Floats) -> Floats:
         """Plan of one move."""
         rows, design = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), self._design
-        plan_rows(MoveShape(*move.tolist()), design.plant, design.model, design.cost, rows)
+        plan_rows(MoveShape(*move.tolist()), design.plant, design.model, design.cost, 0, rows)
         return rows

@@ -123,9 +123,9 @@ def plan_backwards(
 
 
 @compiled
-def plan_rows(move: MoveShape, plant: Plant, model: LinearArms, cost: PlanCost, rows: Floats) -> None:
-    """Plan a whole move at once, see `plan_backwards`."""
-    plan_backwards(move, plant, model, cost, no_cost(5), 0, rows.shape[0], rows)
+def plan_rows(move: MoveShape, plant: Plant, model: LinearArms, cost: PlanCost, first: int, rows: Floats) -> None:
+    """Plan a move at once, from a sample on, see `plan_backwards`; earlier rows are not written."""
+    plan_backwards(move, plant, model, cost, no_cost(5), first, rows.shape[0], rows)
 
 
 @inlined
@@ -173,19 +173,20 @@ Plans = list[Floats]
 leaves those of the others where they are; never changed in place, since a memory that was returned stays valid."""
 
 
-def planned(move: Floats, row: Floats, weights: Weights) -> Floats:
-    """Plan of one move, shape (1200, 10).
+def planned(move: Floats, row: Floats, weights: Weights, first: int = 0) -> Floats:
+    """Plan of one move, shape (1200, 10), from a sample on; earlier rows are zero.
 
     Args:
         move: Start, goal [rad], duration, ramp time [s]; shape (4,).
         row: Constants of the arm, as the fields of `ArmParams`.
         weights: Of the errors and of the torque.
+        first: Sample.
     """
     size = len(ANGLES)
     model = LinearArms(np.empty((size, 4, 4)), np.empty((size, 4)), np.empty((size, 4)))
     write_linear_arm(row, model)
-    rows = np.empty((EPISODE_STEPS, PLAN_COLUMNS))
-    plan_rows(MoveShape(*map(float, move)), plant_of(row), model, plan_cost(weights), rows)
+    rows = np.zeros((EPISODE_STEPS, PLAN_COLUMNS))
+    plan_rows(MoveShape(*map(float, move)), plant_of(row), model, plan_cost(weights), first, rows)
     return rows
 
 

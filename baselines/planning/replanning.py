@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, plan_cost, replanned
+from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, plan_cost, planned, replaced, rows_at, step_of_plan
 from baselines.planning.task_plan import plan_room, plan_task
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Integers
@@ -28,6 +28,7 @@ STEPS = 6
 EVERY = 20
 """Samples between plans."""
 _CHANGE = 0.02  # of a constant, relative, from which a plan is stale
+_NEAR = EVERY + 8  # rows of a plan: those that are read before the next one, where commands act 6 samples later
 
 
 @compiled
@@ -51,6 +52,20 @@ def _mark_stale(steps: Integers, logs: Floats, of_plans: Floats, stale: Flags) -
         stale[arm] = is_stale(steps[arm], logs[arm], of_plans[arm])
 
 
+@compiled
+def _copy_pairs(near: Floats, first: Integers, time: Floats, pairs: Floats) -> bool:
+    """Copy the rows before and after some times; tell whether all of them are near."""
+    for arm in range(len(time)):
+        step, _ = step_of_plan(time[arm])
+        at = step - first[arm]
+        if not 0 <= at < near.shape[1] - 1:
+            return False
+        for row in range(2):
+            for column in range(pairs.shape[2]):
+                pairs[arm, row, column] = near[arm, at + row, column]
+    return True
+
+
 @dataclass(frozen=True)
 class Situation:
     """What plans of n arms are made for."""
@@ -69,11 +84,15 @@ class PlanCache:
 
     plans: Plans
     logs: Floats  # `Situation.logs` at the time; NaN where there is no plan
+    near: Floats  # rows of the plans from `first` on, for all arms in one piece of memory, shape (n, _NEAR, 10)
+    first: Integers  # shape (n,)
 
     @classmethod
     def empty(cls, logs: Floats) -> PlanCache:
         """Cache without any plan, for arms with constants as `Situation.logs`."""
-        return cls([np.empty(0)] * len(logs), np.full_like(logs, np.nan))
+        count = len(logs)
+        near = np.zeros((count, _NEAR, PLAN_COLUMNS))
+        return cls([np.empty(0)] * count, np.full_like(logs, np.nan), near, np.zeros(count, np.intp))
 
     def begun(self, begins: Flags, now: Situation, weights: Weights, steps: int = STEPS) -> PlanCache:
         """Cache with plans for arms that begin a move, improved by some steps."""
@@ -84,13 +103,29 @@ class PlanCache:
             rows, move = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*now.moves[arm].tolist())
             plan_task(move, now.table[arm], cost, float(now.time[arm]), now.states[arm], steps, room, rows)
             plans[arm] = rows
-        return PlanCache(plans, np.where(begins[:, None], now.logs, self.logs))
+        return self._with(plans, np.where(begins[:, None], now.logs, self.logs), begins, now.step)
 
     def renewed(self, now: Situation, weights: Weights) -> PlanCache:
         """Cache with new plans for arms whose plans are stale."""
-        stale = np.empty(len(now.step), np.bool_)
-        _mark_stale(now.step, now.logs, self.logs, stale)
-        if not stale.any():
+        due = now.step % EVERY == 0
+        if not due.any():
             return self
-        plans = replanned(self.plans, stale, now.moves, now.table, weights)
-        return PlanCache(plans, np.where(stale[:, None], now.logs, self.logs))
+        plans, stale = self.plans, np.empty(len(now.step), np.bool_)
+        _mark_stale(now.step, now.logs, self.logs, stale)
+        if stale.any():
+            plans = replaced(
+                plans, stale, lambda arm: planned(now.moves[arm], now.table[arm], weights, int(now.step[arm]))
+            )
+        return self._with(plans, np.where(stale[:, None], now.logs, self.logs), due, now.step)
+
+    def rows_at(self, time: Floats) -> Floats:
+        """Rows of the plans before and after times [samples] of shape (n,): shape (n, 2, 10)."""
+        pairs = np.empty((len(time), 2, PLAN_COLUMNS))
+        return pairs if _copy_pairs(self.near, self.first, time, pairs) else rows_at(self.plans, time)
+
+    def _with(self, plans: Plans, logs: Floats, which: Flags, step: Integers) -> PlanCache:
+        """Cache with other plans and logs, and the rows near a step for some arms."""
+        near, first = self.near.copy(), np.where(which, np.minimum(step, EPISODE_STEPS - _NEAR), self.first)
+        for arm, k in zip(np.flatnonzero(which).tolist(), first[which].tolist(), strict=True):
+            near[arm] = plans[arm][k : k + _NEAR]
+        return PlanCache(plans, logs, near, first)

@@ -230,18 +230,19 @@ def improve(rows: Floats, first: int, problem: Problem, room: PlanRoom) -> bool:
 
 
 @compiled
-def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, room: PlanRoom, rows: Floats) -> None:
-    """Plan a move for squares.
+def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, first: int, room: PlanRoom, rows: Floats) -> None:
+    """Plan a move for squares, from a sample on.
 
     Args:
         move: Of the joint.
         row: Constants of the arm, shape (len(FIELDS),).
         cost: What is minimised.
+        first: Sample.
         room: Changed; holds the arm's model then.
-        rows: Reference, gain, torque; shape (1200, 10), written.
+        rows: Reference, gain, torque; shape (1200, 10), written from the sample on.
     """
     write_linear_arm(row, room.model)
-    plan_rows(move, plant_of(row), room.model, cost, rows)
+    plan_rows(move, plant_of(row), room.model, cost, first, rows)
 
 
 @compiled
@@ -270,7 +271,7 @@ def plan_task(
     Returns:
         How many steps there were.
     """
-    plan_squares(move, row, cost, room, rows)
+    plan_squares(move, row, cost, 0, room, rows)
     if not time < _LAST:
         return 0
     problem = problem_of(move, row)

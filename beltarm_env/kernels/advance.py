@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state
-from beltarm_env.physics.integrator import mode_margin, rk4_step, step_to_mode_change
+from beltarm_env.kernels.runge_kutta import DIRECTION, DT, NEXT, RK4_ROWS, TORQUE, rk4_steps
+from beltarm_env.physics.integrator import mode_change, mode_margin
 from beltarm_env.physics.models import Model, sliding_direction
+from beltarm_env.physics.state import ArmState
 from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
@@ -23,14 +25,12 @@ MAX_MODE_CHANGES = 8
 
 _VECTOR = 8  # arms that the widest vector units take at once
 
-# Rows of the working block: state and plant as in `layout`, then
-_TORQUE = at.MOVE  # [N m]
-_DIRECTION = _TORQUE + 1  # friction mode
-_REMAINING = _DIRECTION + 1  # time left of the step [s]
-_NEXT = _REMAINING + 1  # state after the whole step in this mode
-_MARGIN = _NEXT + 4  # negative once the mode has been left
+# Rows of the working block: as in `runge_kutta`, then
+_MARGIN = RK4_ROWS  # negative once the mode has been left
 _LANE = _MARGIN + 1  # where the arm came from
-WORK_ROWS = _LANE + 1
+_SIDE = _LANE + 1  # to which a motor at rest breaks away
+_REST = _SIDE + 1  # time that is left once the mode has changed [s]
+WORK_ROWS = _REST + 1
 
 
 @compiled
@@ -76,17 +76,17 @@ def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int
     An arm that needs fewer substeps takes one of no length.
     """
     for j in range(count):
-        x = load_state(block, at.STATE, j)
-        plant = load_plant(block, j)
+        x, plant = load_state(block, at.STATE, j), load_plant(block, j)
         substeps = block[at.SUBSTEPS * LANES + j]
-        dt = CONTROL_PERIOD / substeps if substep < substeps else 0.0
         torque = actions[j] * plant.torque_limit
-        direction = sliding_direction(x, torque, plant, model)
-        work[_TORQUE * LANES + j] = torque
-        work[_DIRECTION * LANES + j] = direction
-        work[_REMAINING * LANES + j] = dt
-        y = rk4_step(x, torque, direction, dt, plant, model)
-        work[_MARGIN * LANES + j] = mode_margin(y, torque, direction, plant, model)
+        work[TORQUE * LANES + j] = torque
+        work[DIRECTION * LANES + j] = sliding_direction(x, torque, plant, model)
+        work[DT * LANES + j] = CONTROL_PERIOD / substeps if substep < substeps else 0.0
+    rk4_steps(block, work, count, model)
+    for j in range(count):
+        x, y = load_state(block, at.STATE, j), load_state(work, NEXT, j)
+        torque, direction = work[TORQUE * LANES + j], work[DIRECTION * LANES + j]
+        work[_MARGIN * LANES + j] = mode_margin(y, torque, direction, load_plant(block, j), model)
         store_state(work, at.STATE, j, x)
         store_state(block, at.STATE, j, y)
 
@@ -95,17 +95,18 @@ def _step(block: Floats, work: Floats, actions: Floats, count: int, substep: int
 def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
     """Close the ranks in `work` to the arms that left their friction mode within the step."""
     pending = 0
-    for j in range(count):
-        if work[_MARGIN * LANES + j] < 0.0:
-            for row in range(at.PLANT):
-                work[row * LANES + pending] = work[row * LANES + j]
-                work[(_NEXT + row) * LANES + pending] = block[row * LANES + j]
-            for row in range(at.PLANT, at.KINEMATICS):
-                work[row * LANES + pending] = block[row * LANES + j]
-            for row in range(_TORQUE, _NEXT):
-                work[row * LANES + pending] = work[row * LANES + j]
-            work[_LANE * LANES + pending] = j
-            pending += 1
+    for j in range(count):  # without a branch, which would be mispredicted again and again
+        work[_LANE * LANES + pending] = j
+        pending += 1 if work[_MARGIN * LANES + j] < 0.0 else 0
+    for i in range(pending):
+        lane = int(work[_LANE * LANES + i])
+        for row in range(at.PLANT):
+            work[row * LANES + i] = work[row * LANES + lane]
+            work[(NEXT + row) * LANES + i] = block[row * LANES + lane]
+        for row in range(at.PLANT, at.KINEMATICS):
+            work[row * LANES + i] = block[row * LANES + lane]
+        for row in range(TORQUE, NEXT):
+            work[row * LANES + i] = work[row * LANES + lane]
     return pending
 
 
@@ -113,8 +114,10 @@ def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
 def _pad(work: Floats, pending: int) -> int:
     """Fill up with copies of the first arm to whole vectors, since a remainder would be stepped one by one."""
     padded = -(-pending // _VECTOR) * _VECTOR
-    for row in range(WORK_ROWS):
-        for i in range(pending, padded):
+    for i in range(pending, padded):
+        for row in range(at.KINEMATICS):
+            work[row * LANES + i] = work[row * LANES]
+        for row in range(TORQUE, NEXT + 4):
             work[row * LANES + i] = work[row * LANES]
     return padded
 
@@ -123,17 +126,21 @@ def _pad(work: Floats, pending: int) -> int:
 def _step_past_mode_change(work: Floats, pending: int, model: Model) -> None:
     """Step to the instant of stopping or breaking away, then over the rest in the mode that follows."""
     for i in range(pending):
-        x = load_state(work, at.STATE, i)
-        y = load_state(work, _NEXT, i)
-        torque = work[_TORQUE * LANES + i]
-        plant = load_plant(work, i)
-        z, direction, remaining = step_to_mode_change(
-            x, torque, work[_DIRECTION * LANES + i], work[_REMAINING * LANES + i], y, plant, model
-        )
-        store_state(work, at.STATE, i, z)
-        store_state(work, _NEXT, i, rk4_step(z, torque, direction, remaining, plant, model))
-        work[_DIRECTION * LANES + i] = direction
-        work[_REMAINING * LANES + i] = remaining
+        x, y, plant = load_state(work, at.STATE, i), load_state(work, NEXT, i), load_plant(work, i)
+        torque, direction, dt = work[TORQUE * LANES + i], work[DIRECTION * LANES + i], work[DT * LANES + i]
+        fraction, side = mode_change(x, torque, direction, dt, y, plant, model)
+        work[_SIDE * LANES + i] = side
+        work[_REST * LANES + i] = dt - fraction * dt
+        work[DT * LANES + i] = fraction * dt
+    rk4_steps(work, work, pending, model)
+    for i in range(pending):
+        z, torque, direction = load_state(work, NEXT, i), work[TORQUE * LANES + i], work[DIRECTION * LANES + i]
+        at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
+        stopped = sliding_direction(at_rest, torque, load_plant(work, i), model)
+        work[DIRECTION * LANES + i] = stopped if direction != 0.0 else work[_SIDE * LANES + i]
+        work[DT * LANES + i] = work[_REST * LANES + i]
+        store_state(work, at.STATE, i, at_rest)
+    rk4_steps(work, work, pending, model)
 
 
 @compiled
@@ -141,8 +148,8 @@ def _put_back_finished(block: Floats, work: Floats, pending: int, model: Model) 
     """Write the arms that stayed in their mode to `block` and close the ranks of the others."""
     unfinished = 0
     for i in range(pending):
-        y = load_state(work, _NEXT, i)
-        torque, direction = work[_TORQUE * LANES + i], work[_DIRECTION * LANES + i]
+        y = load_state(work, NEXT, i)
+        torque, direction = work[TORQUE * LANES + i], work[DIRECTION * LANES + i]
         margin = mode_margin(y, torque, direction, load_plant(work, i), model)
         if margin < 0.0:
             for row in range(WORK_ROWS):
@@ -156,4 +163,4 @@ def _put_back_finished(block: Floats, work: Floats, pending: int, model: Model) 
 @compiled
 def _put_back(block: Floats, work: Floats, i: int) -> None:
     lane = int(work[_LANE * LANES + i])
-    store_state(block, at.STATE, lane, load_state(work, _NEXT, i))
+    store_state(block, at.STATE, lane, load_state(work, NEXT, i))

@@ -9,6 +9,8 @@ Arms with an ideal drive among them are moved by `advance`, as they are alone.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,18 +66,24 @@ DRIVEN_WORK_ROWS = WORK_ROWS + _ROWS + 4  # and those of `advance`, and states o
 
 
 @inlined
-def begin_drive(block: Floats, lane: int, row: Floats) -> None:
+def begin_drive(block: Floats, lane: int, row: Any) -> None:
     """Put an arm's drive into its lane, with a motor without torque, from a row of constants, shape (len(FIELDS),)."""
     store_drive(block, lane, drive_of(row))
     effect = 0.0
     for k in range(len(DRIVE_COLUMNS)):
         effect = 1.0 if row[DRIVE_COLUMNS[k]] != 0.0 else effect
     block[at.DRIVEN * LANES + lane] = effect
-    lag = float(row[COLUMN.current_loop_time_constant])
+    begin_lag(block, lane, float(row[COLUMN.current_loop_time_constant]), float(row[COLUMN.command_latency]))
+    begin_friction(block, lane, row)
+
+
+@inlined
+def begin_lag(block: Floats, lane: int, lag: float, latency: float) -> None:
+    """Put the current loop's time constant and the latency of commands, both in seconds, into a lane."""
     rate = 1 / lag if lag > 0.0 else 0.0
     block[at.LAG_TIME * LANES + lane] = lag
     block[at.LAG_RATE * LANES + lane] = rate
-    samples = float(row[COLUMN.command_latency]) / CONTROL_PERIOD
+    samples = latency / CONTROL_PERIOD
     late = min(float(np.floor(samples)), LATENCY_SAMPLES - 1.0)
     split = min((samples - late) * CONTROL_PERIOD, CONTROL_PERIOD)
     block[at.LATE * LANES + lane] = late
@@ -83,6 +91,11 @@ def begin_drive(block: Floats, lane: int, row: Floats) -> None:
     by_before, by_after = shares_of_two(split, lag, rate)
     store_stages(block, at.BY_BEFORE, lane, by_before)
     store_stages(block, at.BY_AFTER, lane, by_after)
+
+
+@inlined
+def begin_friction(block: Floats, lane: int, row: Any) -> None:
+    """Put friction at the beginning and its drift, and the torque constant, into a lane."""
     block[at.GAIN * LANES + lane] = 1 + row[COLUMN.torque_constant_error]
     block[at.VISCOUS * LANES + lane] = row[COLUMN.motor_viscous_friction]
     block[at.COULOMB * LANES + lane] = row[COLUMN.coulomb_friction]

@@ -28,7 +28,11 @@ from beltarm_env.physics.models import Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import integration_substeps
 from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.draws import DRAWS, END_OF_MOVE, FIRST_OF_MOVE, FIRST_OF_SENSORS
+from beltarm_env.task.moves import draw_moves
+from beltarm_env.task.ranges import draw_table
 from beltarm_env.task.reference import reference_at
+from beltarm_env.task.streams import Streams, draw
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 Floats = NDArray[np.float64]
@@ -45,9 +49,10 @@ def begin_episodes(
     resolution: float,
     delays: Floats,
     draws: Floats,
+    built: Flags,
     model: Model,
-) -> None:
-    """Begin a new episode in n arms.
+) -> int:
+    """Begin a new episode in n arms, and return by how many there are more with a drive as it is built.
 
     Args:
         blocks: The arms, as `layout` describes.
@@ -57,9 +62,11 @@ def begin_episodes(
         states: Their states, shape (n, 4); NaN for at rest at the move's start.
         resolution: Of the encoder [rad per count].
         delays: Of the measurements of all arms [samples], shape (N,).
-        draws: Uniform random numbers for the sensors, shape (n, accelerometer.DRAWS).
+        draws: Uniform random numbers of the episodes, shape (n, DRAWS).
+        built: Which of all arms have a drive as it is built, shape (N,); changed.
         model: Whose equations of motion.
     """
+    more = 0
     for i in range(len(arms)):
         block, j = blocks[arms[i] // LANES], arms[i] % LANES
         plant = plant_of(table[i])
@@ -73,8 +80,50 @@ def begin_episodes(
             block[(at.MOVE + k) * LANES + j] = moves[i, k]
         store_plant(block, j, plant)
         begin_drive(block, j, table[i])
-        begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, float(delays[arms[i]]), draws[i])
+        of_sensors, delay = draws[i, FIRST_OF_SENSORS:], float(delays[arms[i]])
+        begin_sensing(block, j, x, plant, drive_of(table[i]), resolution, delay, of_sensors)
         block[at.SUBSTEPS * LANES + j] = integration_substeps(plant, model)
+        now = block[at.DRIVEN * LANES + j] != 0.0
+        more += int(now) - int(built[arms[i]])
+        built[arms[i]] = now
+    return more
+
+
+@compiled
+def restart_episodes(
+    blocks: Floats,
+    arms: NDArray[np.intp],
+    streams: Streams,
+    bounds: Floats,
+    table: Floats,
+    resolution: float,
+    delays: Floats,
+    built: Flags,
+    profile: int,
+    model: Model,
+) -> int:
+    """Begin new random episodes in n arms; within `streams.wrapping`. For the result and other arguments, see above.
+
+    Args:
+        blocks: The arms, as `layout` describes.
+        arms: Which ones, shape (n,).
+        streams: Random streams of all arms, shape (N, 4); changed.
+        bounds: Of the parameters, shape (2, len(FIELDS)).
+        table: Parameters of all arms, shape (N, len(FIELDS)); changed.
+        resolution: Of the encoder [rad per count].
+        delays: Of the measurements of all arms [samples], shape (N,).
+        built: Which of all arms have a drive as it is built, shape (N,); changed.
+        profile: Index into `reference.PROFILES`.
+        model: Whose equations of motion.
+    """
+    count = len(arms)
+    draws, drawn, nothing = np.empty((count, DRAWS)), np.empty((count, bounds.shape[1])), np.full((count, 4), np.nan)
+    draw(streams, arms, draws)
+    draw_table(bounds, draws, drawn)
+    for i in range(count):
+        table[arms[i]] = drawn[i]
+    moves = draw_moves(profile, draws[:, FIRST_OF_MOVE:END_OF_MOVE], nothing)
+    return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, built, model)
 
 
 @compiled

@@ -66,11 +66,20 @@ BUILT: Final = True
 """Whether drives as they are built are among the arms: a kernel compiled for IDEAL has none of their equations."""
 
 MAX_DELAY = 2
+_LINE = 64  # bytes of a cache line
+
+
+def aligned_zeros(count: int) -> NDArray[np.float64]:
+    """Allocate zeros where a cache line begins, for a vector that lies in two lines takes twice as long."""
+    room = np.zeros(count + _LINE // 8)
+    first = -room.ctypes.data % _LINE // 8
+    return room[first : first + count]
 
 
 def empty_blocks(num_arms: int) -> NDArray[np.float64]:
     """Allocate zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
-    return np.zeros((-(-num_arms // LANES), ROWS * LANES))
+    blocks = -(-num_arms // LANES)
+    return aligned_zeros(blocks * ROWS * LANES).reshape(blocks, ROWS * LANES)
 
 
 def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.intp]) -> NDArray[np.float64]:

@@ -11,68 +11,73 @@ from beltarm_env.kernels.layout import LANES, Driven, load_move, load_plant
 from beltarm_env.kernels.sense import encoder_reading, put_tier_entries
 from beltarm_env.kernels.tile import put, transpose
 from beltarm_env.observation import LOOKAHEADS, index
-from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+from beltarm_env.task.reference import TRAPEZOID, reference_at
 from beltarm_env.task.sensors import around_half_a_turn
 from beltarm_env.timing import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
-_AHEAD = len(LOOKAHEADS)
 _REFERENCE = index("reference_angle")
+_AHEAD = index("reference_acceleration") + 1
+_MOVE = index("start")
+_LAST_COMMAND = index("last_command")
 
 
 @inlined
-def _look_ahead(tile: Singles, lane: int, k: int, profile: int, move: MoveShape, time: float) -> None:
-    reference = reference_at(profile, move, time + LOOKAHEADS[k])
-    put(tile, lane, _REFERENCE + 3 + k, reference.speed)
-    put(tile, lane, _REFERENCE + 3 + _AHEAD + k, reference.acceleration)
+def _put_common_entries(block: Floats, tile: Singles, lane: int, profile: int) -> None:
+    """Put what all sensor tiers observe of an arm, but for the last command.
+
+    In the order of `observation.ENTRIES`: LLVM stores a group at once only if nothing else is stored between.
+    """
+    move, time = load_move(block, lane), block[at.STEP * LANES + lane] * CONTROL_PERIOD
+    reference = reference_at(profile, move, time)
+    gear = load_plant(block, lane).gear
+    angle, speed = encoder_reading(block, lane)
+    put(tile, lane, 0, reference.angle * gear - angle)
+    put(tile, lane, 1, reference.speed * gear - speed)
+    put(tile, lane, 2, speed)
+    put(tile, lane, 3, angle)
+    sine, cosine = around_half_a_turn(angle)
+    put(tile, lane, 4, sine)
+    put(tile, lane, 5, cosine)
+    put(tile, lane, _REFERENCE, reference.angle)
+    put(tile, lane, _REFERENCE + 1, reference.speed)
+    put(tile, lane, _REFERENCE + 2, reference.acceleration)
+    ahead_0 = reference_at(profile, move, time + LOOKAHEADS[0])
+    ahead_1 = reference_at(profile, move, time + LOOKAHEADS[1])
+    ahead_2 = reference_at(profile, move, time + LOOKAHEADS[2])
+    ahead_3 = reference_at(profile, move, time + LOOKAHEADS[3])
+    ahead_4 = reference_at(profile, move, time + LOOKAHEADS[4])
+    put(tile, lane, _AHEAD, ahead_0.speed)
+    put(tile, lane, _AHEAD + 1, ahead_1.speed)
+    put(tile, lane, _AHEAD + 2, ahead_2.speed)
+    put(tile, lane, _AHEAD + 3, ahead_3.speed)
+    put(tile, lane, _AHEAD + 4, ahead_4.speed)
+    put(tile, lane, _AHEAD + 5, ahead_0.acceleration)
+    put(tile, lane, _AHEAD + 6, ahead_1.acceleration)
+    put(tile, lane, _AHEAD + 7, ahead_2.acceleration)
+    put(tile, lane, _AHEAD + 8, ahead_3.acceleration)
+    put(tile, lane, _AHEAD + 9, ahead_4.acceleration)
+    put(tile, lane, _MOVE, move.start)
+    put(tile, lane, _MOVE + 1, move.goal)
+    put(tile, lane, _MOVE + 2, move.duration)
+    put(tile, lane, _MOVE + 3, move.ramp_time)
+    put(tile, lane, _MOVE + 4, time)
 
 
 @inlined
-def _motion_entries(block: Floats, tile: Singles, count: int, profile: int) -> None:
-    """Put what the encoder measures, and the reference now and ahead, which depends on its profile."""
+def _put_last_entries(block: Floats, tile: Singles, count: int, tier: int, driven: Driven) -> None:
+    """Put what does not fill a group of the tile: the last command, and what one sensor tier observes."""
     for j in range(count):
-        gear = load_plant(block, j).gear
-        move = load_move(block, j)
-        angle, speed = encoder_reading(block, j)
-        time = block[at.STEP * LANES + j] * CONTROL_PERIOD
-        reference = reference_at(profile, move, time)
-        put(tile, j, 0, reference.angle * gear - angle)
-        put(tile, j, 1, reference.speed * gear - speed)
-        put(tile, j, 2, speed)
-        put(tile, j, 3, angle)
-        sine, cosine = around_half_a_turn(angle)
-        put(tile, j, 4, sine)
-        put(tile, j, 5, cosine)
-        put(tile, j, _REFERENCE, reference.angle)
-        put(tile, j, _REFERENCE + 1, reference.speed)
-        put(tile, j, _REFERENCE + 2, reference.acceleration)
-        _look_ahead(tile, j, 0, profile, move, time)
-        _look_ahead(tile, j, 1, profile, move, time)
-        _look_ahead(tile, j, 2, profile, move, time)
-        _look_ahead(tile, j, 3, profile, move, time)
-        _look_ahead(tile, j, 4, profile, move, time)
-
-
-@compiled
-def _entries(block: Floats, tile: Singles, count: int, profile: int, tier: int, driven: Driven) -> None:
-    """Put all observation entries, one row each, in the order of `observation.ENTRIES`."""
-    if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
-        _motion_entries(block, tile, count, TRAPEZOID)
-    else:
-        _motion_entries(block, tile, count, profile)
-    after = _REFERENCE + 3 + 2 * _AHEAD
-    for j in range(count):
-        move = load_move(block, j)
-        put(tile, j, after, move.start)
-        put(tile, j, after + 1, move.goal)
-        put(tile, j, after + 2, move.duration)
-        put(tile, j, after + 3, move.ramp_time)
-        put(tile, j, after + 4, block[at.STEP * LANES + j] * CONTROL_PERIOD)
-        put(tile, j, after + 5, block[at.ACTION * LANES + j])
+        put(tile, j, _LAST_COMMAND, block[at.ACTION * LANES + j])
     put_tier_entries(block, tile, count, tier, driven)
+
+
+@inlined
+def _put_all(block: Floats, tile: Singles, count: int, profile: int) -> None:
+    for j in range(min(count, LANES)):  # a bound, without which LLVM fears that places in the tile overflow
+        _put_common_entries(block, tile, j, profile)
 
 
 @compiled
@@ -87,23 +92,34 @@ def observe_block(block: Floats, tile: Singles, observations: Singles, profile: 
         tier: Index into `observation.SENSORS`.
         driven: Whether drives as they are built are among the arms.
     """
-    _entries(block, tile, len(observations), profile, tier, driven)
+    count = len(observations)
+    if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
+        _put_all(block, tile, count, TRAPEZOID)
+    else:
+        _put_all(block, tile, count, profile)
+    _put_last_entries(block, tile, count, tier, driven)
     transpose(tile, observations, tier)
 
 
 @compiled
-def observe_arms(
+def observe_arms(blocks: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven) -> None:
+    """Write the observations of all arms, shape (N, size); arguments as of `observe_block`."""
+    for k in range(len(blocks)):
+        low = k * LANES
+        observe_block(blocks[k], tile, observations[low : low + LANES], profile, tier, driven)
+
+
+@compiled
+def observe_some(
     blocks: Floats,
     tile: Singles,
     observations: Singles,
-    chosen: Flags,
+    arms: NDArray[np.intp],
     profile: int,
     tier: int,
     driven: Driven,
 ) -> None:
-    """Write the observations of all arms in those blocks where `chosen`, shape (blocks,), is true."""
-    for k in range(len(blocks)):
-        if chosen[k]:
-            low = k * LANES
-            high = min(low + LANES, len(observations))
-            observe_block(blocks[k], tile, observations[low:high], profile, tier, driven)
+    """Write the observations of some arms, one by one; arguments as of `observe_block`."""
+    for arm in arms:
+        block, lane = blocks[arm // LANES], arm % LANES  # a block that begins with a lane has this one as its first
+        observe_block(block[lane:], tile, observations[arm : arm + 1], profile, tier, driven)

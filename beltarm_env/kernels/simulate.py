@@ -21,6 +21,7 @@ from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_
 from beltarm_env.kernels.layout import (
     LANES,
     ROWS,
+    aligned_zeros,
     empty_blocks,
     load_drive,
     load_plant,
@@ -50,12 +51,12 @@ class Room(NamedTuple):
 
 def room_for(count: int) -> Room:
     """Room for n arms, whatever their drives."""
-    return Room(empty_blocks(count), np.zeros(DRIVEN_WORK_ROWS * LANES), np.zeros(LANES))
+    return Room(empty_blocks(count), aligned_zeros(DRIVEN_WORK_ROWS * LANES), aligned_zeros(LANES))
 
 
 def room_for_one() -> Room:
     """Room for one arm alone."""
-    return room_for(1)._replace(blocks=np.zeros(ROWS * LANES))
+    return room_for(1)._replace(blocks=aligned_zeros(ROWS * LANES))
 
 
 def state_size(table: Floats) -> int:

@@ -14,7 +14,16 @@ from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
-from beltarm_env.kernels.layout import IDEAL, LANES, Driven, drive_among, load_move, load_plant, load_state
+from beltarm_env.kernels.layout import (
+    IDEAL,
+    LANES,
+    Driven,
+    aligned_zeros,
+    drive_among,
+    load_move,
+    load_plant,
+    load_state,
+)
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.sense import sense_block
 from beltarm_env.kernels.tile import TILE_ROWS
@@ -40,7 +49,7 @@ _SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
 
 def new_scratch() -> tuple[Floats, Singles]:
     """Allocate the memory that the kernels work in, one block at a time; once, because allocation takes time."""
-    return np.zeros(_SCRATCH_ROWS * LANES), np.zeros(TILE_ROWS * LANES, dtype=np.float32)
+    return aligned_zeros(_SCRATCH_ROWS * LANES), aligned_zeros(-(-TILE_ROWS // 2) * LANES).view(np.float32)
 
 
 @inlined

@@ -1,13 +1,19 @@
-"""Tile of observations: one row per entry, scaled and clipped, to be copied to one row per arm.
+"""Tile of observations: their entries for all lanes of a block, to be copied to one row per arm.
 
-The rows of a tile are the entries that all sensor tiers have, then each tier's own.
+The entries that all sensor tiers have are put in groups of `GROUP`, a lane's entries of a group side by side: so a
+group is copied to the observation at once. Entries that do not fill a group, and each tier's own, have a row each.
 """
 
 from __future__ import annotations
 
 from itertools import chain
+from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.cgutils import get_item_pointer
+from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
 from beltarm_env.jit import compiled, inlined
@@ -16,7 +22,10 @@ from beltarm_env.observation import ENTRIES, SENSORS
 
 Singles = NDArray[np.float32]
 
+GROUP = 8
+"""Entries of a group: 32 bytes."""
 _COMMON = len(ENTRIES["encoder"])
+_GROUPED = _COMMON // GROUP * GROUP
 _OWN = [ENTRIES[tier][_COMMON:] for tier in SENSORS]
 _ROW_ENTRIES = (*ENTRIES["encoder"], *chain(*_OWN))
 TILE_ROWS = len(_ROW_ENTRIES)
@@ -27,10 +36,50 @@ _BOUND = np.array([np.float32(entry.bound / entry.scale) for entry in _ROW_ENTRI
 
 
 @inlined
+def _place(row: int, lane: int) -> int:
+    if row < _GROUPED:
+        return row // GROUP * GROUP * LANES + GROUP * lane + row % GROUP
+    return row * LANES + lane
+
+
+@inlined
 def put(tile: Singles, lane: int, row: int, value: float) -> None:
-    """Scale and clip a physical value into its row."""
+    """Scale and clip a physical value into its place."""
     bound = _BOUND[row]
-    tile[row * LANES + lane] = min(max(value * _INVERSE_SCALE[row], -bound), bound)
+    tile[_place(row, lane)] = min(max(value * _INVERSE_SCALE[row], -bound), bound)
+
+
+def _copy_group(observations: Singles, arm: int, entry: int, tile: Singles, place: int) -> None:
+    """Copy a group from its place in a tile to an arm's observation, from an entry on."""
+    for k in range(GROUP):
+        observations[arm, entry + k] = tile[place + k]
+
+
+@intrinsic
+def _copy_vector(_: Any, observations: Any, arm: Any, entry: Any, tile: Any, place: Any) -> Any:
+    """Copy a group as one vector, into which LLVM does not merge eight copies by itself."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        def vector_at(array: int, indices: list[Any]) -> Any:
+            of = signature.args[array]
+            where = get_item_pointer(
+                context, builder, of, context.make_array(of)(context, builder, values[array]), indices
+            )
+            return builder.bitcast(where, ir.VectorType(ir.FloatType(), GROUP).as_pointer())
+
+        source, target = vector_at(3, [values[4]]), vector_at(0, [values[1], values[2]])
+        builder.store(builder.load(source, align=4), target, align=4)
+        return context.get_dummy_value()
+
+    return types.void(observations, types.intp, types.intp, tile, types.intp), generate
+
+
+@overload(_copy_group, inline="always")
+def _copy_group_compiled(observations: Any, arm: Any, entry: Any, tile: Any, place: Any) -> Any:
+    def copy(observations: Any, arm: Any, entry: Any, tile: Any, place: Any) -> None:
+        _copy_vector(observations, arm, entry, tile, place)  # pyright: ignore[reportCallIssue]
+
+    return copy
 
 
 @compiled
@@ -39,7 +88,9 @@ def transpose(tile: Singles, observations: Singles, tier: int) -> None:
     count, entries = observations.shape
     own = OWN_ROW[tier]
     for j in range(count):
-        for k in range(_COMMON):  # a constant, so that LLVM unrolls it
+        for k in range(0, _GROUPED, GROUP):
+            _copy_group(observations, j, k, tile, k * LANES + GROUP * j)
+        for k in range(_GROUPED, _COMMON):
             observations[j, k] = tile[k * LANES + j]
     for k in range(_COMMON, entries):
         for j in range(count):

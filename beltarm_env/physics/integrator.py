@@ -2,8 +2,8 @@
 
 Within one friction mode the arm is smooth and slow against the 1.5 ms sample, so a single RK4 step per sample is
 already accurate; what costs accuracy is stepping across the instant of sticking or breaking away. The step is therefore
-taken in full first, `mode_margin` tells whether the mode survived it, and only if not does `step_to_mode_change` locate
-the instant, where the sample is split.
+taken in full first, `mode_margin` tells whether the mode survived it, and only if not does `mode_change` locate the
+instant, where the sample is split.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics import friction
 from beltarm_env.physics.drive import angles_of
-from beltarm_env.physics.models import Model, accelerations, driving_torque, driving_torque_rate, sliding_direction
+from beltarm_env.physics.models import Model, accelerations, driving_torque, driving_torque_rate
 from beltarm_env.physics.state import ArmState
 
 _ROOT_ITERATIONS = 5  # of Newton on a cubic that is nearly a straight line
@@ -30,19 +30,10 @@ def moved(x: ArmState, dt: float, slope: ArmState) -> ArmState:
 
 
 @inlined
-def _slope(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> ArmState:
+def slope_of(x: ArmState, torque: float, direction: float, plant: Plant, model: Model) -> ArmState:
+    """Return dx/dt within a friction mode: speeds [rad/s] and accelerations [rad/s^2]."""
     motor, torsional = accelerations(x, torque, direction, plant, model)
     return ArmState(x.motor_speed, motor, x.torsion_speed, torsional)
-
-
-@inlined
-def rk4_step(x: ArmState, torque: float, direction: float, dt: float, plant: Plant, model: Model) -> ArmState:
-    """Take a classical fourth-order Runge-Kutta step of `dt` seconds within one friction mode, torque held."""
-    k1 = _slope(x, torque, direction, plant, model)
-    k2 = _slope(moved(x, 0.5 * dt, k1), torque, direction, plant, model)
-    k3 = _slope(moved(x, 0.5 * dt, k2), torque, direction, plant, model)
-    k4 = _slope(moved(x, dt, k3), torque, direction, plant, model)
-    return moved(x, dt * (1 / 6), weighted(k1, k2, k3, k4))
 
 
 @inlined
@@ -97,10 +88,10 @@ def _hermite_root(start: float, start_slope: float, end: float, end_slope: float
 
 
 @inlined
-def step_to_mode_change(
+def mode_change(
     x: ArmState, torque: float, direction: float, dt: float, y: ArmState, plant: Plant, model: Model
-) -> tuple[ArmState, float, float]:
-    """Step only as far as the motor stops or breaks away, given that it does within `dt`.
+) -> tuple[float, float]:
+    """Find when the motor stops or breaks away, given that it does within `dt`.
 
     Args:
         x: State at the beginning.
@@ -112,7 +103,7 @@ def step_to_mode_change(
         model: Whose equations of motion.
 
     Returns:
-        State at that instant, the mode from then on, and the time that is left of `dt`.
+        Share of `dt` that is then over, and the side to which a motor at rest breaks away, -1 or +1.
     """
     exit_side = 1.0 if driving_torque(y, torque, plant, model) > 0.0 else -1.0
     fraction = _hermite_root(
@@ -121,7 +112,4 @@ def step_to_mode_change(
         _exit_margin(y, torque, direction, exit_side, plant, model),
         dt * _exit_rate(y, torque, direction, exit_side, plant, model),
     )
-    z = rk4_step(x, torque, direction, fraction * dt, plant, model)
-    at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
-    following = sliding_direction(at_rest, torque, plant, model) if direction != 0.0 else exit_side
-    return at_rest, following, dt - fraction * dt
+    return fraction, exit_side

@@ -20,7 +20,7 @@ from beltarm_env.task.reference import (
 
 MOVE_FIELDS = MoveShape._fields
 DRAWS = 5
-"""Uniform draws a move takes."""
+"""Uniform random numbers that a move takes."""
 
 WORKSPACE = math.pi / 2
 """Moves stay within 0 and this angle [rad]."""

@@ -10,6 +10,8 @@ import numpy as np
 
 from beltarm_env.arm import FIELDS, NOMINAL, WHOLE, ArmParams, params_table
 from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
+from beltarm_env.task.draws import OF_ARM
 from beltarm_env.timing import CONTROL_PERIOD
 
 Ranges = Mapping[str, tuple[float, float]]
@@ -62,6 +64,7 @@ TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
 RANGES: dict[str, Ranges] = {"off": {}, "ideal": IDEAL_RANGES, "train": TRAIN_RANGES}
 """By the word that users give as `randomization`."""
 
+_WHOLE_COLUMNS = np.array([FIELDS.index(name) for name in WHOLE])
 _OF_UNKNOWN_PHASE = ("friction_variation", "torque_ripple", "kinematic_error")
 
 
@@ -115,15 +118,22 @@ def range_bounds(ranges: Ranges) -> Floats:
     return params_table([ArmParams(**{name: pair[end] for name, pair in ranges.items()}) for end in (0, 1)])
 
 
-def draw_table(bounds: Floats, uniforms: Floats) -> Floats:
-    """Draw n arms within bounds, shape (2, len(FIELDS)), from numbers in [0, 1); both of shape (n, len(FIELDS)).
+@compiled
+def draw_table(bounds: Floats, uniforms: Floats, table: Floats) -> None:
+    """Draw n arms within bounds.
 
     Each field is uniform over its range, and one of whole numbers over the whole numbers in it.
+
+    Args:
+        bounds: From `range_bounds`, shape (2, len(FIELDS)).
+        uniforms: Numbers in [0, 1), shape (n, DRAWS).
+        table: Written, shape (n, len(FIELDS)).
     """
-    table = bounds[0] + uniforms * (bounds[1] - bounds[0])
-    for name in WHOLE:
-        k = FIELDS.index(name)
-        low, high = np.ceil(bounds[0, k]), np.floor(bounds[1, k])
-        if low < high:
-            table[:, k] = np.minimum(low + np.floor(uniforms[:, k] * (high - low + 1)), high)
-    return table
+    for i in range(len(table)):
+        for k in range(len(OF_ARM)):
+            low, high, uniform = bounds[0, k], bounds[1, k], uniforms[i, OF_ARM[k]]
+            table[i, k] = low + uniform * (high - low)
+        for k in _WHOLE_COLUMNS:
+            low, high, uniform = math.ceil(bounds[0, k]), math.floor(bounds[1, k]), uniforms[i, OF_ARM[k]]
+            if low < high:
+                table[i, k] = min(low + math.floor(uniform * (high - low + 1)), high)

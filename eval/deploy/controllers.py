@@ -16,8 +16,9 @@ from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
+from baselines.estimation.filter_design import inputs_of
 from baselines.estimation.identification import IdentifyingController
-from baselines.estimation.identify import Inputs, empty_notes, workspace_for
+from baselines.estimation.identify import empty_notes, workspace_for
 from baselines.guard.controller import guarded, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
@@ -116,7 +117,7 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
 
 
 def _filtering() -> Filtering:
-    inputs = Inputs(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
+    inputs = inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
     return Filtering(empty_notes(1, SIZE), inputs, workspace_for(1))
 
 

@@ -21,7 +21,10 @@ from eval.translation.types import INT, REAL, Array, Const, Group, Scalar, Value
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
 """What differs from the kernels in Python: they are compiled for many arms side by side."""
-_ROWS_OF_LANES = ("block", "blocks", "work", "actions", "velocities")
+_ROWS_OF_LANES = (
+    *("block", "blocks", "work", "actions", "velocities", "loaded", "z", "constants", "perturbed", "shapes"),
+    *("other_shapes", "ripple", "other_ripple"),
+)
 TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
     keep_trailing_newline=True,

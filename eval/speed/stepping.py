@@ -30,35 +30,34 @@ def best_times(runs: Sequence[Callable[[], object]], repetitions: int) -> list[f
 
 
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
-    """Speed of the vector environment: lumped arm, the same behind drives as they are built, full arm.
+    """Speed of the vector environment, beside CartPole's: lumped arm, behind drives as they are built, full arm.
 
     Random torques over the whole limit stop and start the motor in nearly every sample, which no controller does: so
     drives are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
-    batches = [
-        _batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
-        _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
-        _batch_steps("BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"),
-        _batch_steps("CartPole-v1", arms, steps),
-    ]
-    times = [took / steps for took in best_times(batches, repetitions)]
-    episodes = [_episodes(arms, "ideal"), _episodes(arms, "train")]
-    times += [took / EPISODE_STEPS for took in best_times(episodes, max(repetitions // 5, 1))]
-    lumped, driven, full, cart, of_ideal, of_train = times
-    rates = [f"{arms / took / 1e6:.1f} M steps/s" for took in times]
-    above = "lumped arm, ideal drive"
-    size = f"N = {arms}"
-    return [
-        (f"vector step, {size}", rates[0], f"CartPole-v1: {rates[3]}", f"{cart / lumped:.2f}x"),
-        (
-            f"episodes of the paper's controller, all effects of the drive, {size}",
-            rates[5],
-            f"ideal drive: {rates[4]}",
-            f"{of_ideal / of_train:.2f}x",
+    stepped = {
+        "vector step": _batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
+        "vector step, all effects of the drive": _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
+        "vector step of the full arm": _batch_steps(
+            "BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"
         ),
-        (f"vector step with all effects, random torques, {size}", rates[1], above, f"{lumped / driven:.2f}x"),
-        (f"vector step of the full arm, {size}", rates[2], above, f"{lumped / full:.2f}x"),
+    }
+    episodes = {
+        "episodes of the paper's controller": _episodes(arms, "ideal"),
+        "episodes of the paper's controller, all effects of the drive": _episodes(arms, "train"),
+    }
+    took = best_times([*stepped.values(), _batch_steps("CartPole-v1", arms, steps)], repetitions)
+    *times, cart = (seconds / steps for seconds in took)
+    times += [seconds / EPISODE_STEPS for seconds in best_times(list(episodes.values()), max(repetitions // 5, 1))]
+    peer = f"CartPole-v1: {_rate(arms, cart)}"
+    return [
+        (f"{name}, N = {arms}", _rate(arms, seconds), peer, f"{cart / seconds:.2f}x")
+        for name, seconds in zip([*stepped, *episodes], times, strict=True)
     ]
+
+
+def _rate(arms: int, seconds: float) -> str:
+    return f"{arms / seconds / 1e6:.1f} M steps/s"
 
 
 def single_row(steps: int, repetitions: int) -> Row:

@@ -1,0 +1,220 @@
+"""Lanes of arms as a filter believes in them, `baselines.estimation.believed_arm`, and of copies of them.
+
+A copy has one entry of z perturbed. It begins as the arm itself, and only what its entry changes is derived anew. A
+copy of each arm is in as many lanes as there are arms, which follow one another: so all loops are over lanes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from baselines.estimation.believed_arm import (
+    ARMS,
+    DELAY,
+    DIFFERENCED,
+    DISTURBANCE,
+    ERROR_SINE,
+    LAG,
+    LOGS,
+    ORDERS,
+    REACH,
+    SIZE,
+    STEPS,
+    believe,
+    believe_entry,
+    constants_of,
+    take,
+    write_ripple,
+)
+from beltarm_env import CONTROL_PERIOD
+from beltarm_env.arm import FIELDS, Plant, plant_of
+from beltarm_env.arrays import Floats
+from beltarm_env.jit import compiled
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, begin_friction, begin_lag
+from beltarm_env.kernels.layout import LANES, store_drive, store_plant
+from beltarm_env.physics.drive import drive_of
+from beltarm_env.physics.models import LUMPED
+from beltarm_env.physics.substeps import integration_substeps
+from beltarm_env.physics.trigonometry import exponential
+
+# Rows of a block: as in `layout`, then
+_WHOLE = at.ROWS  # samples by which a command is late, without their fraction
+_STAYS = _WHOLE + 1  # what a sample leaves of the difference between the motor's torque and its target
+_LEFT = _STAYS + 1  # what is left of it when a sample begins in which the command before has arrived
+_COMMAND = _LEFT + 1  # that arrives in this sample [N m]
+_BEFORE = _COMMAND + 1  # that arrived in the one before [N m]
+_PAST = _BEFORE + 1  # torque of the motor by all commands of the past [N m]
+_ROWS = _PAST + 1
+_LIMIT = at.PLANT + Plant._fields.index("torque_limit")
+
+
+class Simulation(NamedTuple):
+    """Room for `simulate`; what it holds between two calls does not matter."""
+
+    loaded: Floats  # arms as they are believed in, shape (_ROWS * LANES,)
+    block: Floats  # copies of them, likewise
+    work: Floats  # shape (DRIVEN_WORK_ROWS * LANES,)
+    actions: Floats  # shape (LANES,)
+    velocities: Floats  # of the arm's end where a lane begins, shape (2 * LANES,); (2,) without an accelerometer
+    z: Floats  # of the arms, see `take`
+    constants: Floats  # of them, see `believe`
+    perturbed: Floats  # the same of a copy
+    shapes: Floats  # of the arms' ripple, see `write_ripple`
+    other_shapes: Floats  # of a copy's
+    ripple: Floats  # of the arms [N m], shape (LANES,)
+    other_ripple: Floats  # of a copy [N m]
+
+
+def simulation_room(size: int) -> Simulation:
+    """Room for simulations of arms of which z has `size` entries."""
+    shapes, fields = 2 * len(ORDERS), len(FIELDS)
+    rows = (_ROWS, _ROWS, DRIVEN_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
+    room = Simulation(*(np.zeros(count * LANES) for count in rows))
+    return room if size > SIZE else room._replace(velocities=np.zeros(2))
+
+
+@compiled
+def _load_coefficients(block: Floats, first: int, arms: int, constants: Floats) -> None:
+    """Put what follows from constants, but delay and lag, into lanes from a first one on."""
+    for lane in range(arms):
+        row = constants_of(constants, lane)
+        plant = plant_of(row)
+        store_plant(block, first + lane, plant)
+        store_drive(block, first + lane, drive_of(row))
+        begin_friction(block, first + lane, row)
+        block[at.SUBSTEPS * LANES + first + lane] = integration_substeps(plant, LUMPED)
+
+
+@compiled
+def _load_delays(block: Floats, first: int, arms: int, constants: Floats) -> None:
+    """Put what follows from delay and lag into lanes from a first one on."""
+    for lane in range(arms):
+        row = constants_of(constants, lane)
+        samples = row.command_latency / CONTROL_PERIOD
+        lag = row.current_loop_time_constant / CONTROL_PERIOD
+        late = np.floor(samples)
+        # Whole samples are in the choice of commands.
+        begin_lag(block, first + lane, row.current_loop_time_constant, (samples - late) * CONTROL_PERIOD)
+        block[_WHOLE * LANES + first + lane] = late
+        block[_STAYS * LANES + first + lane] = exponential(-1 / lag)
+        block[_LEFT * LANES + first + lane] = exponential((samples - late - 1) / lag)
+
+
+@compiled
+def load_commands(block: Floats, first: int, commands: Floats, held: int) -> None:
+    """Put commands, and the motor's torque by those of the past, into lanes from a first one on.
+
+    Args:
+        block: Written.
+        first: Lane of the first arm.
+        commands: Of the arms, latest first [N m], shape (arms, HISTORY).
+        held: Samples for which the last command has been held since.
+    """
+    for lane in range(len(commands)):
+        to, late = first + lane, int(block[_WHOLE * LANES + first + lane]) - held
+        torque, stays = commands[lane, max(late + 1 + REACH, 0)], block[_STAYS * LANES + to]
+        for k in range(REACH, 1, -1):
+            command = commands[lane, max(late + k, 0)]
+            torque = command + stays * (torque - command)
+        command = commands[lane, max(late + 1, 0)]
+        block[_PAST * LANES + to] = command + block[_LEFT * LANES + to] * (torque - command)
+        block[_BEFORE * LANES + to] = command
+        block[_COMMAND * LANES + to] = commands[lane, max(late, 0)]
+
+
+@compiled
+def load_torques(block: Floats, first: int, arms: int, z: Floats, ripple: Floats, actions: Floats) -> None:
+    """Add d and ripple to the torques of lanes from a first one on, and write their actions."""
+    for lane in range(arms):
+        unexplained = z[DISTURBANCE * LANES + lane] + ripple[lane]
+        block[at.TORQUE * LANES + first + lane] = block[_PAST * LANES + first + lane] + unexplained
+        block[at.TARGETS * LANES + first + lane] = block[_BEFORE * LANES + first + lane] + unexplained
+        command = block[_COMMAND * LANES + first + lane] + unexplained
+        actions[first + lane] = command / block[_LIMIT * LANES + first + lane]
+
+
+@compiled
+def load(beliefs: Floats, nominal: Floats, room: Simulation) -> None:
+    """Load arms as they are believed in, all but their commands.
+
+    Args:
+        beliefs: z of up to `ARMS` arms, shape (arms, SIZE or more).
+        nominal: From `nominal_row`.
+        room: Changed.
+    """
+    arms = len(beliefs)
+    take(beliefs, room.z)
+    believe(room.z, arms, nominal, room.constants)
+    for lane in range(arms):
+        room.loaded[at.DRIVEN * LANES + lane] = 1.0
+        room.loaded[at.STEP * LANES + lane] = 0.0
+        for i in range(4):
+            room.loaded[(at.STATE + i) * LANES + lane] = room.z[i * LANES + lane]
+    _load_coefficients(room.loaded, 0, arms, room.constants)
+    _load_delays(room.loaded, 0, arms, room.constants)
+
+
+@compiled
+def _copy(source: Floats, target: Floats, first: int, arms: int, begin: int, end: int) -> None:
+    """Copy rows of the first lanes to lanes from a first one on."""
+    for row in range(begin, end):
+        for lane in range(arms):
+            target[row * LANES + first + lane] = source[row * LANES + lane]
+
+
+@compiled
+def load_copy(k: int, first: int, beliefs: Floats, nominal: Floats, commands: Floats, room: Simulation) -> None:
+    """Put copies of loaded arms into lanes from a first one on, as they are or, for k > 0, with an entry perturbed."""
+    arms, block, z, ripple = len(beliefs), room.block, room.z, room.ripple
+    _copy(room.loaded, block, first, arms, 0, at.MOVE)
+    _copy(room.loaded, block, first, arms, at.STEP, at.STEP + 1)
+    _copy(room.loaded, block, first, arms, at.SUBSTEPS, at.SUBSTEPS + 1)
+    _copy(room.loaded, block, first, arms, at.DRIVEN, _ROWS)
+    entry = k - 1 if k <= DIFFERENCED else ERROR_SINE + k - 1 - DIFFERENCED
+    for lane in range(arms if k > 0 else 0):
+        z[entry * LANES + lane] += STEPS[k - 1]
+    if 1 <= k <= 4:
+        for lane in range(arms):
+            block[(at.STATE + entry) * LANES + first + lane] = z[entry * LANES + lane]
+    if 1 <= k <= 2:  # angle and speed
+        write_ripple(z, z, arms, room.other_shapes, room.other_ripple)
+        ripple = room.other_ripple
+    if k > LOGS.start and entry != DISTURBANCE:
+        _copy(room.constants, room.perturbed, 0, arms, 0, len(FIELDS))
+        believe_entry(z, entry, arms, nominal, room.perturbed)
+        if entry == DELAY or entry == LAG:
+            _load_delays(block, first, arms, room.perturbed)
+            load_commands(block, first, commands, 0)
+        else:
+            _load_coefficients(block, first, arms, room.perturbed)
+    load_torques(block, first, arms, z, ripple, room.actions)
+    for lane in range(arms if k > 0 else 0):
+        z[entry * LANES + lane] = beliefs[lane, entry]
+
+
+@compiled
+def write_believed(beliefs: Floats, nominal: Floats, room: Simulation, table: Floats) -> None:
+    """Write the constants of m arms, columns as `ArmParams`, shape (m, len(FIELDS)).
+
+    Args:
+        beliefs: z of the arms, shape (m, SIZE or FELT_SIZE).
+        nominal: From `nominal_row`.
+        room: Changed.
+        table: Written.
+    """
+    for low in range(0, len(table), ARMS):
+        some = beliefs[low : low + ARMS]
+        take(some, room.z)
+        believe(room.z, len(some), nominal, room.constants)
+        write_table(room.constants, table[low : low + ARMS])
+
+
+@compiled
+def write_table(constants: Floats, table: Floats) -> None:
+    """Write the constants in the first lanes as a table."""
+    for lane in range(len(table)):
+        for i in range(table.shape[1]):
+            table[lane, i] = constants[i * LANES + lane]
