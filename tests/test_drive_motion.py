@@ -25,6 +25,11 @@ def pushed(sample: int, _: EventLocatedArm) -> float:
     return push(sample)
 
 
+def jolted(sample: int, _: EventLocatedArm) -> float:
+    """Give a command [N m] that jumps in every sample, within a third of the torque limit."""
+    return 0.1 * math.sin(7.0 * sample * sample)
+
+
 def driven_env(params: ArmParams, start: np.ndarray, model: str) -> BeltArmEnv:
     env = BeltArmEnv(model=model)  # pyright: ignore[reportArgumentType]
     move = {"start": math.pi / 4, "goal": 1.2, "duration": 1.0, "ramp_time": 0.2}
@@ -72,6 +77,14 @@ def test_each_effect_alone(effect: str, model: str):
 def test_stick_slip_with_all_effects(number: int, model: str):
     worst, arm = largest_distance(ARMS[number], model, pushed, AT_45)
     assert stops(arm) >= 4, "sticks"
+    assert worst < 1e-6
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("number", range(2))
+def test_breaking_away_while_the_torque_still_rises(number: int, model: str):
+    worst, arm = largest_distance(ARMS[number], model, jolted, AT_45, 300)
+    assert stops(arm) >= 20
     assert worst < 1e-6
 
 

@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.kernels.exits import EXIT, EXIT_ROWS, find_exits, store_margin
+from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.drive import angles_near, angles_of, belt_stiffness, decay, drive_of, turned
-from beltarm_env.physics.driven.events import Margin, exit_fraction, leaves_mode
+from beltarm_env.physics.driven.events import Margin, leaves_mode
 from beltarm_env.physics.driven.step import driven_step, fit_of, step_length
 from beltarm_env.physics.driven.torque import Lag, response, shares_of_two, torques_of_lag, torques_of_two
-from beltarm_env.physics.models import LUMPED
+from beltarm_env.physics.models import FULL_ARM, LUMPED, Model, acceleration_per_torque, accelerations_at
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import wrapped
 from beltarm_env.task.ranges import DRIVE_RANGES
@@ -144,18 +147,50 @@ def test_ripple_neither_drives_nor_brakes_in_the_mean_over_its_phase():
     assert abs(np.mean(gained)) < 1e-11
 
 
-def test_margins_that_dip_below_zero_and_come_back_are_found():
+def exits_of(margins: list[Margin]) -> np.ndarray:
+    work = np.zeros(EXIT_ROWS * LANES)
+    for lane, margin in enumerate(margins):
+        store_margin(work, 0, lane, margin)
+    find_exits(work, len(margins))
+    return work[EXIT * LANES :][: len(margins)]
+
+
+def test_where_margins_fall_below_zero():
     dips = Margin(1.0, -6.0, 6.0, 0.0, 0.0, 0.0)  # 1 - 6 u + 6 u^2: below zero between 0.211 and 0.789
-    assert leaves_mode(dips, 1.0)
-    assert exit_fraction(dips) == pytest.approx(0.5 - math.sqrt(3) / 6, rel=1e-9)
     stays = Margin(2.0, -6.0, 6.0, 0.0, 0.0, 0.0)  # lowest 0.5
-    assert exit_fraction(stays) == 1.0
-
-
-def test_the_root_of_a_margin_with_an_exponential():
     falls = Margin(-0.5, 0.0, 0.0, 0.0, 1.0, 4.0)  # e^(-4 u) - 0.5
+    assert leaves_mode(dips, 1.0)
     assert leaves_mode(falls, math.exp(-4))
-    assert exit_fraction(falls) == pytest.approx(math.log(2) / 4, rel=1e-9)
+    expected = [0.5 - math.sqrt(3) / 6, 1.0, math.log(2) / 4]
+    assert exits_of([dips, stays, falls]) == pytest.approx(expected, rel=1e-9)
+
+
+def test_exits_of_many_margins_are_those_that_scipy_finds():
+    rng = np.random.default_rng(0)
+    margins = [Margin(*rng.normal(size=4), float(rng.normal()), float(rng.uniform(0, 6))) for _ in range(2000)]
+
+    def at(m: Margin, u: float) -> float:
+        return m.c0 + u * (m.c1 + u * (m.c2 + u * m.c3)) + m.amplitude * math.exp(-m.exponent * u)
+
+    grid = np.linspace(0, 1, 201)
+    crossing = [m for m in margins if np.sum(np.diff(np.sign([at(m, u) for u in grid]))) == -2 and at(m, 0) > 0]
+    crossing = crossing[:LANES]
+    assert len(crossing) == LANES
+    expected = [brentq(lambda u, m=m: at(m, u), 0, 1, xtol=1e-14) for m in crossing]
+    assert exits_of(crossing) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_the_acceleration_per_torque_is_that_of_the_equations_of_motion(direction: float, model: Model):
+    # A motor that breaks away accelerates by nothing else at first: an error here would end its sliding at once.
+    for phase in np.linspace(0, 6, 13):
+        drive = drive_of(replace(PARAMS, kinematic_error_phase=float(phase)).row())
+        x = ArmState(70.0, 0.0, 0.01, 0.2)
+        angles = angles_of(x, PLANT, drive)
+        with_torque, without = (accelerations_at(x, angles, t, direction, PLANT, model, drive)[0] for t in (1.0, 0.0))
+        by_torque = acceleration_per_torque(angles, PLANT, drive, model)
+        assert by_torque == pytest.approx(with_torque - without, rel=1e-11)
 
 
 def test_steps_divide_what_remains():

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
-from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling
+from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling, transmission
 from beltarm_env.physics.friction import friction_torque
 from beltarm_env.physics.state import ArmState
 
@@ -46,6 +46,14 @@ def inverse_inertia(cos_phi: float, plant: Plant) -> tuple[float, float, float]:
     m11, m12, m22 = _inertia(cos_phi, plant.gear, plant)
     determinant = m11 * m22 - m12 * m12
     return m22 / determinant, -m12 / determinant, m11 / determinant
+
+
+@inlined
+def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive) -> float:
+    """Return domega_a'/dtau_m of a motor that slides behind a drive as it is built [rad/s^2 per N m]."""
+    gear = 1 / transmission(at, plant, drive).ratio
+    m11, m12, m22 = _inertia(at.cos_phi, gear, plant)
+    return gear * gear * m22 / (m11 * m22 - m12 * m12)
 
 
 @inlined

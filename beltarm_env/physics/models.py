@@ -59,6 +59,18 @@ def inverse_inertia(cos_phi: float, plant: Plant, model: Model) -> tuple[float, 
 
 
 @inlined
+def acceleration_per_torque(at: Angles, plant: Plant, drive: Drive, model: Model) -> float:
+    """Return by how much a motor that slides accelerates per torque [rad/s^2 per N m], as `accelerations_at` has it.
+
+    Exactly so: with another number a motor that breaks away would at once be found to stop again.
+    """
+    if model is LUMPED:
+        w11, _, _ = lumped.inverse_inertia(at.cos_phi, plant)
+        return w11 * plant.gear * plant.gear
+    return full_arm.acceleration_per_torque(at, plant, drive)
+
+
+@inlined
 def driving_torque(x: ArmState, torque: float, plant: Plant, model: Model, drive: Drive | None = None) -> float:
     """Return the torque that pulls at the motor at standstill [N m], which friction has to hold for it to stick."""
     return driving_torque_at(x, angles_of(x, plant, drive), torque, plant, model, drive)

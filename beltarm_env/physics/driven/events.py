@@ -13,19 +13,13 @@ from typing import NamedTuple
 from beltarm_env.arm import Plant
 from beltarm_env.jit import inlined
 from beltarm_env.physics import friction
-from beltarm_env.physics.drive import Angles, Drive, angles_near, angles_of, decay
-from beltarm_env.physics.driven.step import Step, driven_step
-from beltarm_env.physics.driven.torque import Lag, Stages, lag_left, torques_of_lag
-from beltarm_env.physics.models import (
-    Model,
-    driving_torque_at,
-    driving_torque_rate_at,
-    inverse_inertia,
-    sliding_direction,
-)
+from beltarm_env.physics.drive import Angles, Drive, angles_near, decay
+from beltarm_env.physics.driven.step import Step
+from beltarm_env.physics.driven.torque import Lag, Stages, lag_left
+from beltarm_env.physics.models import Model, acceleration_per_torque, driving_torque_at, driving_torque_rate_at
 from beltarm_env.physics.state import ArmState
 
-_ROOT_ITERATIONS = 10  # of bracketed Newton; the margin is a cubic and an exponential
+EXIT_ITERATIONS = 10  # of bracketed Newton; the margin is a cubic and an exponential
 CLOSE = 1e-13
 """Accuracy of roots, as a share of the step."""
 NEGLIGIBLE = 1e-10
@@ -113,8 +107,7 @@ def margin_of(
     The speed of a motor that slides follows the lag as q e^(-t / T_i), with the q that the excess causes by itself,
     viscous friction included; what is left of it is smooth. The pull on one that sticks is smooth but for the torque.
     """
-    w11, _, _ = inverse_inertia(at.cos_phi, plant, model)
-    by_torque = w11 * plant.gear * plant.gear
+    by_torque = acceleration_per_torque(at, plant, drive, model)
     q = -lag.excess * lag.time * by_torque * (1 + plant.viscous_friction * by_torque * lag.time)
     decayed = lag_left(lag, torques)
     most = friction.breakaway_torque(at, plant, drive)
@@ -152,10 +145,20 @@ def leaves_mode(m: Margin, decayed: float) -> bool:
 
 
 @inlined
-def _lowest(m: Margin, first_slope: float, last_slope: float) -> float:
-    """Return where on (0, 1) a convex margin is lowest, its slope being negative at 0 and positive at 1."""
-    low, high, at_low, at_high = 0.0, 1.0, first_slope, last_slope
-    for _ in range(_ROOT_ITERATIONS):  # a secant, which is exact where it is straight, and a bisection, which is sure
+def dips(m: Margin) -> bool:
+    """Tell whether a margin falls at the step's beginning and has risen at its end, above zero."""
+    _, first_slope = _margin_at(m, 0.0)
+    at_end, last_slope = _margin_at(m, 1.0)
+    return (at_end >= 0.0) & (first_slope < 0.0) & (last_slope > 0.0)
+
+
+@inlined
+def lowest_point(m: Margin) -> float:
+    """Return where on (0, 1) a convex margin that dips is lowest."""
+    _, at_low = _margin_at(m, 0.0)
+    _, at_high = _margin_at(m, 1.0)
+    low, high = 0.0, 1.0
+    for _ in range(EXIT_ITERATIONS):  # a secant, which is exact where it is straight, and a bisection, which is sure
         secant = low - at_low * (high - low) / (at_high - at_low)
         u = secant if (secant > low) & (secant < high) else 0.5 * (low + high)
         _, slope = _margin_at(m, u)
@@ -169,48 +172,19 @@ def _lowest(m: Margin, first_slope: float, last_slope: float) -> float:
 
 
 @inlined
-def exit_fraction(m: Margin) -> float:
-    """Return where on (0, 1) the margin falls below zero, or 1 if it does not: bracketed Newton iterations."""
-    _, first_slope = _margin_at(m, 0.0)
-    at_end, last_slope = _margin_at(m, 1.0)
-    dips = (at_end >= 0.0) & (first_slope < 0.0) & (last_slope > 0.0)
-    bottom = _lowest(m, first_slope, last_slope) if dips else 1.0
+def first_guess(m: Margin, bottom: float) -> tuple[float, bool]:
+    """Return where a margin may fall below zero, and whether it does, given where it is lowest: 1 unless it dips."""
     lowest, _ = _margin_at(m, bottom)
-    if lowest >= (-NEGLIGIBLE if dips else 0.0):
-        return 1.0
     start = m.c0 + m.amplitude
-    low, high = 0.0, bottom
-    u = bottom * start / (start - lowest) if start > 0.0 else 0.5 * bottom  # breaking away starts at zero speed
-    for _ in range(_ROOT_ITERATIONS):
-        value, slope = _margin_at(m, u)
-        low = u if value > 0.0 else low
-        high = high if value > 0.0 else u
-        newton = u - value / (slope if slope != 0.0 else 1.0)
-        before = u
-        u = newton if (newton >= low) & (newton <= high) else 0.5 * (low + high)
-        if abs(u - before) < CLOSE:
-            break
-    return u
+    guess = bottom * start / (start - lowest) if start > 0.0 else 0.5 * bottom  # breaking away starts at zero speed
+    return guess, lowest < (-NEGLIGIBLE if bottom < 1.0 else 0.0)
 
 
 @inlined
-def past_mode_change(
-    x: ArmState, lag: Lag, direction: float, dt: float, plant: Plant, drive: Drive, model: Model
-) -> tuple[ArmState, float, float, float]:
-    """Step only as far as the motor stops or breaks away, if it does within `dt`.
-
-    Returns:
-        State then, torque of the motor, the friction mode from then on, and how far the step went [s].
-    """
-    at = angles_of(x, plant, drive)
-    torques = torques_of_lag(lag, dt)
-    step = driven_step(x, at, torques, direction, dt, plant, drive, model)
-    margin, side = margin_of(x, at, step, torques, lag, direction, dt, plant, drive, model)
-    u = exit_fraction(margin)
-    if u == 1.0:
-        return step.state, torques.end, direction, dt
-    torques = torques_of_lag(lag, u * dt)
-    z = driven_step(x, at, torques, direction, u * dt, plant, drive, model).state
-    at_rest = ArmState(z.motor_angle, 0.0, z.torsion, z.torsion_speed)
-    following = sliding_direction(at_rest, torques.end, plant, model, drive) if direction != 0.0 else side
-    return at_rest, torques.end, following, u * dt
+def nearer_exit(m: Margin, u: float, low: float, high: float) -> tuple[float, float, float]:
+    """Return a better guess of where the margin falls below zero, and its bounds, by a bracketed Newton iteration."""
+    value, slope = _margin_at(m, u)
+    low = u if value > 0.0 else low
+    high = high if value > 0.0 else u
+    newton = u - value / (slope if slope != 0.0 else 1.0)
+    return newton if (newton >= low) & (newton <= high) else 0.5 * (low + high), low, high
