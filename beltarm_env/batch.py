@@ -17,6 +17,7 @@ from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart
 from beltarm_env.kernels.layout import BUILT, IDEAL
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
+from beltarm_env.kernels.threads import MAX_THREADS
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
@@ -125,8 +126,11 @@ class ArmBatch:
         randomization: Randomization,
         encoder_counts: int,
         delay: ArrayLike,
+        num_threads: int = 1,
     ) -> None:
         self.num_arms = num_arms
+        self.rooms = [new_scratch() for _ in range(_whole("num_threads", num_threads, 1, MAX_THREADS))]
+        self.scratch, self.tile = self.rooms[0]
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
         _choice("model", model, tuple(MODELS))
@@ -139,7 +143,6 @@ class ArmBatch:
         self._num_built = 0
         self.delays = _delays(delay, num_arms)
         self.blocks = at.empty_blocks(num_arms)
-        self.scratch, self.tile = new_scratch()
         self.engine = _engine(model, num_arms)
         if self.engine is not None:
             self.engine.check(self._bounds)

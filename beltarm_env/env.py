@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar, Literal, cast
 
 import gymnasium as gym
@@ -13,6 +15,7 @@ from beltarm_env import observation
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
+from beltarm_env.jit import code_for
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
@@ -23,6 +26,7 @@ from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
 _ARM = np.array([0])
+_SINGLE = np.dtype(np.float32)
 _HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
 
 
@@ -158,10 +162,9 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self.render_mode = render_mode
         self.sensors = sensors
         self._size = observation.size(sensors)
-        self._profile = self._batch.profile
-        self._tier = self._batch.tier
         self._ready = False  # reset at least once
         self._running = False  # within an episode
+        self._step_arm: Callable[..., Any] | None = None  # for the drive of this episode's arm
         self._renderer = None
 
     def reset(
@@ -182,6 +185,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         super().reset(seed=seed)
         self._batch.reset(_ARM, self.np_random.random((1, DRAWS)), options)
         self._ready = self._running = True
+        self._step_arm = None
         result = np.empty((1, self._size), np.float32)
         self._batch.observe(result)
         if self._renderer is not None:
@@ -202,28 +206,16 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         """
         if not self._running:
             raise ResetNeeded("no episode is running: call reset() before step()")
-        if type(action) is not np.ndarray or action.shape != (1,) or action.dtype.kind not in "fiu":
-            fraction = _as_action(action).item()
-        else:
-            fraction = action.item()
+        usual = type(action) is np.ndarray and action.dtype is _SINGLE and action.shape == (1,)
+        fraction: float = action.item() if usual else _as_action(action).item()
         if not -_HUGE < fraction < _HUGE:
             raise ValueError(f"action must be finite, got {action!r}")
-        result = np.empty(self._size, np.float32)
+        result = np.empty(self._size, _SINGLE)
         batch = self._batch
         if batch.engine is not None:
             batch.advance_in_engine(np.array([fraction], np.float64))
-        reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(
-            batch.blocks,
-            batch.scratch,
-            batch.tile,
-            float(fraction),
-            result,
-            self._profile,
-            self._tier,
-            batch.model,
-            batch.driven,
-            batch.engine is None,
-        )
+        step_arm = self._step_arm or self._prepared()
+        reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(fraction, result)
         info: dict[str, Any] = {
             "tip_error": error,
             "cost_position": position,
@@ -237,6 +229,18 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         if self.render_mode == "human":
             self.render()
         return result, reward, terminated, truncated, info
+
+    def _prepared(self) -> Callable[..., Any]:
+        """Prepare the kernel for the steps of an episode: what is the same in all of them is given once."""
+        batch = self._batch
+        settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
+        same = batch.blocks, batch.scratch, batch.tile, *settings
+        self._step_arm = partial(code_for(step_arm, *same, 0.0, np.empty(self._size, np.float32)), *same)
+        return self._step_arm
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy is made of: machine code cannot be copied."""
+        return {**self.__dict__, "_step_arm": None}
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw the arm: a frame of shape (height, width, 3), or None after updating the window."""

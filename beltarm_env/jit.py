@@ -59,6 +59,15 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return function if _PLAIN else cast("Callable[_P, _R]", _Kernel(function))
 
 
+def code_for(kernel: Callable[..., _R], *arguments: Any) -> Callable[..., _R]:
+    """Return the machine code of a kernel for arguments of the types that these have.
+
+    numba finds out the types of its arguments at each call, which takes longer than a short kernel runs. This code does
+    not, and crashes on others: for calls whose arguments are the caller's own.
+    """
+    return kernel if _PLAIN else cast("_Kernel", kernel).compile(tuple(map(numba.typeof, arguments)))
+
+
 class _Inlined:
     """An equation: a part of kernels, and a kernel of its own only if Python calls it."""
 

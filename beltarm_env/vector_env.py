@@ -17,6 +17,7 @@ from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.step import step_arms
+from beltarm_env.kernels.threads import in_threads
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -56,6 +57,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         randomization: Randomization = "off",
         encoder_counts: int = ENCODER_COUNTS,
         delay: ArrayLike = 0,
+        num_threads: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: Literal["rgb_array"] | None = None,
     ) -> None:
@@ -69,6 +71,8 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             randomization: As in `BeltArmEnv`; every arm draws its own parameters.
             encoder_counts: As in `BeltArmEnv`.
             delay: As in `BeltArmEnv`, for all arms or one each, shape (num_envs,).
+            num_threads: Threads that step the arms, at most 256. Their number changes no result. More than one pays
+                from some thousand arms on.
             autoreset_mode: What happens to an arm whose episode is over.
             render_mode: "rgb_array" or None.
 
@@ -96,6 +100,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             randomization=randomization,
             encoder_counts=encoder_counts,
             delay=delay,
+            num_threads=num_threads,
         )
         self.single_observation_space = self._batch.observation_space
         self.single_action_space = self._batch.action_space
@@ -167,22 +172,14 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         batch = self._batch
         if batch.engine is not None:
             batch.advance_in_engine(fractions)
-        step_arms(
-            batch.blocks,
-            batch.scratch,
-            batch.tile,
-            fractions,
-            result,
-            rewards,
-            terminated,
-            truncated,
-            terms,
-            batch.profile,
-            batch.tier,
-            batch.model,
-            batch.driven,
-            batch.engine is None,
-        )
+        settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
+        into = fractions, result, rewards, terminated, truncated, terms
+        taken = np.zeros(len(batch.rooms), np.int64)
+
+        def step_blocks(thread: int) -> None:
+            step_arms(batch.blocks, taken, thread, *batch.rooms[thread], *into, *settings)
+
+        in_threads(step_blocks, len(batch.rooms))
         stepped = np.ones(count, np.bool_)
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
         if len(restarted):

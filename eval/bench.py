@@ -20,7 +20,7 @@ from baselines.tools.command import run_command
 from eval.speed.accuracy import accuracy_row
 from eval.speed.parts import parts_table
 from eval.speed.start_up import start_up_rows
-from eval.speed.stepping import batch_rows, single_row
+from eval.speed.stepping import batch_rows, single_row, threads_row
 from eval.speed.training import training_rows
 
 
@@ -47,6 +47,7 @@ def run(config: Config) -> None:
     """Measure and print."""
     console = Console()
     rows = batch_rows(config.arms, config.steps, config.repetitions)
+    rows.append(threads_row(4 * config.arms, config.steps, config.repetitions))
     rows += [single_row(config.steps, config.repetitions), accuracy_row(), *start_up_rows(config.repetitions)]
     if config.parts:
         console.print(parts_table(config.arms, config.steps, config.repetitions))

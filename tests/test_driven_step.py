@@ -167,7 +167,7 @@ def test_where_margins_fall_below_zero():
 
 def test_exits_of_many_margins_are_those_that_scipy_finds():
     rng = np.random.default_rng(0)
-    margins = [Margin(*rng.normal(size=4), float(rng.normal()), float(rng.uniform(0, 6))) for _ in range(2000)]
+    margins = [Margin(*map(float, rng.normal(size=5)), exponent=float(rng.uniform(0, 6))) for _ in range(2000)]
 
     def at(m: Margin, u: float) -> float:
         return m.c0 + u * (m.c1 + u * (m.c2 + u * m.c3)) + m.amplitude * math.exp(-m.exponent * u)

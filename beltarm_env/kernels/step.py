@@ -26,6 +26,7 @@ from beltarm_env.kernels.layout import (
 )
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.sense import sense_block
+from beltarm_env.kernels.threads import take_block
 from beltarm_env.kernels.tile import TILE_ROWS
 from beltarm_env.physics.kinematics import outside_workspace, tip_motion
 from beltarm_env.physics.models import Model
@@ -36,6 +37,7 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
+Integers = NDArray[np.int64]
 
 # Scratch rows of a step.
 ACTION = 0  # torque over its limit
@@ -118,6 +120,8 @@ def _step_block(
 @compiled
 def step_arms(
     blocks: Floats,
+    taken: Integers,
+    thread: int,
     scratch: Floats,
     tile: Singles,
     actions: Floats,
@@ -134,8 +138,12 @@ def step_arms(
 ) -> None:
     """Step N arms by one control period, results written in place.
 
+    Several threads may do so at a time, each with a `scratch` and `tile` of its own.
+
     Args:
         blocks: The arms, as `layout` describes.
+        taken: What has been taken of each thread's share, shape (threads,); zeros at first.
+        thread: Index of this one.
         scratch: From `new_scratch`.
         tile: From `new_scratch`.
         actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
@@ -150,16 +158,23 @@ def step_arms(
         driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
     """
-    for k in range(len(blocks)):
-        low = k * LANES
-        high = min(low + LANES, len(actions))
-        _take_actions(actions[low:high], scratch)
-        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, driven, integrate)
-        _give_flags(scratch, TERMINATED, terminated[low:high])
-        _give_flags(scratch, TRUNCATED, truncated[low:high])
-        _give(scratch, REWARD, rewards[low:high])
-        for row in range(len(terms)):
-            _give(scratch, TERMS + row, terms[row, low:high])
+    threads = len(taken)
+    for turn in range(threads):
+        share = (thread + turn) % threads
+        first, behind = share * len(blocks) // threads, (share + 1) * len(blocks) // threads
+        while True:
+            k = take_block(taken, share, first, behind, turn == 0)
+            if k < 0:
+                break
+            low = k * LANES
+            high = min(low + LANES, len(actions))
+            _take_actions(actions[low:high], scratch)
+            _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, driven, integrate)
+            _give_flags(scratch, TERMINATED, terminated[low:high])
+            _give_flags(scratch, TRUNCATED, truncated[low:high])
+            _give(scratch, REWARD, rewards[low:high])
+            for row in range(len(terms)):
+                _give(scratch, TERMS + row, terms[row, low:high])
 
 
 @compiled
@@ -187,13 +202,13 @@ def step_arm(
     blocks: Floats,
     scratch: Floats,
     tile: Singles,
-    action: float,
-    observation: Singles,
     profile: int,
     tier: int,
     model: Model,
     driven: Driven,
     integrate: bool,
+    action: float,
+    observation: Singles,
 ) -> tuple[float, bool, bool, float, float, float, float]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
@@ -201,13 +216,13 @@ def step_arm(
         blocks: The arm, as `layout` describes.
         scratch: From `new_scratch`.
         tile: From `new_scratch`.
-        action: Torque over the torque limit, cut to [-1, 1].
-        observation: Written in place, shape (size,).
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
         model: Whose equations of motion.
         driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
+        action: Torque over the torque limit, cut to [-1, 1].
+        observation: Written in place, shape (size,).
 
     Returns:
         Reward, terminated, truncated, tip error [m], and the three cost terms.

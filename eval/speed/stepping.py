@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
+from joblib import cpu_count
 
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
@@ -35,8 +36,12 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
     Random torques over the whole limit stop and start the motor in nearly every sample, which no controller does: so
     drives are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
+    cores = cpu_count()
     stepped = {
         "vector step": _batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
+        f"vector step, {cores} threads": _batch_steps(
+            "BeltArm-v0", arms, steps, randomization="ideal", num_threads=cores
+        ),
         "vector step, all effects of the drive": _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
         "vector step of the full arm": _batch_steps(
             "BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"
@@ -54,6 +59,17 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
         (f"{name}, N = {arms}", _rate(arms, seconds), peer, f"{cart / seconds:.2f}x")
         for name, seconds in zip([*stepped, *episodes], times, strict=True)
     ]
+
+
+def threads_row(arms: int, steps: int, repetitions: int) -> Row:
+    """Speed of the vector environment with as many threads as cores, beside one thread."""
+    cores = cpu_count()
+    runs = [
+        _batch_steps("BeltArm-v0", arms, steps, randomization="ideal", num_threads=threads) for threads in (1, cores)
+    ]
+    alone, together = (seconds / steps for seconds in best_times(runs, repetitions))
+    name = f"vector step, {cores} threads, N = {arms}"
+    return name, _rate(arms, together), f"1 thread: {_rate(arms, alone)}", f"{alone / together:.2f}x"
 
 
 def _rate(arms: int, seconds: float) -> str:

@@ -1,0 +1,56 @@
+"""Threads that step a batch: they change no result, and get in nobody's way."""
+
+import copy
+import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from beltarm_env import BeltArmVectorEnv
+
+ARMS = 700  # six blocks
+STEPS = 40
+
+
+def played(env: BeltArmVectorEnv, steps: int = STEPS) -> bytes:
+    """All that an environment returns under torques that drive some arms out of the workspace."""
+    rng = np.random.default_rng(0)
+    returned = [env.reset(seed=0)[0].tobytes()]
+    ended, torques = 0, np.sign(rng.uniform(-1, 1, (env.num_envs, 1))).astype(np.float32)
+    for _ in range(steps):
+        torques[rng.integers(env.num_envs // 2, size=99)] *= np.float32(-0.7)  # the others leave the workspace
+        observations, rewards, terminated, truncated, info = env.step(torques)
+        ended += int(terminated.sum())
+        returned += [array.tobytes() for array in (observations, rewards, terminated, truncated, *info.values())]
+    assert ended > 0 or steps < 100, "episodes end and begin"
+    return b"".join([*returned, env.state.tobytes()])
+
+
+@pytest.mark.parametrize("randomization", ["ideal", "train"])
+def test_their_number_changes_no_result(randomization: str):
+    alone = played(BeltArmVectorEnv(ARMS, randomization=randomization), 300)  # pyright: ignore[reportArgumentType]
+    for threads in (2, 3, 16):  # more than there are cores, and than blocks
+        env = BeltArmVectorEnv(ARMS, randomization=randomization, num_threads=threads)  # pyright: ignore[reportArgumentType]
+        assert played(env, 300) == alone
+
+
+def test_environments_step_at_the_same_time_in_threads_of_the_caller():
+    alone = played(BeltArmVectorEnv(ARMS))
+    with ThreadPoolExecutor(4) as pool:
+        envs = [BeltArmVectorEnv(ARMS, num_threads=3) for _ in range(4)]
+        assert list(pool.map(played, envs)) == [alone] * 4
+
+
+def test_a_copy_and_a_forked_process_go_on():
+    env = BeltArmVectorEnv(ARMS, num_threads=2)
+    alone = played(env)
+    assert played(copy.deepcopy(env)) == alone
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        assert pool.apply_async(played, (env,)).get(timeout=60) == alone
+
+
+@pytest.mark.parametrize("threads", [0, 257, 1.5, True, "2"])
+def test_what_is_no_number_of_threads_is_refused(threads: object):
+    with pytest.raises(ValueError, match=r"num_threads must be a whole number from 1 to 256, got "):
+        BeltArmVectorEnv(4, num_threads=threads)  # pyright: ignore[reportArgumentType]
