@@ -1,6 +1,7 @@
 """The full arm in the kernels, against the equations that SymPy derives and solutions that do not share its code."""
 
 import math
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +16,7 @@ from properties import examples
 from scipy.linalg import expm
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, state_space
-from beltarm_env.arm import Plant, plant_of
+from beltarm_env.arm import FIELDS, Plant, bounds_of, plant_of
 from beltarm_env.physics import full_arm as lagrangian
 from beltarm_env.physics.models import (
     FULL_ARM,
@@ -26,8 +27,14 @@ from beltarm_env.physics.models import (
     driving_torque_rate,
 )
 from beltarm_env.physics.state import ArmState
-from beltarm_env.physics.substeps import fastest_arms, fastest_rate, integration_substeps
-from beltarm_env.task.ranges import IDEAL_RANGES, range_bounds
+from beltarm_env.physics.substeps import (
+    check_ranges_integrable,
+    fastest_arms,
+    fastest_rate,
+    integration_limits,
+    integration_substeps,
+)
+from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, range_bounds
 from eval.verification.convergence import measure_convergence
 from eval.verification.event_located import EventLocatedArm, tip
 from eval.verification.symbolic_arm import derive
@@ -271,6 +278,28 @@ class TestEnvironment:
             m0, s = inertia[0] + share * (inertia[1] - inertia[0]), swing[0] + other * (swing[1] - swing[0])
             drawn = plant(ArmParams(arm_inertia=m0, arm_inertia_swing=s, belt_damping_ratio=3.0))
             assert fastest_rate(drawn, model) <= checked * (1 + 1e-9)
+
+    @pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
+    def test_every_arm_of_ranges_that_are_accepted_can_be_integrated(self, model: Model):
+        rng, accepted = np.random.default_rng(0), 0
+        upper = asdict(ArmParams(**{name: high for name, (_, high) in TRAIN_RANGES.items()}))
+        varied = [name for name in FIELDS if not name.endswith(("_phase", "_order", "_limit"))]
+        for _ in range(1500):
+            ranges = {}
+            for name in rng.choice(varied, 4, replace=False):
+                bound = bounds_of(name)
+                ends = np.sort(upper[name] * 10 ** rng.uniform(-3, 3, 2))
+                ranges[name] = tuple(np.clip(ends, bound.low + 1e-12 * bound.above, bound.high))
+            bounds = range_bounds(ranges)
+            try:
+                check_ranges_integrable(bounds, model)
+            except ValueError:
+                continue
+            accepted += 1
+            shares = rng.random((8, len(FIELDS))).round(rng.integers(2))  # ends as often as what lies between
+            for row in bounds[0] + shares * (bounds[1] - bounds[0]):
+                assert max(integration_limits(row, model)) <= 1 + 1e-9, ranges
+        assert accepted > 100
 
     def test_too_stiff_an_arm_is_refused(self):
         with pytest.raises(ValueError, match=r"fastest rate is .* lower belt_stiffness"):

@@ -8,6 +8,7 @@ with the speed (`physics.driven.step.needed_rate`).
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -110,25 +111,26 @@ def check_ranges_integrable(bounds: Floats, model: Model) -> None:
     check_integrable(fastest_arms(bounds), model)
 
 
-_FASTER_DRIVES = (
-    *(COLUMN.belt_stiffening, COLUMN.kinematic_error, COLUMN.gear_ratio, COLUMN.static_friction_excess),
-    *(COLUMN.coulomb_friction, COLUMN.friction_variation, COLUMN.torque_limit, COLUMN.torque_constant_error),
+_FASTER_UP = (
+    *(COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction, COLUMN.belt_stiffening),
+    *(COLUMN.kinematic_error, COLUMN.static_friction_excess, COLUMN.coulomb_friction, COLUMN.friction_variation),
+    *(COLUMN.torque_limit, COLUMN.torque_constant_error, COLUMN.torque_ripple),
 )  # whose upper ends are the harder to integrate
 
 
 def fastest_arms(bounds: Floats) -> Floats:
-    """Return arms of which one is the fastest within some ranges, shape (16, len(FIELDS)).
+    """Return arms of which one is the fastest within some ranges, shape (32, len(FIELDS)).
 
     In the arm's inertia M2(0) and its swing S the fastest lies at an end of a range or, for the full arm, where link 2
-    is a rod alone, S = 6 M2(0); in everything else at one known end.
+    is a rod alone, S = 6 M2(0). A small gear ratio makes the belt's mode fast, a large one a kinematic error large. In
+    everything else the fastest lies at one known end.
     """
     fastest = bounds[0].copy()
-    upper = [COLUMN.belt_stiffness, COLUMN.belt_damping_ratio, COLUMN.motor_viscous_friction, *_FASTER_DRIVES]
-    fastest[upper] = bounds[1, upper]
+    fastest[[*_FASTER_UP]] = bounds[1, _FASTER_UP]
     inertia, swing = COLUMN.arm_inertia, COLUMN.arm_inertia_swing
     inertias = np.append(bounds[:, inertia], np.clip(bounds[:, swing] / 6, *bounds[:, inertia]))
     swings = np.append(bounds[:, swing], np.clip(6 * bounds[:, inertia], *bounds[:, swing]))
-    table = np.tile(fastest, (len(inertias) * len(swings), 1))
-    table[:, inertia] = np.repeat(inertias, len(swings))
-    table[:, swing] = np.tile(swings, len(inertias))
+    corners = np.array(list(product(inertias, swings, bounds[:, COLUMN.gear_ratio])))
+    table = np.tile(fastest, (len(corners), 1))
+    table[:, [inertia, swing, COLUMN.gear_ratio]] = corners
     return table
