@@ -34,9 +34,17 @@ from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
+from eval.views import publish
 from eval.views.readme import tables
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures and no report, where a test looks at neither: drawing takes longer than a few episodes."""
+    monkeypatch.setattr(publish, "save_plots", lambda *_: [])
+    monkeypatch.setattr(publish, "write_report", lambda *_: None)
 
 
 # What is kept
@@ -157,6 +165,7 @@ def test_outdated_pairs_are_taken_away(tmp_path: Path):
     assert names == sorted(found.file(tmp_path).name for found in (pair(), pair(episodes=5), fresh))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
     methods, splits = ("paper", "rigid", "zvd", "ei"), ("nominal", "payload", "friction", "structural")
     arguments = ("--methods", *methods, "--splits", *splits, "--episodes", "100", "--out", "out")
@@ -267,6 +276,7 @@ def test_computing_time_makes_commands_later(
     assert TIMED_NOTE in tables(results) and TIMED_NOTE in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_computing_times_are_measured_once_and_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     clock = Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0))
     monkeypatch.setattr(computing_time, "_time", clock)
@@ -362,6 +372,7 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
     assert {*results["failures"][0]} == {"method", "split", "message"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
     """Also where it is the only method's, and nothing is left to compare."""
     (tmp_path / "mine.py").write_text(FAILING)
@@ -377,6 +388,7 @@ def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
 # Which methods
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_all_methods_run_on_a_split_by_default_but_those_that_are_dominated(tmp_path: Path):
     arguments = ("--splits", "structural", "--episodes", "4", "--jobs", "1", "--out", "out")
     code, errors = stopped(compare.main, arguments, tmp_path)
@@ -415,6 +427,7 @@ def test_policies_of_other_sensors_are_refused(tmp_path: Path):
         learned_methods([bundle(tmp_path / "a", sensors="tip")])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_policies_of_ones_own_stand_beside_the_shipped_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """By a name of their own, or that of their algorithm; and a run that has less says what it replaces."""
     for name in ("mine", "other"):
@@ -433,6 +446,7 @@ def test_policies_of_ones_own_stand_beside_the_shipped_ones(tmp_path: Path, caps
     assert code == 0 and "results/compare has fuller results (ppo, tried), which these replace." in told
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_run_replaces(tmp_path: Path):
     assert fuller(tmp_path, ["paper"], ["nominal"], 4) == ""
     arguments = ("--methods", "paper", "zvd", "--splits", "nominal", "ideal", "--episodes", "6", "--jobs", "1")
@@ -442,6 +456,7 @@ def test_what_a_run_replaces(tmp_path: Path):
     assert "(zvd, ideal, 6 scenarios per split)" in less
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
     arguments = ("--methods", "paper", "zvd", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
     code, errors = stopped(compare.main, (*arguments, "--scenario-seed", "3"), tmp_path)
