@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 import torch
 from browser import Page, browser
+from commands import stopped
 from jsonschema import Draft202012Validator
 
 from beltarm_env.metrics import TORQUE_QUALITY, TORQUES, heading
+from eval import compare
 from eval.comparison.methods import (
     added_method,
     classical_methods,
@@ -30,6 +32,7 @@ from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, check, read_results
 from eval.comparison.splits import EDITION, SPLITS, VERSION
 from eval.views.readme import answer, tables
+from eval.views.report import maps
 from eval.views.report.page import LARGEST
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -46,11 +49,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    folder = tmp_path_factory.mktemp("compared")
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *FEW, "--maps", "--out", "out", "--jobs", "2"]
-    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
-    assert result.returncode == 0, result.stderr
-    return folder / "out", result.stdout
+    """Folder and output of the command, with robustness maps of four cells each."""
+    folder, output = tmp_path_factory.mktemp("compared"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
+        for name, values in {"_STIFFNESS": [0.5, 1.2], "_PAYLOAD": [0.0, 0.5], "_FRICTION": [0.5, 1.8]}.items():
+            patch.setattr(maps, name, values)
+        patch.setattr(maps, "_DELAY", [0.0, 2.0])
+        assert stopped(compare.main, (*FEW, "--maps", "--out", "out", "--jobs", "2"), folder)[0] == 0
+    return folder / "out", output.getvalue()
 
 
 @pytest.fixture(scope="module")
