@@ -61,6 +61,12 @@ class Damped:
         """On how many drives the ringing is removed, by the same bounds as elsewhere."""
         return Counter(self.ringing.one(k).answer for k in range(len(self.without)))
 
+    def some(self, chosen: slice) -> Damped:
+        """The same on some of the drives."""
+        ringing = Suppression(*(Ringing(*(phase[chosen] for phase in rung)) for rung in self.ringing))
+        swings = Swings(self.swings.time, self.swings.without[:, chosen], self.swings.suppressed[:, chosen])
+        return Damped(ringing, self.without[chosen], self.suppressed[chosen], swings)
+
 
 @dataclass(frozen=True, slots=True)
 class DrivesStudy:
@@ -87,9 +93,9 @@ def run_drives(gains: ServoGains, move: MoveShape, draws: int = DRAWS) -> Drives
         drawn = _drawn(conditions, draws)
         arms = np.concatenate([with_effect(drawn, drive, UPPER_END) for _, drive in keys])
         shapes = [moves[place] for place, _ in keys for _ in range(draws)]
-        without, suppressed = (run_moves(conditions, g, shapes, arms) for g in without_and_with(gains))
+        of_all = _damped(*(run_moves(conditions, g, shapes, arms) for g in without_and_with(gains)))
         for k, (place, drive) in enumerate(keys):
-            found[place, view, drive] = _damped(without, suppressed, slice(draws * k, draws * (k + 1)))
+            found[place, view, drive] = of_all.some(slice(draws * k, draws * (k + 1)))
     return DrivesStudy(gains, moves, draws, found)
 
 
@@ -103,8 +109,8 @@ def _drawn(conditions: Conditions, draws: int) -> Floats:
     return table
 
 
-def _damped(without: Recording, suppressed: Recording, chosen: slice) -> Damped:
-    ringing = Suppression(*(Ringing(*(phase[chosen] for phase in ringing_of(run))) for run in (without, suppressed)))
-    before, after = (np.where(run.finished, run.metrics()["residual_pp_mm"], np.inf) for run in (without, suppressed))
-    swings = Swings(without.time, without.tip_velocity_error[:, chosen, 0], suppressed.tip_velocity_error[:, chosen, 0])
-    return Damped(ringing, before[chosen], after[chosen], swings)
+def _damped(without: Recording, suppressed: Recording) -> Damped:
+    runs = (without, suppressed)
+    before, after = (np.where(run.finished, run.metrics()["residual_pp_mm"], np.inf) for run in runs)
+    swings = Swings(without.time, *(run.tip_velocity_error[:, :, 0] for run in runs))
+    return Damped(Suppression(*map(ringing_of, runs)), before, after, swings)
