@@ -97,7 +97,7 @@ def test_the_script_draws(runs: Path, tmp_path: Path):
 
 
 def few(out: Path, **options: Any) -> TuningConfig:
-    common = {"trials": 2, "jobs": 1, "samples": 7680, "arms": 4, "validation_arms": 2}
+    common = {"trials": 2, "jobs": 1, "samples": 2560, "arms": 4, "validation_arms": 2}
     return TuningConfig("sac", **{"out": out, **common, **options})
 
 
@@ -123,7 +123,7 @@ def test_trials_simulate_the_same_number_of_samples(tmp_path: Path):
 
 def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     config = few(tmp_path)
-    options = ("--trials", "2", "--jobs", "1", "--samples", "7680", "--arms", "4", "--validation-arms", "2")
+    options = ("--trials", "2", "--jobs", "1", "--samples", "2560", "--arms", "4", "--validation-arms", "2")
     result = run("train/tune.py", "sac", *options, "--out", ".", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     study = open_study(config)

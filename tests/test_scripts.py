@@ -18,7 +18,7 @@ from PIL import Image
 
 from agents.learners import ppo
 from agents.runs.command_line import main
-from eval import bench, readme
+from eval import bench, readme, scenarios
 from eval.speed import start_up
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -90,10 +90,7 @@ def test_a_folder_with_a_run_is_refused_before_progress_is_shown(
 
 
 def test_resume_from_nothing_is_refused(tmp_path: Path) -> None:
-    result = run("train/ppo.py", "--out", "nowhere", "--resume", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "nothing to resume in nowhere" in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    assert "nothing to resume in nowhere" in mistake(train_ppo, ("--out", "nowhere", "--resume"), tmp_path)
     assert not (tmp_path / "nowhere").exists()
 
 
@@ -125,15 +122,13 @@ def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path
     assert message in mistake(train_ppo, arguments, tmp_path)
 
 
-def test_scenarios_are_checked(tmp_path: Path) -> None:
-    result = run("eval/scenarios.py", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.startswith("development set, edition 2, version 2: sha256 ")
+def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert stopped(scenarios.main, (), tmp_path) == (0, "")
+    assert capsys.readouterr().out.startswith("development set, edition 2, version 2: sha256 ")
 
 
 def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
-    result = run("eval/readme.py", "--check", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    assert stopped(readme.main, ("--check",), tmp_path) == (0, "")
 
 
 @pytest.mark.parametrize("spoilt", ["README.md", "results.json", "summary.md", "tip_error.png"])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import mistake
+from commands import mistake, stopped
 from PIL import Image, ImageSequence
 
 from eval import watch
@@ -52,8 +52,8 @@ def test_a_gif_of_two_arms(tmp_path: Path):
 
 def test_an_mp4(tmp_path: Path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    result = run("--controller", "paper", "--speed", "2", "--out", "motion.mp4", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    chosen = ("--controller", "paper", "--speed", "2", "--out", "motion.mp4")
+    assert stopped(watch.main, chosen, tmp_path) == (0, "")
     words = [ffmpeg.get_ffmpeg_exe(), "-i", "motion.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     film = subprocess.run(words, cwd=tmp_path, capture_output=True, check=True)
     about = film.stderr.decode()
