@@ -34,13 +34,13 @@ $(READY): pyproject.toml constraints.txt
 	@touch $@
 
 test: $(READY)  ## Run the tests
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m hypothesis --hypothesis-profile fuzz $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --cov --cov-report term:skip-covered $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --cov --cov-report term:skip-covered $(ARGS)
 
 lint: $(READY)  ## Check style and types
 	$(BIN)/ruff check .
