@@ -168,7 +168,7 @@ def test_outdated_pairs_are_taken_away(tmp_path: Path):
 @pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
     methods, splits = ("paper", "rigid", "zvd", "ei"), ("nominal", "payload", "friction", "structural")
-    arguments = ("--methods", *methods, "--splits", *splits, "--episodes", "100", "--out", "out")
+    arguments = ("--methods", *methods, "--splits", *splits, "--episodes", "30", "--out", "out")
     command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--jobs", "2"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 300
