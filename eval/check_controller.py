@@ -14,9 +14,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import tyro
 
-from baselines.tools.command import run_command
-from eval.comparison import custom
-from eval.comparison.protocol import findings
+from baselines.tools.command import require_bounds, run_command
+from eval.comparison.custom import LONGEST, TIME_LIMIT
+from eval.comparison.protocol import isolated_findings
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,17 @@ class Config:
 
     controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.py:CLASS")]
     """Your controller."""
+    time_limit: float = TIME_LIMIT
+    """Seconds that all checks together may take. They run in a process of their own."""
     traceback: bool = False
     """Print the whole traceback of each failure, to stderr."""
 
 
 def run(config: Config) -> None:
     """Check and print what is found."""
-    custom.make(config.controller)
+    require_bounds(config, time_limit=(1, LONGEST))
     failed = 0
-    for finding in findings(custom.factory(config.controller)):
+    for finding in isolated_findings(config.controller, config.time_limit):
         print(f"{'ok    ' if finding.passed else 'FAILED'}  {finding.check}: {finding.detail}", flush=True)
         if config.traceback and finding.trace:
             print(finding.trace, file=sys.stderr)

@@ -26,10 +26,10 @@ import tyro
 from rich.console import Console
 
 from baselines.engines.options import SideBySide
-from baselines.tools.command import run_command
+from baselines.tools.command import require_bounds, run_command
 from baselines.tools.options import Groups
 from baselines.tools.progress import progress_count
-from eval.comparison.custom import home
+from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, fuller
 from eval.comparison.scenarios import choose_set
@@ -45,7 +45,7 @@ class Config(SideBySide):
     """Compare controllers on the belt-driven arm."""
 
     groups: ClassVar[Groups] = {
-        "method": ("methods", "policy", "add", "guard"),
+        "method": ("methods", "policy", "add", "time_limit", "guard"),
         "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
         "output": ("out", "verbose", "traceback", "maps"),
         "run": (),
@@ -63,6 +63,9 @@ class Config(SideBySide):
     """A controller of your own, as package.module:Class or path/to/file.py:Class. Repeat the option for more. Its
     results are kept until a file changes in its folder or below (for a package: in the whole package). If it depends on
     files elsewhere, use --fresh."""
+    time_limit: float = TIME_LIMIT
+    """Seconds that a controller from --add may take for a batch of episodes: up to 1000 scenarios of a split. It runs
+    in a process of its own, and whatever ends that is a failure of this controller alone."""
     guard: bool = False
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
     (docs/guard/summary.md)."""
@@ -102,13 +105,16 @@ def run(config: Config) -> None:
     console = Console()
     check_options(config)
     config.check_engine()
+    require_bounds(config, time_limit=(1, LONGEST))
     torch.set_num_threads(1)  # the networks are too small for more
     if config.scenarios == "sealed" and config.scenario_seed is None:
         known = sealed_set()
     else:
         known = choose_set(config.scenarios, config.scenario_seed)
     scenarios = known.only(chosen("split", config.splits, known.splits))
-    methods = choose_methods(config.methods, config.policy, config.add, config.out, guard=config.guard)
+    methods = choose_methods(
+        config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
+    )
     if config.scenario_seed is not None and config.count > EPISODES:
         names = list(scenarios.splits)
         with progress_count("shards of scenarios", console) as done:

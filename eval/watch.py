@@ -76,11 +76,10 @@ def watch(config: Config) -> None:
     else:
         split, scenario = fresh_scenarios(config.scenario_seed, name, [config.scenario]), 0
     methods = methods_side_by_side(config.controller, config.policy)
-    controllers = {name: method.controller(0, []) for name, method in methods}
     if config.out is not None:
         require_writable(config.out.parent)
-    window = side_by_side.open_window(len(controllers)) if config.out is None else None
-    tracks = [side_by_side.track_of(name, found, split, scenario) for name, found in controllers.items()]
+    window = side_by_side.open_window(len(methods)) if config.out is None else None
+    tracks = [side_by_side.track_of(name, side_by_side.motion_of(name, of, split, scenario)) for name, of in methods]
     for track in tracks:
         console.print(f"{track.name}: tip error at most {track.error.max():.1f} mm, cost {track.motion.cost[0]:.0f}")
     if window is not None:

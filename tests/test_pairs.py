@@ -372,6 +372,71 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
     assert {*results["failures"][0]} == {"method", "split", "message"}
 
 
+ENDING = """
+import os, sys
+import numpy as np
+if __name__ == "controller_in_import_ends":
+    os._exit(0)
+
+class Sound:
+    def end(self):
+        pass
+    def predict(self, observation, *rest, **options):
+        if len(observation) == 7:
+            self.end()
+        return np.zeros((len(observation), 1), np.float32), None
+
+class Exits(Sound):
+    def end(self):
+        sys.exit(0)
+
+class AtOnce(Sound):
+    def predict(self, *rest, **options):
+        os._exit(0)
+"""
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_controllers_that_end_their_process_do_not_end_the_comparison(many: bool, tmp_path: Path):
+    """Also where many scenarios are run in shards, and where importing the controller is enough."""
+    names = ("Exits", "AtOnce") if many else ("Sound", "Exits", "AtOnce")
+    (tmp_path / "mine.py").write_text(ENDING.replace("== 7", "in (7, 167)"))  # 501 scenarios are three batches of 167
+    (tmp_path / "import_ends.py").write_text(ENDING.replace("Sound", "Imported"))
+    added = [word for name in names for word in ("--add", f"mine.py:{name}")]
+    added += [] if many else ["--add", "import_ends.py:Imported"]
+    episodes = ("--episodes", "501", "--scenario-seed", "1") if many else ("--episodes", "7")
+    chosen = ("--methods", "paper", *names, *([] if many else ["Imported"]), "--splits", "nominal", "--out", "out")
+    code, errors = stopped(compare.main, (*added, *chosen, *episodes, "--jobs", "1"), tmp_path)
+    assert code == 1, errors
+    causes = {
+        "Exits": r"SystemExit: 0 \(mine.py:17\)",
+        "AtOnce": "its process ended with exit status 0 before it was done",
+        "Imported": "its process ended with exit status 0 before it was done",
+    }
+    failed = [line for line in errors.splitlines() if "failed on" in line]
+    assert len(failed) == (2 if many else 3)
+    for line in failed:
+        (name,) = re.findall(r"^eval/compare.py: (\w+) failed on nominal: ", line)
+        assert re.search(f"nominal: {causes[name]}", line), line
+    if not many:
+        results = read_results(tmp_path / "out" / "results.json")
+        assert [row["method"] for row in results["rows"]] == ["paper", "Sound"]
+        assert {row["method"] for row in results["failures"]} == {*causes}
+
+
+def hang() -> None:
+    time.sleep(600)
+
+
+def test_an_added_controller_has_a_limit_of_time(tmp_path: Path):
+    (tmp_path / "mine.py").write_text(ENDING)
+    (usual,) = choose_methods(("Sound",), added=(f"{tmp_path}/mine.py:Sound",))
+    (mine,) = choose_methods(("Sound",), added=(f"{tmp_path}/mine.py:Sound",), time_limit=1.5)
+    assert usual.time_limit == custom.TIME_LIMIT and mine.identity == usual.identity
+    expected = Failure("Sound", "nominal", "it took longer than 1.5 s, and was ended")
+    assert pairs.run_controller(mine, "nominal", hang) == expected
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
     """Also where it is the only method's, and nothing is left to compare."""
@@ -496,7 +561,8 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
         (("--add", "nowhere.py:Mine"), "there is no file"),
         (("--add", "paper.py:paper"), "two methods are called 'paper': give yours another name"),
         (("--policy", "student=mine"), "'student' is the name of a shipped method: give your policy another, as NAME="),
-        (("--add", "bad.py:Bad"), "bad.py:Bad does not keep the protocol (drives 5 arms"),
+        (("--time-limit", "0"), "--time-limit must lie within 1 and 604800, got 0"),
+        (("--time-limit", "nan"), "--time-limit must lie within 1 and 604800, got nan"),
         (("--scenario-seed", "-1"), "--scenario-seed must lie within 0 and"),
         (("--scenario-seed", "1", "--scenarios", "development"), "leave out --scenarios development"),
         (("--out", "old", "--methods", "paper"), f"results of edition 2, version {VERSION + 1} of the scenarios"),

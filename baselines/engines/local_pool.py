@@ -146,7 +146,7 @@ def _block_signals() -> None:
 def _mailbox() -> Iterator[tuple[Any, Any]]:
     """A queue of messages and an event for the request to stop, in a process of their own that outlives any worker."""
     manager = SyncManager(ctx=get_context(_BACKEND), shutdown_timeout=60)  # as it takes no signal to end
-    starter = threading.Thread(target=lambda: (_block_signals(), manager.start(_end_with_parent)))
+    starter = threading.Thread(target=lambda: (_block_signals(), manager.start(end_with_parent)))
     starter.start()
     starter.join()
     try:
@@ -158,8 +158,8 @@ def _mailbox() -> Iterator[tuple[Any, Any]]:
 # In other processes
 
 
-def _end_with_parent() -> None:
-    """End the mailbox when the process that began the tasks has ended: to them it is a request to stop."""
+def end_with_parent() -> None:
+    """End this process when the one that began it has ended; the mailbox's end is a request to stop to all tasks."""
     parent = os.getppid()
 
     def watch() -> None:

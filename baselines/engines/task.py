@@ -51,7 +51,7 @@ class Interrupted(Exception):  # noqa: N818
 
 
 class BrokenOff(Exception):  # noqa: N818
-    """A task whose process died, and died again when it was begun anew."""
+    """A task whose process died: tasks side by side are begun anew first, see `baselines.engines.parallel`."""
 
 
 @dataclass(frozen=True, slots=True)

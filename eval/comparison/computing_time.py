@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from baselines.tools.files import write_text
 from beltarm_env import ArmParams
 from eval.comparison.methods import Method
-from eval.comparison.pairs import Failure, attempt, key_of
+from eval.comparison.pairs import Failure, key_of, run_controller
 from eval.comparison.timing import action_times
 
 FILE = "computing_time.json"
@@ -26,7 +27,7 @@ Times = tuple[float, float]
 
 def measured_times(methods: Sequence[Method]) -> dict[str, Times | Failure]:
     """Times of some methods, by name, measured now; a failure where a controller fails on one arm."""
-    return {method.name: attempt(method.name, "", lambda method=method: _time(method), "one arm") for method in methods}
+    return {method.name: run_controller(method, "", partial(_time, method), "one arm") for method in methods}
 
 
 def _time(method: Method) -> Times:

@@ -14,6 +14,11 @@ from typing import Any
 
 _NAMED = "a controller is named package.module:Class or path/to/file.py:Class"
 _EXAMPLE = "an example is docs/examples/my_controller.py"
+TIME_LIMIT = 3600.0
+"""Time that a controller may take for a batch of episodes unless told otherwise [s]: 500 arms with two runs of each
+move, one arm after the other in real time, take less."""
+LONGEST = 7 * 86_400
+"""Longest such time that can be told [s]: a week."""
 MOST_FILES, MOST_BYTES = 2000, 200_000_000
 """Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
 
@@ -45,7 +50,7 @@ def factory(spec: str) -> Callable[[], Any]:
         else:
             _search(Path.cwd())
             module = importlib.import_module(where)
-    except Exception as error:  # whatever a user's module does when it is imported
+    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise ValueError(f"{spec} cannot be imported: {type(error).__name__}: {error}") from error
     found = getattr(module, name, None)
     if not callable(found):
@@ -74,21 +79,38 @@ def _search(folder: Path) -> None:
 def home(spec: str) -> Path:
     """Folder of everything that belongs to the controller: the whole package, or the folder of a file by itself.
 
-    A file is not imported for it, a package is.
+    Nothing of it is imported.
 
     Raises:
-        ValueError: If a package cannot be imported.
+        ValueError: If there is no such file or package.
     """
     where, _, _ = absolute(spec).rpartition(":")
     if not where.endswith(".py"):
-        factory(spec)
-        file = Path(sys.modules[where].__file__ or ".").resolve()
-        packages = map(Path, getattr(sys.modules[where.partition(".")[0]], "__path__", ()))
-        return next((folder for package in packages if file.is_relative_to(folder := package.resolve())), file.parent)
+        return _home_of_module(spec, *where.split("."))
+    if not Path(where).is_file():
+        raise ValueError(f"{spec} cannot be imported: there is no file {where}")
     folder = Path(where).resolve().parent
     while (folder.parent / "__init__.py").exists():
         folder = folder.parent
     return folder
+
+
+def _home_of_module(spec: str, package: str, *inside: str) -> Path:
+    _search(Path.cwd())
+    try:
+        found = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        found = None
+    if found is None:
+        raise ValueError(f"{spec} cannot be imported: No module named {package!r}")
+    folders = [Path(folder).resolve() for folder in found.submodule_search_locations or ()]
+    for folder in folders:
+        below = folder.joinpath(*inside)
+        if below.with_suffix(".py").is_file() or below.is_dir():
+            return folder
+    if inside:
+        raise ValueError(f"{spec} cannot be imported: No module named {'.'.join((package, *inside))!r}")
+    return Path(found.origin or ".").resolve().parent
 
 
 def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
@@ -150,7 +172,7 @@ def make(spec: str) -> Any:
     build = factory(spec)
     try:
         controller = build()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{spec} cannot be made without arguments: {type(error).__name__}: {error}") from error
     if not callable(getattr(controller, "predict", None)):
         raise ValueError(f"{spec} has no method predict(observation, state, episode_start, deterministic)")

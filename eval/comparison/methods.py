@@ -42,6 +42,7 @@ class Method:
     )  # of tuning or training: simulator steps, wall-clock, per seed
     base: str | None = None  # of a learned method: the controller that it corrects
     guarded: bool = False  # whether the guard is between its controllers and the motor
+    time_limit: float = custom.TIME_LIMIT  # of an added one, for a batch of episodes [s]
 
     @property
     def sensors(self) -> Sensors:
@@ -127,15 +128,21 @@ def privileged_method() -> Method:
     return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
 
 
-def added_method(spec: str, results: Path | None = None) -> Method:
-    """A user's own controller, named by its class; `results` is the comparison's folder, see `custom.identity`.
+def added_method(spec: str, results: Path | None = None, time_limit: float = custom.TIME_LIMIT) -> Method:
+    """A user's own controller, named by its class; nothing of it is executed here.
+
+    Args:
+        spec: See `eval.comparison.custom`.
+        results: The comparison's folder, see `custom.identity`.
+        time_limit: Time that it may take for a batch of episodes [s].
 
     Raises:
-        ValueError: If it cannot be imported.
+        ValueError: If there is no such file or package.
     """
     spec = custom.absolute(spec)
     own = custom.identity(custom.home(spec), results)
-    return Method(spec.rpartition(":")[2], "added", (spec,), own and _hash([own, _all_gains()]))
+    identity = own and _hash([own, _all_gains()])
+    return Method(spec.rpartition(":")[2], "added", (spec,), identity, time_limit=time_limit)
 
 
 def learned_methods(policies: Iterable[Path | str]) -> list[Method]:

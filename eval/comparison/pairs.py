@@ -30,6 +30,7 @@ import beltarm_env
 import eval
 from baselines.engines import parallel
 from baselines.engines.carrying import Carried
+from baselines.engines.isolated import run_isolated
 from baselines.tools.files import write_atomically
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats, Singles
@@ -92,21 +93,38 @@ class Failure:
     trace: str = ""  # the whole traceback
 
 
+def run_controller(method: Method, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
+    """Run the controllers of a method; an added one's in a process of its own, whose end is a `Failure` as well.
+
+    Args:
+        method: Whose they are.
+        split: On which they run.
+        run: Picklable.
+        where: Beginning of a failure's message.
+    """
+    if method.kind != "added":
+        return attempt(method.name, split, run, where)
+    try:
+        return run_isolated(partial(attempt, method.name, split, run, where), method.sources[0], method.time_limit)
+    except parallel.BrokenOff as end:
+        return Failure(method.name, split, f"{where}{': ' if where else ''}{end}")
+
+
 def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
-    """Run something of a method; an exception of its controller becomes a `Failure`."""
+    """Run something of a method; an exception becomes a `Failure`, and so does a request to exit."""
     try:
         return run()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
         return Failure(method, split, message[:_LONGEST_MESSAGE] + place(error), trace(error))
 
 
-def trace(error: Exception) -> str:
+def trace(error: BaseException) -> str:
     """The whole traceback of an exception."""
     return "".join(traceback.format_exception(error))
 
 
-def place(error: Exception) -> str:
+def place(error: BaseException) -> str:
     """File and line of a user's own code in which an exception was raised, in brackets; empty if it was in none."""
     ours = tuple(str(Path(package.__path__[0])) for package in (beltarm_env, baselines, agents, eval))
     frames = traceback.extract_tb(error.__traceback__)
@@ -265,7 +283,7 @@ def sent_along(methods: Iterable[Method], engine: parallel.Engine) -> dict[str, 
 
 def _run_task(pair: Pair, belongings: dict[str, Carried], _: parallel.Channel) -> Metrics | Failure:
     there = replace(pair, method=pair.method.at(belongings))
-    return attempt(pair.method.name, pair.split.name, lambda: measure(there))
+    return run_controller(there.method, pair.split.name, partial(measure, there))
 
 
 def explained(failure: parallel.Failure, jobs: int | None) -> Exception:

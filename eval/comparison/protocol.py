@@ -6,17 +6,21 @@ A controller is made without arguments and called as Stable-Baselines3 calls a p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.engines.isolated import run_isolated
+from baselines.engines.parallel import BrokenOff
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
-from eval.comparison.pairs import place, trace
+from eval.comparison.methods import Method
+from eval.comparison.pairs import Failure, place, run_controller, trace
 from eval.comparison.timing import PERIOD_US, action_times, drive
 
 Singles = NDArray[np.float32]
@@ -166,30 +170,63 @@ def findings(make: Callable[[], Controller]) -> Iterator[Finding]:
     first = f"drives {_ARMS} arms with finite float32 torques"
     try:
         known = record(make())
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         yield _failed(first, error)
         return
     yield Finding(first, True, f"{_STEPS} samples")
     for name, check in _CHECKS.items():
         try:
             yield Finding(name, True, check(make, known))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             yield _failed(name, error)
 
 
-def _failed(check: str, error: Exception) -> Finding:
+def _failed(check: str, error: BaseException) -> Finding:
     words = " ".join((str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}").split())
     return Finding(check, False, words + place(error), trace(error))
 
 
-def first_failure(spec: str) -> str | None:
-    """Describe the first failed check in one line; None if all passed.
+def findings_of(spec: str) -> list[Finding]:
+    """Check a controller by its name, up to the first failure to drive the arms.
 
     Raises:
         ValueError: If it cannot be imported or made.
     """
-    custom.make(spec)
-    for finding in findings(custom.factory(spec)):
+    try:
+        custom.make(spec)
+    except ValueError as error:
+        error.add_note(trace(error))  # which is all that another process sees of it
+        raise
+    return list(findings(custom.factory(spec)))
+
+
+def isolated_findings(spec: str, time_limit: float) -> list[Finding]:
+    """Check a controller in a process of its own; the end of that is a failed check.
+
+    Args:
+        spec: See `eval.comparison.custom`.
+        time_limit: Time that all checks together may take [s].
+
+    Raises:
+        ValueError: If it cannot be imported or made.
+    """
+    spec = custom.absolute(spec)
+    try:
+        return run_isolated(partial(findings_of, spec), spec, time_limit)
+    except BrokenOff as end:
+        return [Finding("runs to the end", False, str(end))]
+
+
+def failures(methods: Iterable[Method]) -> dict[str, Failure]:
+    """Check the added ones of some methods; by name the first failure of each that cannot be run as the others are."""
+    found = {one.name: run_controller(one, "", partial(_first_failure, one)) for one in methods if one.kind == "added"}
+    return {name: failure for name, failure in found.items() if failure is not None}
+
+
+def _first_failure(method: Method) -> Failure | None:
+    (spec,) = method.sources
+    for finding in findings_of(spec):
         if not finding.passed:
-            return f"{spec} does not keep the protocol ({finding.check}): {finding.detail}"
+            words = f"it does not keep the protocol ({finding.check}): {finding.detail}"
+            return Failure(method.name, "", f"{words}; see `python eval/check_controller.py {spec}`", finding.trace)
     return None

@@ -12,7 +12,9 @@ from baselines import DOMINATED
 from baselines.engines.options import LOCAL, Engine
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
+from eval.comparison import protocol
 from eval.comparison.computing_time import Times, measured_once, measured_times
+from eval.comparison.custom import TIME_LIMIT
 from eval.comparison.methods import (
     PRIVILEGED,
     Method,
@@ -24,7 +26,6 @@ from eval.comparison.methods import (
     shipped_policies,
 )
 from eval.comparison.pairs import Failure, Pair, attempt, run_pairs
-from eval.comparison.protocol import first_failure
 from eval.comparison.results import (
     COMPUTING_TIME,
     Comparison,
@@ -46,8 +47,9 @@ def choose_methods(
     results: Path | None = None,
     *,
     guard: bool = False,
+    time_limit: float = TIME_LIMIT,
 ) -> list[Method]:
-    """Choose methods by name, and check the user's own.
+    """Choose methods by name.
 
     Args:
         names: Names of the methods; none for all but those that are dominated, see `baselines.registry.DOMINATED`.
@@ -55,12 +57,13 @@ def choose_methods(
         added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class.
         results: Folder of the comparison, see `eval.comparison.custom.identity`.
         guard: Whether each classical and learned method also runs with the guard.
+        time_limit: Time that a controller of the user's own may take for a batch of episodes [s].
 
     Raises:
-        ValueError: If a name is unknown or given twice, or a controller of the user's own does not keep the protocol.
+        ValueError: If a name is unknown or given twice, or there is no such file or package.
     """
     known = [*classical_methods(), *learned_methods([*shipped_policies(), *policies])]
-    known += [added_method(spec, results) for spec in added] + [privileged_method()]
+    known += [added_method(spec, results, time_limit) for spec in added] + [privileged_method()]
     all_names = [method.name for method in known]
     for name in all_names:
         if all_names.count(name) > 1:
@@ -69,9 +72,6 @@ def choose_methods(
     if names and set(wanted) == {PRIVILEGED}:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
     methods = [method for method in known if method.name in wanted]
-    for method in methods:
-        if method.kind == "added" and (failure := first_failure(method.sources[0])):
-            raise ValueError(f"{failure}; see `python eval/check_controller.py {method.sources[0]}`")
     if not guard:
         return methods
     twice = [(one, one.with_guard()) if one.kind in ("classical", "learned") else (one,) for one in methods]
@@ -133,7 +133,10 @@ def compare(
     if (folder / "results.json").exists():
         require_same_set(folder / "results.json", scenarios.label, computing_time)
     require_same_physics(scenarios)
-    times = measured_once(methods, folder, fresh=fresh) if computing_time else measured_times(methods)
+    unsound = protocol.failures(methods)
+    sound = [method for method in methods if method.name not in unsound]
+    times = measured_once(sound, folder, fresh=fresh) if computing_time else measured_times(sound)
+    times |= unsound
     main = main_split(list(scenarios.splits))
     runs = [
         _Run(method, split, times[method.name], computing_time, episodes, nudged=split.name == main)
@@ -158,7 +161,7 @@ def compare(
 
 @dataclass(frozen=True)
 class _Run:
-    """A method on a split, with the time that it takes for an action; one that fails where it is timed is not run."""
+    """A method on a split, with the time that it takes for an action; one that fails before that is not run."""
 
     method: Method
     split: Split

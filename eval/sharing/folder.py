@@ -102,7 +102,7 @@ def film_of(policy: Path) -> bytes:
     controller, spec = load_controller(policy)
     splits = development_set().splits
     split = with_sensors(splits[main_split(list(splits))], spec.sensors)
-    track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", controller, split, 0)
+    track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", split.run(controller, 0))
     with tempfile.TemporaryDirectory() as made:
         side_by_side.write([track], _SPEED, Path(made) / FILM)
         return (Path(made) / FILM).read_bytes()

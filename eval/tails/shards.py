@@ -27,7 +27,7 @@ from baselines.engines.carrying import Carried
 from baselines.tools.files import write_atomically
 from beltarm_env.metrics import TORQUE_QUALITY
 from eval.comparison.methods import Method
-from eval.comparison.pairs import LEFT, Failure, Pair, attempt, explained, key_of, measure, sent_along
+from eval.comparison.pairs import LEFT, Failure, Pair, explained, key_of, measure, run_controller, sent_along
 from eval.comparison.sets import fresh_scenarios
 from eval.comparison.splits import EDITION, SPLITS, VERSION, digest_of
 
@@ -190,4 +190,4 @@ def run_shards(
 
 def _task(shard: Shard, belongings: dict[str, Carried], _: parallel.Channel) -> Tables | Failure:
     there = replace(shard, method=shard.method.at(belongings))
-    return attempt(shard.method.name, shard.split, lambda: run(there))
+    return run_controller(there.method, shard.split, partial(run, there))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from beltarm_env.arm import params_columns
 from beltarm_env.task.moves import MOVE_FIELDS
+from eval.comparison import protocol
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.methods import Method
 from eval.comparison.pairs import LEFT, Failure
@@ -141,18 +142,21 @@ def study(
             )
     require_writable(folder)
     require_same_physics(development_set().only(splits))
-    shards = {(split, one.name): shards_of(one, split, number, episodes) for split in splits for one in methods}
+    unsound = protocol.failures(methods)
+    sound = [one for one in methods if one.name not in unsound]
+    shards = {(split, one.name): shards_of(one, split, number, episodes) for split in splits for one in sound}
     in_turn = sorted((shard for some in shards.values() for shard in some), key=lambda shard: shard.first)
     if fresh:
         for shard in in_turn:
             shard.file(folder).unlink(missing_ok=True)
     kept = sum(shard.file(folder).exists() for shard in in_turn)
-    failures = run_shards(in_turn, folder, jobs, done, engine)
+    failures = [replace(failure, split=split) for failure in unsound.values() for split in splits]
+    failures += run_shards(in_turn, folder, jobs, done, engine)
     failed = {(failure.method, failure.split) for failure in failures}
     outcomes: dict[str, list[Outcome]] = {}
     for split in splits:
-        sound = [shards[split, one.name] for one in methods if (one.name, split) not in failed]
-        outcomes[split] = _outcomes(sound, folder)
+        done_all = [shards[split, one.name] for one in sound if (one.name, split) not in failed]
+        outcomes[split] = _outcomes(done_all, folder)
     if not any(outcomes.values()):
         first = failures[0]
         error = ValueError(f"no method could be run: {first.method} on {first.split}: {first.message}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ import numpy as np
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
 from beltarm_env.rendering.window import Window, import_pygame
-from beltarm_env.rollout import Controller, Recording
+from beltarm_env.rollout import Recording
+from eval.comparison.methods import Method
+from eval.comparison.pairs import Failure, run_controller
 from eval.comparison.splits import Split
 from eval.views.film import FPS, REST_S, write_film
 from eval.views.report.animation import reference_angles
@@ -52,10 +55,31 @@ class Track:
         return 1000 * np.linalg.norm(self.motion.tip_error[:, 0], axis=1)
 
 
-def track_of(name: str, controller: Controller, split: Split, scenario: int) -> Track:
-    """Run a controller on one scenario."""
-    motion = split.run(controller, scenario)
+def track_of(name: str, motion: Recording) -> Track:
+    """Make ready what an arm did to be shown."""
     return Track(name, motion, reference_angles(motion), Renderer("rgb_array", _FPS))
+
+
+def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recording:
+    """Run a method on one scenario.
+
+    Args:
+        name: Under which it is shown.
+        method: Whose first controller drives the arm.
+        split: Of the scenario.
+        scenario: Its number.
+
+    Raises:
+        ValueError: If it fails.
+    """
+    motion = run_controller(method, split.name, partial(_run, method, split, scenario))
+    if isinstance(motion, Failure):
+        raise ValueError(f"{name} failed on scenario {scenario} of {split.name}: {motion.message}")
+    return motion
+
+
+def _run(method: Method, split: Split, scenario: int) -> Recording:
+    return split.run(method.controller(0, []), scenario)
 
 
 def write(tracks: list[Track], speed: float, path: Path) -> None:

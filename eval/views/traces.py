@@ -8,7 +8,7 @@ import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.estimates import interquartile_mean
-from eval.comparison.pairs import Failure, attempt
+from eval.comparison.pairs import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.splits import Split
 from eval.style.colours import COLOURS
@@ -65,7 +65,7 @@ def motions(
             continue
         seed, where = shown_seed(comparison, outcome.method.name), f"on scenario {scenario}"
         run = partial(_measured, outcome, split.later(outcome.latency), seed, scenario)
-        found = attempt(outcome.method.name, split.name, run, where)
+        found = run_controller(outcome.method, split.name, run, where)
         if isinstance(found, Failure):
             failures.append(found)
         else:

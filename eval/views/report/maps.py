@@ -16,7 +16,7 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import MAPS
 from eval.comparison.estimates import interquartile_mean
-from eval.comparison.pairs import Failure, attempt
+from eval.comparison.pairs import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.views.report.scenes import Map
 
@@ -37,7 +37,7 @@ def robustness_maps(comparison: Comparison) -> tuple[list[Map], list[Failure]]:
     classical = sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
     if not rivals or not classical:
         return [], []
-    costs = {o.method.name: attempt(o.method.name, "maps", partial(_costs, o)) for o in [*rivals, *classical]}
+    costs = {o.method.name: run_controller(o.method, "maps", partial(_costs, o)) for o in [*rivals, *classical]}
     failures = [of_method for of_method in costs.values() if isinstance(of_method, Failure)]
     done = {name: of_method for name, of_method in costs.items() if not isinstance(of_method, Failure)}
     rival = rivals[0].method.name
