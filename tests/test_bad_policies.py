@@ -10,6 +10,7 @@ import os
 import pickle
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -125,14 +126,14 @@ def edit(bundle: Path, *, rehash: bool, **changes: Any) -> None:
     content = json.loads((bundle / MANIFEST).read_text())
     content.update(changes)
     if rehash:
-        content["content_hash"] = agents.policy.bundle._content_hash(content)
+        content["content_hash"] = agents.policy.bundle.content_hash(content)
     (bundle / MANIFEST).write_text(json.dumps(content))
 
 
 def drop(bundle: Path, key: str) -> None:
     content = json.loads((bundle / MANIFEST).read_text())
     del content[key]
-    content["content_hash"] = agents.policy.bundle._content_hash(content)
+    content["content_hash"] = agents.policy.bundle.content_hash(content)
     (bundle / MANIFEST).write_text(json.dumps(content))
 
 
@@ -178,6 +179,10 @@ def nan_weights(bundle: Path) -> None:
     not_weights(bundle, save_tensors(tensors))
 
 
+def double_weights(bundle: Path) -> None:
+    not_weights(bundle, save_tensors({name: value.double() for name, value in load_file(weights(bundle)).items()}))
+
+
 def other_gains(bundle: Path) -> None:
     settings = json.loads((bundle / MANIFEST).read_text())["base_settings"]
     settings["gains"]["angle"] += 1
@@ -211,6 +216,14 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "manifest is a device": (
         lambda b: ((b / MANIFEST).unlink(), (b / MANIFEST).symlink_to(os.devnull)),
         (MANIFEST, "cannot be read", "no regular file"),
+    ),
+    "manifest is a pipe": (
+        lambda b: ((b / MANIFEST).unlink(), os.mkfifo(b / MANIFEST)),
+        (MANIFEST, "cannot be read", "no regular file"),
+    ),
+    "weights are a pipe": (
+        lambda b: (path := weights(b), path.unlink(), os.mkfifo(path)),
+        ("weights-", "cannot be read", "no regular file"),
     ),
     "weights are a device": (
         lambda b: (path := weights(b), path.unlink(), path.symlink_to("/dev/zero")),
@@ -251,7 +264,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "inputs of another bound": (lambda b: change_entry(b, 3, 5.0), (MANIFEST, "motor_angle_error", "5.0", "200.0")),
     "gains of the base": (other_gains, (MANIFEST, "'paper'", "gains.angle", "train it again")),
     "doubts of the identification": (other_doubts, (MANIFEST, "doubts.swing was 0.5", "train it again")),
-    "no settings of the base": (lambda b: edit(b, rehash=True, base_settings=3, base_hash=""), ("unknown gains",)),
+    "no settings of the base": (
+        lambda b: edit(b, rehash=True, base_settings=3, base_hash=""),
+        ("base_settings must be an object",),
+    ),
     "provenance of a wrong type": (lambda b: edit(b, rehash=True, provenance=[]), (MANIFEST, "does not fit")),
     "huge layers": (
         lambda b: edit(b, rehash=True, hidden=[10**9, 10**9]),
@@ -266,10 +282,11 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "two memories": (lambda b: edit(b, rehash=True, gru=4, lstm=4), (MANIFEST, "does not fit", "an LSTM or a GRU")),
     "a GRU that is not in the weights": (lambda b: edit(b, rehash=True, gru=4), ("weights-", "does not hold")),
     "an LSTM that is not in the weights": (lambda b: edit(b, rehash=True, lstm=4), ("weights-", "does not hold")),
+    "weights in double precision": (double_weights, ("weights-x", "torch.float64", "torch.float32")),
     "weights of NaN": (nan_weights, ("weights-x", "not finite")),
     "weights elsewhere": (lambda b: name_weights(b, "../elsewhere.safetensors"), ("../elsewhere", "beside it")),
     "weights at an absolute path": (lambda b: name_weights(b, "/etc/passwd"), ("/etc/passwd", "beside it")),
-    "weights named by a number": (lambda b: name_weights(b, 7), ("7", "beside it")),
+    "weights named by a number": (lambda b: name_weights(b, 7), ("weights: file must be a text", "7")),
     "weights with a NUL in their name": (lambda b: name_weights(b, "weights-\0.safetensors"), ("beside it",)),
     "huge manifest": (
         lambda b: (b / MANIFEST).write_text(" " * (MAX_BYTES + 1)),
@@ -305,6 +322,64 @@ def test_bundles(bundle: Path, damage: str):
     break_it, words = DAMAGES[damage]
     break_it(bundle)
     refused(BundleError, words, lambda: load_controller(bundle))
+
+
+PLACES = {
+    "edition": (True, 2.5),
+    "layout": ("2", None, [2]),
+    "algorithm": ({}, ["ppo"], None, 1),
+    "base": ({"paper": 1}, None),
+    "residual": ([], "belief", None, {"limit": NAN}, {"hold": 10**400}, {"knowledge": ["belief"]}),
+    "hidden": (None, "44", [[4]], [4.5], {"4": 3}, [NAN]),
+    "activation": ([], {}, 3),
+    "sensors": ([], {}, None),
+    "lstm": ("0", None, NAN, [0]),
+    "gru": ("0", None, INF, {}),
+    "standardised": (0, "yes", None),
+    "base_settings": ({"gains": 3}, {"gains": {"a\nb": 1.0}}, {"doubts": {"swing": "0.5"}}, {"gains": {"angle": NAN}}),
+    "base_hash": (3, []),
+    "entries": (None, "speed", [3], [["motor_angle_error"]], [{}], {"a": 1}),
+    "weights": (None, [], "weights-x.safetensors", {"file": []}, {"file": "weights-x.safetensors", "sha256": 3}),
+    "provenance": (
+        *(None, "none", {"run": 3}, {"run": []}, {"run": {"steps": "5"}}, {"run": {"steps": NAN}}, {"seed": NAN}),
+        *(
+            {"run": {"seconds": INF}},
+            {"run": {"steps": 10**400}},
+            {"config": 3},
+            {"config": {"seed": [1]}},
+            {"note": INF},
+        ),
+        *(
+            {"config": {"randomization": []}},
+            {"versions": 3},
+            {"versions": {"numpy": 2}},
+            {"command": 3},
+            {"commit": {}},
+        ),
+        *({"curve": 3}, {"curve": [3]}, {"curve": [[1, 2]]}, {"curve": [["a", "b", "c"]]}, {"validation_of_base": [1]}),
+        *({"reached": 3}, {"reached": {"validation": {"cost": 1.0}}}, {"command": "\ud800"}),
+    ),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_manifests_that_are_not_as_they_should_be(place: str, bundle: Path):
+    """In one line, before anything reads them: not as a traceback, and not by numbers that JSON does not have."""
+    for value in PLACES[place]:
+        edit(bundle, rehash=True, **{place: value})
+        with pytest.raises(BundleError, match=MANIFEST) as caught:
+            read_spec(bundle)
+        assert "\n" not in str(caught.value), value
+
+
+def test_bundles_are_written_with_finite_numbers_alone(tmp_path: Path):
+    spec = replace(SPEC, provenance={"curve": [[0, 1.0, NAN]]})
+    refused(ValueError, ("not JSON compliant",), lambda: save_bundle(tmp_path, spec, new_actor()))
+
+
+def test_what_a_machine_is_sent_of_a_bundle_is_the_bundle(bundle: Path):
+    os.mkfifo(bundle / "more.json")
+    assert list(agents.policy.bundle.bundle_files(bundle)) == [MANIFEST, weights(bundle).name]
 
 
 def test_a_file_is_no_bundle(tmp_path: Path):
@@ -344,13 +419,13 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
     old, _ = load_controller(bundle)
     seen = np.ones((2, observation.size()), np.float32)
     expected = old.predict(seen)[0]
-    replace, calls = os.replace, []
+    rename, calls = os.replace, []
 
     def replace_then_fail(*arguments: Any) -> None:
         calls.append(arguments)
         if len(calls) > files_written:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        replace(*arguments)
+        rename(*arguments)
 
     monkeypatch.setattr(os, "replace", replace_then_fail)
     with pytest.raises(OSError, match="No space"):

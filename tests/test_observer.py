@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -245,9 +246,14 @@ class TestFiles:
         save_observer(tmp_path / "a.safetensors", Observer(width=MAX_WIDTH), {})
         assert load_observer(tmp_path / "a.safetensors")[0].width == MAX_WIDTH
 
+    def test_a_pipe_is_not_waited_for(self, tmp_path: Path):
+        os.mkfifo(tmp_path / "a.safetensors")
+        with pytest.raises(ObserverError, match=r"no observer of this release \(a.safetensors is no regular file\)"):
+            load_observer(tmp_path / "a.safetensors")
+
     def test_a_large_file_is_not_read(self, tmp_path: Path):
         (tmp_path / "a.safetensors").write_bytes(b"0" * 1_000_001)
-        with pytest.raises(ObserverError, match=r"no observer of this release \(more than 1000000 bytes\)"):
+        with pytest.raises(ObserverError, match=r"no observer of this release \(a.safetensors has more than 1000000"):
             load_observer(tmp_path / "a.safetensors")
 
     def test_unsound_weights_are_neither_written_nor_read(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

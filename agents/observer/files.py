@@ -19,7 +19,8 @@ from safetensors.torch import load, save
 from agents.observer.network import Observer, offered
 from agents.observer.quantities import QUANTITIES
 from agents.residual.bases import base_settings, settings_hash
-from baselines.tools.files import write_atomically
+from baselines.tools.files import read_regular, write_atomically
+from baselines.tools.schema import parse
 from beltarm_env.observation import LAYOUT
 from beltarm_env.task.ranges import EDITION
 
@@ -75,11 +76,10 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
         ObserverError: If it is missing, damaged, or made for another release, observation or filter.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise OSError(f"more than {MAX_BYTES} bytes")
+        data = read_regular(path, MAX_BYTES)
         with safe_open(path, "pt") as file:
-            content = json.loads((file.metadata() or {})["observer"])
-        tensors = load(path.read_bytes())
+            content = parse((file.metadata() or {})["observer"].encode())
+        tensors = load(data)
         made_for = {name: content[name] for name in ("format", "version", "layout", "edition")}
         observer = Observer(content["knowledge"], content["width"], content["hold"])
         belongs = _belongs_to(observer)

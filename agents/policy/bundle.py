@@ -4,8 +4,9 @@
     weights-XXXX.safetensors   of the actor alone: numbers, no code
     README.md                  the same as a card to read, see `agents.policy.card`
 
-`policy.json` carries a hash of its own content, so that a bundle is either what was saved or refused. Weights are
-written first, under a name of their own; replacing `policy.json` is the instant at which a bundle is replaced.
+`policy.json` carries a hash of its own content (`agents.policy.manifest`), so that a bundle is either what was saved or
+refused. Weights are written first, under a name of their own; replacing `policy.json` is the instant at which a bundle
+is replaced.
 
 `entries` in it names the policy's inputs, in order: they are picked by name from what the environment shows and the
 agent is told, which may be more than when the policy was trained. What they mean goes with `observation.LAYOUT`.
@@ -20,7 +21,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import stat
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,28 +33,19 @@ from safetensors.torch import save as save_weights
 from agents.policy.actor import Actor, ActorShape
 from agents.policy.card import CARD, MANIFEST, card
 from agents.policy.inputs import SelectedInputs, chosen_names
+from agents.policy.manifest import ALGORITHMS, FORMAT, MAX_BYTES, VERSION, BundleError, content_hash, read_manifest
 from agents.policy.network import NetworkPolicy
-from agents.residual.bases import BASES, base_settings, changed_settings, make_base, settings_hash
+from agents.residual.bases import base_settings, changed_settings, make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
-from baselines.tools.files import write_atomically, write_text
+from baselines.tools.files import read_regular, write_atomically, write_text
 from beltarm_env.observation import ENTRIES, LAYOUT, Entry
 from beltarm_env.task.ranges import EDITION
 
-FORMAT = "beltarm-policy"
-VERSION = 3
 POLICIES = Path(__file__).resolve().parents[1] / "policies"
 """Folder of the shipped policies that see the encoder alone: METHOD/SEED, each a bundle."""
 FELT_POLICIES = POLICIES.with_name("policies_accelerometer")
 """Folder of those that have an accelerometer, which are ranked with none of the others."""
-MAX_BYTES = 1_000_000
-"""Of each file of a bundle; larger ones are neither written nor read."""
-ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "rma": False, "sac": True, "student": False}
-"""Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
-
-
-class BundleError(ValueError):
-    """Error about a policy bundle that is missing, damaged or of another format."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,14 +135,9 @@ def annotate(folder: Path, **provenance: Any) -> None:
 
 
 def _write_manifest(folder: Path, content: dict[str, Any]) -> None:
-    content["content_hash"] = _content_hash(content)
-    write_text(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
+    content["content_hash"] = content_hash(content)
+    write_text(folder / MANIFEST, json.dumps(content, indent=2, allow_nan=False) + "\n")
     write_text(folder / CARD, card(content))
-
-
-def _content_hash(content: dict[str, Any]) -> str:
-    rest = {key: value for key, value in content.items() if key != "content_hash"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def read_spec(folder: Path | str) -> tuple[BundleSpec, dict[str, Any]]:
@@ -161,61 +147,31 @@ def read_spec(folder: Path | str) -> tuple[BundleSpec, dict[str, Any]]:
         BundleError: If it is missing, damaged, foreign, or made for other gains than the checkout's.
     """
     manifest = Path(folder) / MANIFEST
-    content = _read_manifest(manifest)
+    content = read_manifest(Path(folder))
     try:
         spec = _spec_of(content)
-    except (KeyError, TypeError, ValueError) as error:
+    except ValueError as error:
         raise BundleError(f"{manifest} does not fit this release: {error}") from None
     settings = base_settings(spec.base, spec.residual.knowledge)
     if content.get("base_hash") != settings_hash(settings):
         before = content.get("base_settings")
-        known = isinstance(before, dict) and all(isinstance(value, dict) for value in before.values())
-        changes = changed_settings(before, settings) if isinstance(before, dict) and known else "unknown gains"
+        changes = changed_settings(before, settings) if before else "unknown gains"
         raise BundleError(f"{manifest} was trained on another {spec.base!r} ({changes}): train it again")
     return spec, content
 
 
-def _read_manifest(manifest: Path) -> dict[str, Any]:
-    """Read and check a manifest: complete, and in this release's format."""
-    try:
-        content = json.loads(_read(manifest).decode("utf-8"))
-    except FileNotFoundError:
-        raise BundleError(
-            f"no policy bundle at {manifest.parent}: {MANIFEST} is missing; a bundle is a folder such as runs/ppo/best"
-        ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise BundleError(f"{manifest} cannot be read ({error}); save the policy again") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise BundleError(f"{manifest} is not a {FORMAT} bundle")
-    if content.get("version") != VERSION:
-        version = content.get("version")
-        raise BundleError(f"{manifest} has version {version!r}, this release reads {VERSION}: train it again")
-    if content.get("edition") != EDITION:
-        edition = content.get("edition")
-        raise BundleError(
-            f"{manifest} was trained on arms of edition {edition!r}, these are of {EDITION}: train it again"
-        )
-    if content.get("content_hash") != _content_hash(content):
-        raise BundleError(f"{manifest} was changed after it was saved: its content hash does not match")
-    return content
-
-
 def _spec_of(content: dict[str, Any]) -> BundleSpec:
-    """Read the description in a manifest's content; raises errors of any kind if this release cannot."""
+    """Read the description in a manifest's content; raises ValueError if this release cannot."""
     known = {name: content[name] for name in BundleSpec.__slots__ if name != "inputs"}
     known |= {"residual": ResidualSettings(**content["residual"]), "hidden": tuple(content["hidden"])}
     spec = BundleSpec(**known)
-    if spec.algorithm not in ALGORITHMS or spec.base not in BASES:
-        raise ValueError(f"it has no algorithm {spec.algorithm!r} or no base controller {spec.base!r}")
     if content["layout"] != LAYOUT:
         raise ValueError(f"it was made for observation layout {content['layout']!r}, this release has {LAYOUT}")
     if content["entries"] != spec.entries():
         spec = replace(spec, inputs=chosen_names(content["entries"], spec.offered()))
-    if not isinstance(spec.provenance, dict):
-        raise ValueError("its provenance is no mapping")
     spec.shape()
-    file, digest = content["weights"]["file"], content["weights"]["sha256"]
-    if not (isinstance(file, str) and isinstance(digest, str) and re.fullmatch(r"weights-\w+\.safetensors", file)):
+    file = content["weights"]["file"]
+    if not re.fullmatch(r"weights-\w+\.safetensors", file):
         raise ValueError(f"its weights must be a file weights-XXXX.safetensors beside it, got {file!r}")
     return spec
 
@@ -236,28 +192,41 @@ def read_actor(folder: Path | str) -> tuple[Actor, BundleSpec, dict[str, Any]]:
     """
     spec, content = read_spec(folder)
     path = Path(folder) / content["weights"]["file"]
-    try:
-        data = _read(path)
-    except OSError as error:
-        raise BundleError(f"the weights of {folder} cannot be read ({error.strerror or error}): {path.name}") from None
-    if hashlib.sha256(data).hexdigest() != content["weights"]["sha256"]:
-        raise BundleError(f"{path} is damaged: its SHA-256 is not the one in {MANIFEST}; copy it again")
+    data = _read_weights(path, content)
     actor = Actor(spec.shape()).requires_grad_(False)
     try:
-        actor.load_state_dict(load_weights(data))
-    except (SafetensorError, RuntimeError) as error:
-        raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {error}") from None
+        tensors = load_weights(data)
+        others = {str(tensor.dtype) for tensor in tensors.values()} - {str(torch.float32)}
+        if others:
+            raise ValueError(f"they are of {', '.join(sorted(others))}, and must be of torch.float32")
+        actor.load_state_dict(tensors)
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        words = " ".join(str(error).split())
+        raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {words}") from None
     require_finite(actor, str(path))
     return actor, spec, content
 
 
-def _read(path: Path) -> bytes:
-    found = path.stat()
-    if not stat.S_ISREG(found.st_mode):  # reading a device or a pipe need not come to an end
-        raise OSError(f"{path.name} is no regular file")
-    if found.st_size > MAX_BYTES:
-        raise OSError(f"{path.name} has more than {MAX_BYTES} bytes")
-    return path.read_bytes()
+def _read_weights(path: Path, content: dict[str, Any]) -> bytes:
+    try:
+        data = read_regular(path, MAX_BYTES)
+    except OSError as error:
+        why = error.strerror or error
+        raise BundleError(f"the weights of {path.parent} cannot be read ({why}): {path.name}") from None
+    if hashlib.sha256(data).hexdigest() != content["weights"]["sha256"]:
+        raise BundleError(f"{path} is damaged: its SHA-256 is not the one in {MANIFEST}; copy it again")
+    return data
+
+
+def bundle_files(folder: Path) -> dict[str, bytes]:
+    """Content of the files that a policy is loaded from, by name.
+
+    Raises:
+        BundleError: If one is missing or damaged.
+    """
+    _, content = read_spec(folder)
+    name = content["weights"]["file"]
+    return {MANIFEST: read_regular(folder / MANIFEST, MAX_BYTES), name: _read_weights(folder / name, content)}
 
 
 def require_finite(actor: Actor, owner: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Callable
@@ -79,6 +80,26 @@ def require_writable(folder: Path) -> None:
         (folder / ".writable").unlink()
     except OSError as error:
         raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
+
+
+def read_regular(path: Path, most: int) -> bytes:
+    """Read a file that others may have made: reading a device or a pipe need not come to an end.
+
+    Args:
+        path: Its path; a link to a file will do.
+        most: Bytes that it may have.
+
+    Raises:
+        OSError: If it cannot be read, is no regular file, or has more bytes.
+    """
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with open(handle, "rb") as file:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(f"{path.name} is no regular file")
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise OSError(f"{path.name} has more than {most} bytes")
+    return data
 
 
 def sha256_of(path: Path) -> str:

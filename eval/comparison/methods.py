@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.policy.bundle import POLICIES, load_controller, read_spec
+from agents.policy.bundle import POLICIES, bundle_files, load_controller, read_spec
 from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.engines.carrying import Carried, carry
@@ -72,7 +72,7 @@ class Method:
             ValueError: If a user's own folder is too large to be carried.
         """
         if self.kind == "learned":
-            return {source: carry(Path(source), _bundle_files(Path(source))) for source in self.sources}
+            return {one: Carried(Path(one), tuple(bundle_files(Path(one)).items())) for one in self.sources}
         if self.kind != "added" or not self.sources[0].rpartition(":")[0].endswith(".py"):
             return {}
         folder = custom.home(self.sources[0])
@@ -113,10 +113,6 @@ def classical_methods() -> list[Method]:
 def _all_gains() -> dict[str, Any]:
     """Gains of all classical controllers, which a controller that builds on them may use."""
     return {name: entry.get("gains") for name, entry in read_file().items()}
-
-
-def _bundle_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix in (".json", ".safetensors"))
 
 
 def _hash(content: object) -> str:

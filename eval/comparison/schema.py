@@ -31,17 +31,17 @@ Numbers are finite: NaN and infinities are refused as they are written and as th
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
-from jsonschema import Draft202012Validator, validators
 
 from baselines.tools.files import write_atomically, write_text
+from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, list_of, mapping_of, object_of
+from baselines.tools.schema import check as check_by
 from beltarm_env.metrics import SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Paired
@@ -145,111 +145,70 @@ def write_results(
     write_atomically(folder / "episodes.csv", lambda path: episodes.to_csv(path, index=False, float_format="%.6g"))
 
 
-def _object(may_lack: tuple[str, ...] = (), /, **properties: Any) -> dict[str, Any]:
-    required = [name for name in properties if name not in may_lack]
-    return {"type": "object", "required": required, "properties": properties}
-
-
-def _list(items: Any) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-def _mapping(values: Any) -> dict[str, Any]:
-    return {"type": "object", "additionalProperties": values}
-
-
-_TEXT, _INTEGER, _NUMBER, _FLAG = ({"type": name} for name in ("string", "integer", "number", "boolean"))
-_ESTIMATE = dict.fromkeys(("iqm", "low", "high"), _NUMBER)
-_PAIR = dict.fromkeys((*_ESTIMATE, "win_rate", "win_rate_low", "win_rate_high", "p", "p_holm"), _NUMBER)
-SCHEMA = _object(
+_ESTIMATE = dict.fromkeys(("iqm", "low", "high"), NUMBER)
+_PAIR = dict.fromkeys((*_ESTIMATE, "win_rate", "win_rate_low", "win_rate_high", "p", "p_holm"), NUMBER)
+SCHEMA = object_of(
     ("primary",),
-    edition=_INTEGER,
-    version=_INTEGER,
-    scenario_set=_object(name=_TEXT, sha256=_TEXT),
-    provenance=_object(
+    edition=INTEGER,
+    version=INTEGER,
+    scenario_set=object_of(name=TEXT, sha256=TEXT),
+    provenance=object_of(
         (COMPUTING_TIME,),
-        command=_TEXT,
-        commit=_TEXT,
-        splits_version=_INTEGER,
-        split_seeds=_mapping(_INTEGER),
-        seconds=_NUMBER,
-        pairs_kept_before=_INTEGER,
-        computing_time=_FLAG,
+        command=TEXT,
+        commit=TEXT,
+        splits_version=INTEGER,
+        split_seeds=mapping_of(INTEGER),
+        seconds=NUMBER,
+        pairs_kept_before=INTEGER,
+        computing_time=FLAG,
     ),
-    verdict=_list(_TEXT),
-    primary=_list(
-        _object(
-            metric=_TEXT,
-            split=_TEXT,
-            challenger=_TEXT,
-            classical=_TEXT,
+    verdict=list_of(TEXT),
+    primary=list_of(
+        object_of(
+            metric=TEXT,
+            split=TEXT,
+            challenger=TEXT,
+            classical=TEXT,
             result={"enum": ["better", "worse", "open"]},
-            **dict.fromkeys((*_ESTIMATE, "relative", "p_holm", "mean", "mean_low", "mean_high"), _NUMBER),
+            **dict.fromkeys((*_ESTIMATE, "relative", "p_holm", "mean", "mean_low", "mean_high"), NUMBER),
         )
     ),
-    rows=_list(
-        _object(
+    rows=list_of(
+        object_of(
             ("added_latency_us", "sensitivity"),
-            method=_TEXT,
+            method=TEXT,
             kind={"enum": list(get_args(Kind))},
-            split=_TEXT,
-            episodes=_INTEGER,
-            seeds=_INTEGER,
-            metrics=_object(**dict.fromkeys(SHOWN, _object(**_ESTIMATE))),
-            failures=_object(runs=_INTEGER, not_settled=_INTEGER, left_workspace=_INTEGER),
-            action_us=_object(p50=_NUMBER, p99=_NUMBER),
-            training=_mapping(_list(_NUMBER)),
-            added_latency_us=_NUMBER,
-            sensitivity=_NUMBER,
+            split=TEXT,
+            episodes=INTEGER,
+            seeds=INTEGER,
+            metrics=object_of(**dict.fromkeys(SHOWN, object_of(**_ESTIMATE))),
+            failures=object_of(runs=INTEGER, not_settled=INTEGER, left_workspace=INTEGER),
+            action_us=object_of(p50=NUMBER, p99=NUMBER),
+            training=mapping_of(list_of(NUMBER)),
+            added_latency_us=NUMBER,
+            sensitivity=NUMBER,
         )
     ),
-    paired=_list(
-        _object(
-            method=_TEXT,
-            other=_TEXT,
+    paired=list_of(
+        object_of(
+            method=TEXT,
+            other=TEXT,
             against={"enum": list(AGAINST)},
-            split=_TEXT,
-            metrics=_object(**dict.fromkeys(PAIRED_METRICS, _object(**_PAIR, verdict=_TEXT))),
+            split=TEXT,
+            metrics=object_of(**dict.fromkeys(PAIRED_METRICS, object_of(**_PAIR, verdict=TEXT))),
         )
     ),
-    profiles=_list(_object(split=_TEXT, metric=_TEXT, thresholds=_list(_NUMBER), methods=_mapping(_list(_NUMBER)))),
-    failures=_list(_object(method=_TEXT, split=_TEXT, message=_TEXT)),
+    profiles=list_of(
+        object_of(split=TEXT, metric=TEXT, thresholds=list_of(NUMBER), methods=mapping_of(list_of(NUMBER)))
+    ),
+    failures=list_of(object_of(method=TEXT, split=TEXT, message=TEXT)),
 )
 """JSON Schema (2020-12) of `results.json`."""
-_TYPES = {
-    "object": "an object",
-    "array": "a list",
-    "string": "a text",
-    "integer": "an integer",
-    "number": "a finite number",
-    "boolean": "true or false",
-}
 
 
-def _is_finite(_: object, value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-_Validator = validators.extend(
-    Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine("number", _is_finite)
-)
-
-
-def check(content: object, where: str, schema: Mapping[str, Any] = SCHEMA) -> None:
-    """Check the content of a `results.json`, or what has another schema.
-
-    Raises:
-        ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
-    """
-    for error in _Validator(schema).iter_errors(content):
-        place = where + "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in error.absolute_path)
-        wanted: Any = error.validator_value
-        if error.validator == "required":
-            raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
-        if error.validator not in ("enum", "type"):
-            raise ValueError(f"{place}: {' '.join(error.message.split())[:200]}")
-        words = f"one of {', '.join(wanted)}" if error.validator == "enum" else _TYPES[wanted]
-        raise ValueError(f"{place} must be {words}, got {str(error.instance)[:80]!r}")
+def check(content: object, where: str) -> None:
+    """Check the content of a `results.json`; raises the errors of `baselines.tools.schema.check`."""
+    check_by(content, where, SCHEMA)
 
 
 def read_results(path: Path) -> dict[str, Any]:

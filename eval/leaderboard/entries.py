@@ -17,8 +17,8 @@ from typing import Any
 
 from baselines.tools.files import sha256_of, write_atomically, write_text
 from baselines.tools.provenance import commit, software
+from baselines.tools.schema import check
 from eval.comparison.scenarios import choose_set
-from eval.comparison.schema import check
 from eval.comparison.sets import TEST_NAME
 from eval.comparison.splits import EPISODES
 from eval.leaderboard import sealed

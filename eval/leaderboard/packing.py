@@ -12,8 +12,7 @@ import json
 import shlex
 from pathlib import Path
 
-from agents.policy.bundle import MANIFEST as POLICY_MANIFEST
-from agents.policy.bundle import read_spec
+from agents.policy.bundle import bundle_files
 from eval.comparison import custom, schema
 from eval.comparison.methods import Method, added_method, classical_methods, learned_methods, shipped_policies
 from eval.comparison.pairs import Pair, read_kept
@@ -93,10 +92,8 @@ def _files_of(method: Method, folder: Path) -> tuple[dict[str, bytes], list[str]
     if method.kind == "learned":
         files, sources = {}, []
         for k, source in enumerate(map(Path, method.sources)):
-            _, content = read_spec(source)
             sources.append(f"{POLICIES}/{k}")
-            for name in (POLICY_MANIFEST, content["weights"]["file"]):
-                files[f"{sources[-1]}/{name}"] = (source / name).read_bytes()
+            files |= {f"{sources[-1]}/{name}": data for name, data in bundle_files(source).items()}
         return files, sources
     (spec,) = method.sources
     where, _, name = spec.rpartition(":")

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from baselines.tools.files import write_text
+from baselines.tools.schema import check
 from beltarm_env.task.seeds import DEVELOPMENT, sealed_arms
 from beltarm_env.task.seeds import SEALED as RANGE
-from eval.comparison.schema import check
 from eval.comparison.sets import ScenarioSet, draw_set
 from eval.comparison.splits import EDITION
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from agents.policy.bundle import MANIFEST as POLICY_MANIFEST
 from baselines import CONTROLLERS
+from baselines.tools.schema import check
 from eval.comparison import schema, splits
 from eval.comparison.methods import PRIMARY, PRIVILEGED, shipped_policies
 from eval.comparison.results import COMPUTING_TIME
@@ -132,7 +133,7 @@ def opened(files: dict[str, bytes], rules: Rules, where: str) -> Submission:
         ValueError: Naming the first thing that is wrong.
     """
     content = _json(files, MANIFEST, where)
-    schema.check(content, f"{where}: {MANIFEST}", SCHEMA)
+    check(content, f"{where}: {MANIFEST}", SCHEMA)
     _require_hashes(files, content["files"], where)
     results = _json(files, RESULTS, where)
     schema.check(results, f"{where}: {RESULTS}")

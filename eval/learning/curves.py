@@ -69,11 +69,14 @@ def _read_curve(bundle: Path) -> Curve:
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or not np.isfinite(points).all():
         raise BundleError(f"{bundle} holds no learning curve")
+    base_cost, arms = known.get("validation_of_base", {}).get("cost"), known.get("config", {}).get("validation_arms")
+    if base_cost is None or not isinstance(arms, int):
+        raise BundleError(f"{bundle} does not say what it was validated on")
     return Curve(
         method=_method(spec),
         base=spec.base,
-        base_cost=float(known["validation_of_base"]["cost"]),
-        arms=int(known["config"]["validation_arms"]),
+        base_cost=float(base_cost),
+        arms=arms,
         steps=points[:, 0] * spec.residual.hold,
         minutes=points[:, 1] / 60,
         cost=points[:, 2],

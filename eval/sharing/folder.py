@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from agents.policy.bundle import CARD, MANIFEST, load_controller, read_actor
+from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_actor
 from agents.policy.card import ENVIRONMENT, Offer, card
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
@@ -70,7 +70,6 @@ def files_of(policy: Path, offer: Offer, scores: Scores | None) -> dict[str, byt
         BundleError: If the bundle is missing, damaged, or foreign.
     """
     _, _, content = read_actor(policy)
-    weights = content["weights"]["file"]
     config = {
         "format": FORMAT,
         "environment": ENVIRONMENT,
@@ -84,8 +83,7 @@ def files_of(policy: Path, offer: Offer, scores: Scores | None) -> dict[str, byt
         ".gitattributes": "".join(f"{pattern} filter=lfs diff=lfs merge=lfs -text\n" for pattern in _LARGE),
         **({EXCERPT: _json(scores.excerpt())} if scores else {}),
     }
-    bundle = {name: (policy / name).read_bytes() for name in (MANIFEST, weights)}
-    return {**{name: text.encode() for name, text in texts.items()}, **bundle}
+    return {**{name: text.encode() for name, text in texts.items()}, **bundle_files(policy)}
 
 
 def _json(content: Any) -> str:

@@ -1,0 +1,86 @@
+"""JSON that others may have written: parsed with finite numbers alone, and checked by a JSON Schema (2020-12)."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from jsonschema import Draft202012Validator, validators
+
+TEXT, INTEGER, NUMBER, FLAG = ({"type": name} for name in ("string", "integer", "number", "boolean"))
+_LARGEST = 2**63 - 1
+_TYPES = {
+    "object": "an object",
+    "array": "a list",
+    "string": "a text",
+    "integer": "an integer",
+    "number": "a finite number",
+    "boolean": "true or false",
+}
+
+
+def object_of(may_lack: tuple[str, ...] = (), /, **properties: Any) -> dict[str, Any]:
+    """Schema of an object with these properties, some of which it may lack; it may have others."""
+    required = [name for name in properties if name not in may_lack]
+    return {"type": "object", "required": required, "properties": properties}
+
+
+def list_of(items: Any) -> dict[str, Any]:
+    """Schema of a list."""
+    return {"type": "array", "items": items}
+
+
+def mapping_of(values: Any) -> dict[str, Any]:
+    """Schema of an object with any properties, all of one kind."""
+    return {"type": "object", "additionalProperties": values}
+
+
+def parse(data: bytes) -> Any:
+    """Parse JSON in UTF-8.
+
+    Raises:
+        ValueError: If it is none, or has a number that is not finite or takes more than 64 bits.
+    """
+    content = json.loads(data.decode("utf-8"), parse_constant=_number, parse_float=_number, parse_int=_number)
+    json.dumps(content, ensure_ascii=False).encode("utf-8")  # which halves of characters cannot be
+    return content
+
+
+def _number(text: str) -> float:
+    value = int(text) if text.lstrip("-").isdigit() else float(text)
+    if not abs(value) <= (_LARGEST if isinstance(value, int) else sys.float_info.max):
+        raise ValueError(f"its number {text[:20]} is not finite, or too large")
+    return value
+
+
+def _is_finite(_: object, value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+_Validator = validators.extend(
+    Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine("number", _is_finite)
+)
+
+
+def check(content: object, where: str, schema: Mapping[str, Any]) -> None:
+    """Check content by a schema.
+
+    Args:
+        content: What was parsed.
+        where: Beginning of the message.
+        schema: JSON Schema.
+
+    Raises:
+        ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
+    """
+    for error in _Validator(schema).iter_errors(content):
+        place = where + "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in error.absolute_path)
+        wanted: Any = error.validator_value
+        if error.validator == "required":
+            raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
+        if error.validator not in ("enum", "type"):
+            raise ValueError(f"{place}: {' '.join(error.message.split())[:200]}")
+        words = f"one of {', '.join(wanted)}" if error.validator == "enum" else _TYPES[wanted]
+        raise ValueError(f"{place} must be {words}, got {str(error.instance)[:80]!r}")
