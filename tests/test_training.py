@@ -39,6 +39,7 @@ from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.engines.workplace import Workplace
+from baselines.tools.files import sealed
 from beltarm_env.task.cost import MAX_COST
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
 from beltarm_env.task.streams import seeded
@@ -181,12 +182,62 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     wait_for(tmp_path / "run/checkpoint.pkl")
     process.kill()
     process.communicate()
-    (tmp_path / "run" / ".checkpoint-half.pkl").write_bytes(b"\x80\x05half")
+    for half in (".checkpoint-half.pkl", "best/.policy-half.json", ".config-half.json"):
+        (tmp_path / "run" / half).write_bytes(b"\x80\x05half")
     killed = run(as_script(tmp_path / "run", resume=True))
-    assert not list((tmp_path / "run").glob(".*"))
+    assert [path.name for path in (tmp_path / "run").rglob(".*")] == [".lock"]
     whole = run(as_script(tmp_path / "whole"))
     assert same_weights(killed, whole) and costs(killed) == costs(whole)
     assert bundle_weights(tmp_path / "run" / "last") == bundle_weights(tmp_path / "whole" / "last")
+
+
+def killed_at(monkeypatch: pytest.MonkeyPatch, where: str, config: RunConfig) -> None:
+    """Run until a function is called, and be killed there: nothing after it is done."""
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(where, killed)
+        run(config)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_run_killed_before_its_first_checkpoint_begins_again(
+    resume: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The best policy is there by then, and nothing to go on from."""
+    config = tiny("ppo", tmp_path / "run", total_steps=64)
+    killed_at(monkeypatch, "agents.runs.monitor.RunFolder.save", config)
+    assert (tmp_path / "run/best").exists() and not (tmp_path / "run/checkpoint.pkl").exists()
+    with pytest.raises(ValueError, match="has --seed 0, not 1"):
+        run(replace(config, resume=True, seed=1))
+    again = run(replace(config, resume=resume))
+    assert costs(again) == costs(run(replace(config, out=tmp_path / "whole")))
+
+
+def test_a_run_killed_after_its_last_checkpoint_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    whole = run(tiny("ppo", tmp_path / "whole", total_steps=64))
+    for k, where in enumerate(("agents.runs.training.save_bundle", "agents.runs.training.annotate")):
+        config = tiny("ppo", tmp_path / str(k), total_steps=64)
+        killed_at(monkeypatch, where, config)
+        again = run(replace(config, resume=True))
+        assert costs(again) == costs(whole)
+        assert bundle_weights(config.out / "last") == bundle_weights(tmp_path / "whole/last")
+        for kind in ("best", "last"):
+            assert read_spec(config.out / kind)[0].provenance["run"]["steps"] == whole.learner.steps
+
+
+def test_two_runs_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Also not where the second would delete the first; a lock that a killed process leaves behind does not count."""
+    config = tiny("ppo", tmp_path, total_steps=64)
+    (tmp_path / ".lock").write_text("left behind")
+    with RunFolder(tmp_path).locked(config):
+        for other in (config, replace(config, overwrite=True)):
+            with pytest.raises(ValueError, match=r"another run works in .*: wait for its end, or choose another --out"):
+                run(other)
+        assert {path.name for path in tmp_path.iterdir()} == {".lock"}
+    run(config)
 
 
 @pytest.fixture(scope="module")
@@ -262,6 +313,7 @@ DAMAGES: dict[str, bytes] = {
     "empty": b"",
     "no pickle": b"not a pickle",
     "another pickle": pickle.dumps([1, 2]),
+    "another pickle with a hash": sealed(pickle.dumps([1, 2])),
 }
 
 
@@ -269,7 +321,18 @@ DAMAGES: dict[str, bytes] = {
 def test_damaged_checkpoints(damage: str, copied: Path):
     path = copied / "checkpoint.pkl"
     path.write_bytes(DAMAGES.get(damage, path.read_bytes()[:-1000]))
-    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(.*\): choose another --out$"):
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(.*\): .*choose another --out$") as end:
+        run(resumed(copied))
+    assert "--overwrite" not in str(end.value) and "delete" not in str(end.value)
+
+
+@pytest.mark.parametrize("where", [0.001, 0.25, 0.5, 0.75, 0.999])
+def test_one_bit_of_a_checkpoint_is_noticed(where: float, copied: Path):
+    path = copied / "checkpoint.pkl"
+    data = bytearray(path.read_bytes())
+    data[int(where * len(data))] ^= 16
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(its SHA-256 is not that of its content"):
         run(resumed(copied))
 
 
@@ -277,7 +340,7 @@ def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     """Change what a checkpoint holds."""
     content = pickle.loads(path.read_bytes())
     change(content)
-    path.write_bytes(pickle.dumps(content))
+    path.write_bytes(sealed(pickle.dumps(content)))
 
 
 MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
@@ -309,7 +372,7 @@ def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path
 
 
 def test_a_checkpoint_with_a_class_that_is_gone_names_the_writer_in_its_settings(copied: Path):
-    (copied / "checkpoint.pkl").write_bytes(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93.")
+    (copied / "checkpoint.pkl").write_bytes(sealed(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93."))
     commit = json.loads((copied / "config.json").read_text())["written_by"]["commit"]
     with pytest.raises(ValueError, match=rf"does not fit this version \(AttributeError.*Gone.* at commit {commit}, or"):
         run(resumed(copied))
@@ -337,7 +400,7 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(OSError, match=r"cannot save to .*No space left.*last good checkpoint stays.*--resume"):
         run(config)
     monkeypatch.undo()
-    assert not list(tmp_path.glob(".*"))
+    assert [path.name for path in tmp_path.glob(".*")] == [".lock"]
     assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192, 256]
 
 
@@ -509,7 +572,7 @@ def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
     config = as_script(tmp_path / "many", seeds=3, resume=True, validation_every=256, total_steps=4_000_000)
     with Workplace(config, config.out) as local:
         assert [each.resume for each in runs_of(config, local).values()] == [True, True, False]
-    assert not list((tmp_path / "many").rglob(".*"))
+    assert {path.name for path in (tmp_path / "many").rglob(".*")} == {".lock"}
 
 
 def test_progress_is_told(tmp_path: Path):

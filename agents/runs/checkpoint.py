@@ -3,10 +3,11 @@
     config.json       every option, what makes the run this one, and the software that writes it
     checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
                       and data), random generators, the run's progress, and the software
-                      that wrote it
+                      that wrote it; a SHA-256 of all that stands at its end
     validation.csv    the learning curve
     best/, last/      policy bundles: lowest validation cost, and end of the run
     progress*.csv, events*   training log, as CSV and for TensorBoard
+    .lock             locked as long as a run works in the folder, by the system: a process that is killed leaves none
 
 A checkpoint is a pickle: loading it executes what it says. It is for the machine that wrote it; what is passed on to
 others are bundles (`agents.policy.bundle`), which hold numbers alone.
@@ -18,7 +19,8 @@ import json
 import pickle
 import random
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,15 +28,18 @@ from typing import Any
 import numpy as np
 import pandas
 import torch
+from filelock import FileLock, Timeout
 
 from agents.runs.settings import RunConfig
-from baselines.tools.files import require_writable, write_atomically, write_text
+from baselines.tools.files import Unsealed, read_sealed, require_writable, write_sealed, write_text
 from baselines.tools.provenance import software
 
 VERSION = 4
 """Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
 CHECKPOINT = Path("checkpoint.pkl")
 """Within the folder of a run."""
+_WRITTEN = ("config", "checkpoint", "validation", "policy", "weights", "README")
+"""Beginnings of the names of files that a run writes."""
 _PACKAGES = ("numpy", "torch", "stable-baselines3", "sb3-contrib")
 
 
@@ -54,9 +59,10 @@ class RunFolder:
         self.best = folder / "best"
         self.last = folder / "last"
         self._software = written_by()
+        self._lock = FileLock(folder / ".lock", timeout=0)
 
     def begin(self, config: RunConfig) -> None:
-        """Prepare the folder for a new run, or for resuming the one that it holds.
+        """Prepare the folder, which is locked, for a new run or for resuming the one that it holds.
 
         Raises:
             FileNotFoundError: If there is nothing to resume.
@@ -66,10 +72,27 @@ class RunFolder:
         self.check(config)
         if config.overwrite:
             self.delete_run()
+        half_written = [*self.folder.glob(".*-*")]  # by a process that was killed
+        half_written += [path for folder in (self.best, self.last) for path in folder.glob(".*-*")]
+        for path in half_written:
+            if path.name.lstrip(".").split("-")[0] in _WRITTEN:
+                path.unlink(missing_ok=True)
+
+    @contextmanager
+    def locked(self, config: RunConfig) -> Iterator[None]:
+        """Lock the folder, if its run may begin or go on.
+
+        Raises:
+            ValueError: As `begin` does, or if another run is under way there.
+            OSError: If the folder cannot be written.
+        """
+        self.check(config)
         require_writable(self.folder)
-        for path in (self.checkpoint, self.curve, self.config):
-            for half_written in self.folder.glob(f".{path.stem}-*"):  # by a process that was killed
-                half_written.unlink(missing_ok=True)
+        try:
+            with self._lock:
+                yield
+        except Timeout:
+            raise ValueError(f"another run works in {self.folder}: wait for its end, or choose another --out") from None
 
     def note(self, config: RunConfig) -> None:
         """Write config.json; when resuming, only after the checkpoint has been read."""
@@ -82,15 +105,22 @@ class RunFolder:
             self._require_same(config)
         elif config.overwrite and self.best.exists() and not self.config.exists():
             raise ValueError(f"{self.folder} is not the folder of a run, so nothing is deleted: choose another --out")
-        elif not config.overwrite and any(path.exists() for path in (self.checkpoint, self.best, self.last)):
+        elif not config.overwrite and self._holds_a_run():
             raise ValueError(
                 f"{self.folder} already holds a run: continue it with --resume, delete it with "
                 "--overwrite, or choose another --out"
             )
 
+    def _holds_a_run(self) -> bool:
+        """Whether there is something to lose; not where a run was killed before its first checkpoint."""
+        only_begun = self.config.exists() and not self.curve.exists()
+        return any(path.exists() for path in (self.checkpoint, self.last, *([] if only_begun else [self.best])))
+
     def _require_same(self, config: RunConfig) -> None:
-        if not (self.checkpoint.exists() and self.config.exists()):
+        if not self.config.exists():
             raise FileNotFoundError(f"nothing to resume in {self.folder}: run once without --resume")
+        if not self.checkpoint.exists() and self._holds_a_run():
+            raise FileNotFoundError(f"{self.folder} has no {CHECKPOINT} to go on from: choose another --out")
         try:
             content = json.loads(self.config.read_text(encoding="utf-8"))
             before, options = content["identity"], dict(content["identity"]["options"])
@@ -130,8 +160,7 @@ class RunFolder:
         content = {"version": VERSION, "progress": progress, "learner": learner, "generators": _generators()}
         content["written_by"] = self._software
         try:
-            pickled = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
-            write_atomically(self.checkpoint, lambda path: path.write_bytes(pickled))
+            write_sealed(self.checkpoint, pickle.dumps(content, pickle.HIGHEST_PROTOCOL))
             write_text(self.curve, pandas.DataFrame(progress["curve"]).to_csv(index=False))
         except OSError as error:
             kept = "the last good checkpoint stays, and --resume continues from it" if self.checkpoint.exists() else ""
@@ -162,10 +191,14 @@ class RunFolder:
             raise self._misfit(error, origin) from error
 
     def _read(self) -> dict[str, Any]:
-        """Unpickle the checkpoint."""
+        """Unpickle the checkpoint, if it is what was written."""
         try:
-            with self.checkpoint.open("rb") as file:
-                content = pickle.load(file)
+            pickled = read_sealed(self.checkpoint)
+        except ValueError as error:
+            remedy = _remedy(self._noted()) if isinstance(error, Unsealed) else "choose another --out"
+            raise ValueError(f"{self.checkpoint} cannot be read ({error}): {remedy}") from None
+        try:
+            content = pickle.loads(pickled)
         except (ImportError, AttributeError) as error:  # a class that this version does not have
             raise self._misfit(error, self._noted()) from error
         except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, KeyError, TypeError, IndexError) as error:

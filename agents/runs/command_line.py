@@ -91,7 +91,7 @@ def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
 
 
 def runs_of(config: RunConfig, workplace: Workplace) -> dict[str, RunConfig]:
-    """Options of each seed's run, by the name of its folder; with `--resume`, runs without a checkpoint begin.
+    """Options of each seed's run, by the name of its folder; with `--resume`, runs that have not begun do so.
 
     One seed alone has the folder of `--out`, several have their own in it.
 
@@ -105,7 +105,7 @@ def runs_of(config: RunConfig, workplace: Workplace) -> dict[str, RunConfig]:
         name = f"seed{seed}"
         folder = RunFolder(config.out if config.seeds == 1 else config.out / name)
         workplace.prepare(name, folder.folder, resume=config.resume, overwrite=config.overwrite)
-        resume = config.resume and folder.checkpoint.exists()
+        resume = config.resume and folder.config.exists()
         runs[name] = run = replace(config, out=folder.folder, seed=seed, seeds=1, resume=resume)
         folder.check(run)
     if config.resume and not any(run.resume for run in runs.values()):
@@ -120,7 +120,9 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
         runs = runs_of(config, workplace)
         if config.overwrite:  # once: a run that is begun again is not to delete itself
             for run in runs.values():
-                RunFolder(run.out).delete_run()
+                folder = RunFolder(run.out)
+                with folder.locked(run):
+                    folder.delete_run()
         tasks = {
             name: workplace.task(name, run.out, partial(run_in, _local(run), make_learner, command_line()), CHECKPOINT)
             for name, run in runs.items()

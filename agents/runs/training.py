@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from stable_baselines3.common.logger import Logger, make_output_format
 
-from agents.policy.bundle import annotate, save_bundle
+from agents.policy.bundle import BundleError, annotate, read_spec, save_bundle
 from agents.runs.checkpoint import RunFolder, written_by
 from agents.runs.monitor import SCORES, Maker, TrainingMonitor
 from agents.runs.settings import RunConfig
@@ -38,28 +38,47 @@ def train(
 
     Raises:
         Interrupted: If it was asked to stop; it can be resumed.
-        ValueError: If an option is not allowed, the folder holds another run, or the training diverges.
+        ValueError: If an option is not allowed, the folder holds another run, another process works in it, or the
+            training diverges.
         OSError: If files cannot be written; the last checkpoint stays.
     """
     config.check()
     torch.set_num_threads(config.threads)
     folder = RunFolder(place or config.out)
+    with folder.locked(config):
+        return _train(config, make_learner, channel or Channel(), command or command_line(), folder)
+
+
+def _train(
+    config: RunConfig, make_learner: Maker, channel: Channel, command: str, folder: RunFolder
+) -> TrainingMonitor:
     folder.begin(config)
     learner = make_learner(config)
-    progress = folder.load(learner.restore) if config.resume else None
+    goes_on = config.resume and folder.checkpoint.exists()  # else it was killed before it had one
+    progress = folder.load(learner.restore) if goes_on else None
     folder.note(config)
-    suffix = f"_from_{learner.steps}" if config.resume else ""
+    suffix = f"_from_{learner.steps}" if goes_on else ""
     formats = [make_output_format(kind, str(folder.folder), suffix) for kind in ("csv", "tensorboard")]
-    logger, spec = Logger(str(folder.folder), formats), config.spec(**_origin(config, command or command_line()))
-    monitor = TrainingMonitor(config, folder, learner, spec, logger, channel or Channel(), progress)
+    logger, spec = Logger(str(folder.folder), formats), config.spec(**_origin(config, command))
+    monitor = TrainingMonitor(config, folder, learner, spec, logger, channel, progress)
     try:
         if learner.steps < config.length:
             learner.learn(monitor)
+        if not _is_finished(monitor):
             _finish(monitor)
     finally:
         logger.close()
         learner.close()
     return monitor
+
+
+def _is_finished(monitor: TrainingMonitor) -> bool:
+    """Whether both policies are there, and say all of the run."""
+    try:
+        found = [read_spec(folder)[0].provenance for folder in (monitor.folder.last, monitor.folder.best)]
+    except BundleError:
+        return False
+    return all(provenance.get("run", {}).get("steps") == monitor.learner.steps for provenance in found)
 
 
 def _finish(monitor: TrainingMonitor) -> None:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from glob import escape
 from pathlib import Path
 
+_MARK = b"sha256:"  # before the hash at the end of a file
 _ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any more [s]
 
 
@@ -43,6 +44,37 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+class Unsealed(ValueError):  # noqa: N818
+    """A file without its hash."""
+
+
+def write_sealed(path: Path, data: bytes) -> None:
+    """Write a binary file atomically, with its SHA-256 at its end."""
+    write_atomically(path, lambda temporary: temporary.write_bytes(sealed(data)))
+
+
+def sealed(data: bytes) -> bytes:
+    """Content of a file with its SHA-256 at its end."""
+    return data + _MARK + hashlib.sha256(data).digest()
+
+
+def read_sealed(path: Path) -> bytes:
+    """Read what `write_sealed` wrote.
+
+    Raises:
+        OSError: If it cannot be read.
+        Unsealed: If there is no hash at its end, as in files of older versions.
+        ValueError: If it is not what was written.
+    """
+    whole = path.read_bytes()
+    data, seal = whole[: -len(sealed(b""))], whole[-len(sealed(b"")) :]
+    if not seal.startswith(_MARK):
+        raise Unsealed("it has no SHA-256 at its end: it is damaged, or of an older version")
+    if sealed(data) != whole:
+        raise ValueError("its SHA-256 is not that of its content: it is damaged")
+    return data
 
 
 def write_text(path: Path, text: str) -> None:
