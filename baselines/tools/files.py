@@ -1,17 +1,20 @@
-"""Atomic writing of files, and their hash."""
+"""Atomic writing of files, and files that carry their hash."""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from glob import escape
 from pathlib import Path
+
+import numpy as np
 
 _MARK = b"sha256:"  # before the hash at the end of a file
 _ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any more [s]
@@ -75,6 +78,27 @@ def read_sealed(path: Path) -> bytes:
     if sealed(data) != whole:
         raise ValueError("its SHA-256 is not that of its content: it is damaged")
     return data
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays by name, see `write_sealed`."""
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **arrays)
+    write_sealed(path, packed.getvalue())
+
+
+def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Read some of the arrays that `write_arrays` wrote.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is not what was written, or lacks one.
+    """
+    data = read_sealed(path)
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+        if missing := [name for name in names if name not in stored]:
+            raise ValueError(f"it lacks {missing[0]}")
+        return {name: stored[name] for name in names}
 
 
 def write_text(path: Path, text: str) -> None:

@@ -2,7 +2,8 @@
 
 A pair that is done is kept as `pairs/SET.SPLIT.METHOD.EPISODES.KEY.npz`, with a key of everything that its numbers
 depend on: edition and scenarios, the method's gains, policies or sources, the code of plant and controllers, and the
-versions of the packages below them. A run that was interrupted, or that asks for more, goes on from what is kept.
+versions of the packages below them. A run that was interrupted, or that asks for more, goes on from what is kept. Each
+file ends in its SHA-256: one that is damaged, or was changed by hand, is run again.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import json
 import platform
 import re
 import traceback
-import zipfile
 from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ import eval
 from baselines.engines import parallel
 from baselines.engines.carrying import Carried
 from baselines.engines.isolated import run_isolated
-from baselines.tools.files import write_atomically
+from baselines.tools.files import read_arrays, write_arrays
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.jit import sources_digest
@@ -209,12 +209,11 @@ def read_kept(pair: Pair, folder: Path) -> Metrics | None:
     path = pair.file(folder)
     shape = (len(pair.method.sources), pair.episodes)
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            metrics = {name: stored[name] for name in pair.tables}
+        metrics = read_arrays(path, pair.tables)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        path.unlink(missing_ok=True)  # damaged: run again
+    except (OSError, ValueError):
+        path.unlink(missing_ok=True)  # damaged, or changed since: run again
         return None
     sound = all(table.shape == shape and np.isfinite(table).all() for table in metrics.values())
     return metrics if sound else None
@@ -229,7 +228,7 @@ def keep(pair: Pair, folder: Path, metrics: Metrics) -> None:
     if pair.method.identity is None:
         return
     current = pair.file(folder)
-    write_atomically(current, lambda path: np.savez(path, allow_pickle=False, **metrics))
+    write_arrays(current, metrics)
     for path in current.parent.glob(f"{pair.stem}.*.npz"):
         if path != current:  # of other code, gains or policies
             path.unlink(missing_ok=True)

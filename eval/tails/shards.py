@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 import time
-import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import astuple, dataclass, replace
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from baselines.engines import parallel
 from baselines.engines.carrying import Carried
-from baselines.tools.files import write_atomically
+from baselines.tools.files import read_arrays, write_arrays
 from beltarm_env.metrics import TORQUE_QUALITY
 from eval.comparison.methods import Method
 from eval.comparison.pairs import LEFT, Failure, Pair, explained, key_of, measure, run_controller, sent_along
@@ -104,7 +103,7 @@ def keep(shard: Shard, tables: Tables, folder: Path) -> None:
         OSError: If they cannot be written.
     """
     current = shard.file(folder)
-    write_atomically(current, lambda path: np.savez(path, allow_pickle=False, **tables))
+    write_arrays(current, tables)
     for path in current.parent.glob(f"{shard.stem}.*.npz"):
         if path != current:
             path.unlink(missing_ok=True)
@@ -114,30 +113,25 @@ def is_kept(shard: Shard, folder: Path) -> bool:
     """Whether the results of a shard are there and sound; damaged ones are removed."""
     path = shard.file(folder)
     try:
-        *tables, _ = _read(path, *KEPT, SECONDS)
-        sound = all(table.shape == (shard.count,) and np.isfinite(table).all() for table in tables)
+        found = read_arrays(path, (*KEPT, SECONDS))
+        sound = all(found[name].shape == (shard.count,) and np.isfinite(found[name]).all() for name in KEPT)
     except FileNotFoundError:
         return False
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError):
         sound = False
     if not sound:
         path.unlink(missing_ok=True)
     return sound
 
 
-def _read(path: Path, *names: str) -> list[Floats]:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        return [stored[name] for name in names]
-
-
 def merged(shards: Sequence[Shard], folder: Path, name: str) -> Floats:
     """One metric of all scenarios of some shards in a row, shape (episodes,): only this one is in memory."""
-    return np.concatenate([_read(shard.file(folder), name)[0] for shard in shards])
+    return np.concatenate([read_arrays(shard.file(folder), [name])[name] for shard in shards])
 
 
 def seconds_of(shards: Sequence[Shard], folder: Path) -> float:
     """Processor time that some shards took [s]."""
-    return float(sum(_read(shard.file(folder), SECONDS)[0] for shard in shards))
+    return float(sum(read_arrays(shard.file(folder), [SECONDS])[SECONDS] for shard in shards))
 
 
 def run_shards(
