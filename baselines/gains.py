@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -46,7 +45,7 @@ class Gains:
             name = f"{type(self).__name__}.{gain.name}"
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise TypeError(f"{name} must be a number, got {value!r}")
-            if not (math.isfinite(value) and low <= value <= high):
+            if not low <= value <= high:
                 raise ValueError(f"{name} must lie within {low:g} and {high:g}, got {value!r}")
 
 

@@ -117,8 +117,8 @@ class ArmParams:
             value = getattr(self, field.name)
             if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
+            _check_bounds(field.name, value)  # before a whole number that no float can hold is converted
             object.__setattr__(self, field.name, float(value))
-            _check_bounds(field.name, value)
 
     @classmethod
     def from_row(cls, row: Floats) -> ArmParams:

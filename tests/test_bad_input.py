@@ -13,6 +13,9 @@ import pytest
 from gymnasium.error import ResetNeeded
 from refusals import refused
 
+from baselines.servo.flat import FlatGains
+from baselines.servo.paper import PaperGains
+from baselines.tools.schema import NUMBER, check, object_of
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv, observation, state_space
 from beltarm_env.rollout import rollout
 
@@ -140,6 +143,16 @@ def test_parameters_that_make_no_arm(name: str, value: float):
         return
     allowed = "not negative" if name in MAY_BE_ZERO else "positive"
     refused(ValueError, (name, repr(value), "finite", allowed), lambda: ArmParams(**{name: value}))
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400)], ids=["huge", "hugely negative"])
+def test_whole_numbers_that_no_float_can_hold(value: int):
+    refused(ValueError, ("ArmParams.belt_stiffness", "finite"), lambda: ArmParams(belt_stiffness=value))
+    refused(ValueError, ("FlatGains.rest_width", "must lie within"), lambda: FlatGains(rest_width=value))
+    refused(ValueError, ("PaperGains.angle", "must be finite"), lambda: PaperGains(angle=value))
+    refused(
+        ValueError, ("entry must be a finite number",), lambda: check({"entry": value}, "", object_of(entry=NUMBER))
+    )
 
 
 def test_a_ripple_has_whole_periods_per_turn():

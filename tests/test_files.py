@@ -34,7 +34,7 @@ def test_a_file_that_cannot_be_written_stays_as_it_was(
     monkeypatch.setattr(module, function, fail(code))
     with pytest.raises(OSError) as caught:
         write_text(path, "new")
-    assert caught.value.errno == code
+    assert caught.value.errno == code and str(path) in str(caught.value)
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["results.json"]
 
@@ -52,6 +52,16 @@ def test_half_written_files_are_taken_away(tmp_path: Path, error: BaseException)
         write_atomically(path, write)
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["results.json"]
+
+
+def test_a_full_disk_names_what_did_not_fit(tmp_path: Path):
+    """By its own name, not by that of a temporary file."""
+
+    def fill(_: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(OSError, match=r"No space left on device: '.*/results\.json'$"):
+        write_atomically(tmp_path / "results.json", fill)
 
 
 def test_a_new_file_that_cannot_be_written_does_not_appear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

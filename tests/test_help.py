@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import runpy
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -53,6 +55,18 @@ def test_trainings_sort_their_options(command: str, capsys: pytest.CaptureFixtur
     assert {"--out", "--base", "--seed", "--seeds", "--resume", "--overwrite"} <= groups["basic"]
     assert {"--knowledge", "--learning-rate", "--hold", "--arms"} <= groups["algorithm"]
     assert {"--jobs", "--validation-arms", "--device"} <= groups["run"]
+
+
+@pytest.mark.parametrize("command", ["train/ppo.py", "eval/watch.py"])
+def test_help_may_be_cut_off(command: str):
+    """As by `| head`, whose pipe closes before all is written."""
+    process = subprocess.Popen(
+        [sys.executable, command, "--help"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == "" and process.wait(timeout=300) == 0
+    process.stderr.close()
 
 
 @dataclass(frozen=True)

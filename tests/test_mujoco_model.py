@@ -295,6 +295,18 @@ renderer.close()
     assert result.stdout == "True True True\n" * 6, "blue links, an orange tip, and nothing of the arm cut off"
 
 
+def test_a_warning_of_mujoco_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    data = mujoco.MjData(model := load_model(ArmParams()))
+    data.qvel[0] = np.nan
+    mujoco.mj_step(model, data)
+    assert list(tmp_path.iterdir()) == []
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("MuJoCo: Nan, Inf or huge value in QVEL")
+
+
 def test_missing_mujoco_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     monkeypatch.delitem(sys.modules, "beltarm_env.mujoco.model")

@@ -274,6 +274,12 @@ class TestDrawnMoves:
         assert (table[:, 2] >= 0.9).all()
         check_moves(TRAPEZOID, table)
 
+    def test_the_longest_duration_may_be_a_rounding_error_longer(self):
+        table = np.array([[0.0, 1.0, np.nextafter(LONGEST_TIME, 2), 0.5], [0.0, 1.0, LONGEST_TIME + 1e-6, 0.5]])
+        check_moves(TRAPEZOID, table[:1])
+        with pytest.raises(ValueError, match=r"duration must be positive and at most 1\.5 s"):
+            check_moves(TRAPEZOID, table)
+
     @ALL
     def test_durations_scale_with_the_length(self, profile: int):
         table = draw(profile, np.random.default_rng(0).random((4000, DRAWS)))

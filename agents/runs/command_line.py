@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gymnasium.error import DependencyNotInstalled
 from rich.console import Console
 
 from agents.runs.checkpoint import CHECKPOINT, RunFolder
@@ -30,6 +29,7 @@ from baselines.engines.parallel import (
     stop_on_signals,
 )
 from baselines.engines.workplace import Workplace
+from baselines.tools.command import one_line_errors
 from baselines.tools.options import parse
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
@@ -43,22 +43,19 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
         make_learner: Makes the script's learner.
         description: What `--help` says.
     """
-    config: RunConfig = parse(kind, description)
-    script = f"train/{config.algorithm}.py"
-    try:
-        config.check()
-        run = _run_one if config.seeds == 1 and config.engine == "local" else _run_seeds
-        run(config, make_learner, Console())
-    except Interrupted as interruption:
-        print(f"{interruption}; to continue:\n  {_resume_command(script)}")
-        sys.exit(130)
-    except KeyboardInterrupt:
-        print(f"stopped at once; to continue from the last checkpoint:\n  {_resume_command(script)}")
-        sys.exit(130)
-    except (OSError, ValueError, DependencyNotInstalled) as error:
-        for line in str(error).splitlines():
-            print(f"{script}: {line}", file=sys.stderr)
-        sys.exit(2)
+    script = f"train/{kind.algorithm}.py"
+    with one_line_errors(script):
+        config: RunConfig = parse(kind, description)
+        try:
+            config.check()
+            run = _run_one if config.seeds == 1 and config.engine == "local" else _run_seeds
+            run(config, make_learner, Console())
+        except Interrupted as interruption:
+            print(f"{interruption}; to continue:\n  {_resume_command(script)}")
+            sys.exit(130)
+        except KeyboardInterrupt:
+            print(f"stopped at once; to continue from the last checkpoint:\n  {_resume_command(script)}")
+            sys.exit(130)
 
 
 def _resume_command(script: str) -> str:

@@ -129,9 +129,17 @@ class TrainingMonitor:
             self.log()
 
     def log(self) -> None:
-        """Write a row of the training log."""
+        """Write a row of the training log.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
         self.logger.record("time/total_timesteps", self.learner.steps)
-        self.logger.dump(self.learner.steps)
+        try:
+            self.logger.dump(self.learner.steps)
+        except OSError as error:
+            where = f"cannot write the training log to {self.folder.folder}"
+            raise OSError(f"{where}: {error.strerror or error}; free some space, and go on with --resume") from None
 
     def stop_if_asked(self, save: bool = True) -> None:
         """Raise Interrupted on a request to stop, after saving a checkpoint if `save`.

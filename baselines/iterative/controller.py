@@ -22,6 +22,7 @@ other way. An arm that begins another move than the lesson's is new, and moved a
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,7 @@ class Learning:
             ValueError: If a value is not positive and finite, naming it.
         """
         for name in self.__slots__:
-            if not (np.isfinite(value := getattr(self, name)) and value > 0):
+            if not 0 < (value := getattr(self, name)) <= sys.float_info.max:
                 raise ValueError(f"Learning.{name} must be positive and finite, got {value!r}")
 
 

@@ -19,6 +19,7 @@ and where v changes from one sample to the next, theta_s' changes by the same am
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,7 +53,7 @@ class PaperGains:
             ValueError: Naming the gain.
         """
         for name in self.__slots__:
-            if not np.isfinite(value := getattr(self, name)):
+            if not abs(value := getattr(self, name)) <= sys.float_info.max:
                 raise ValueError(f"PaperGains.{name} must be finite, got {value!r}")
 
 

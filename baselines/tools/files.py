@@ -30,8 +30,17 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         write: Called with the temporary path.
 
     Raises:
-        OSError: If the folder cannot be written to or is full; `path` is then as it was.
+        OSError: If the folder cannot be written to or is full, naming `path`, which is then as it was.
     """
+    try:
+        _write_atomically(path, write)
+    except OSError as error:
+        if error.errno is None or error.strerror is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # of what it is to be, not of a temporary name
+
+
+def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     prefix = f".{path.stem}-"
     for left in path.parent.glob(f"{escape(prefix)}*{path.suffix}"):

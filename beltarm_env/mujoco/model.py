@@ -7,6 +7,7 @@ link 1. The belt is a tendon of length theta_1 - phi = theta_s.
 from __future__ import annotations
 
 import math
+import sys
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,6 +29,15 @@ if TYPE_CHECKING:
     MjData = MjModel = MjSpec = Any
 
 mujoco: Any = compiled_mujoco  # its compiled modules have no type stubs
+
+
+def _tell(warning: str) -> None:
+    """Print a warning of MuJoCo's, which would else go into MUJOCO_LOG.TXT in the working folder too."""
+    print(f"MuJoCo: {' '.join(warning.split())}", file=sys.stderr)
+
+
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_tell)
 
 # MuJoCo's integrators, and the rate of friction times the time step: a good part of what each is stable with.
 _INTEGRATORS = {
@@ -108,7 +118,7 @@ def load_model(
 
 
 def _check_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
+    if not 0 < value <= sys.float_info.max:
         raise ValueError(f"{name} must be finite and positive, got {value!r}")
 
 

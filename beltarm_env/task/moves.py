@@ -179,7 +179,9 @@ def check_moves(profile: int, table: Floats) -> None:
         length >= SHORTEST - _ROUNDING, table, f"start and goal must be at least {SHORTEST:.4f} rad (15 degrees) apart"
     )
     _require(
-        (duration > 0) & (duration <= LONGEST_TIME), table, f"duration must be positive and at most {LONGEST_TIME} s"
+        (duration > 0) & (duration <= LONGEST_TIME + _ROUNDING),
+        table,
+        f"duration must be positive and at most {LONGEST_TIME} s",
     )
     _require(
         (ramp_time > 0) & (ramp_time <= duration / 2 + _ROUNDING),
