@@ -8,7 +8,7 @@ READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz coverage lint format bench docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.PHONY: help compare train setup test fuzz soak coverage lint format bench docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
@@ -38,6 +38,9 @@ test: $(READY)  ## Run the tests
 
 fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
+
+soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; takes 45 minutes; ARGS="--seed 1" tries others
+	$(BIN)/python eval/soak.py $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --cov --cov-report term:skip-covered $(ARGS)

@@ -95,7 +95,7 @@ def _torques(rng: np.random.Generator, kind: int, step: int, env: BeltArmVectorE
 def _round(seed: int, number: int, arms: int) -> list[str]:
     """Play about one episode of a batch in settings of its own; a line for each promise that is broken."""
     rng = np.random.default_rng([seed, number])
-    mode = rng.choice(list(AutoresetMode))
+    mode = list(AutoresetMode)[rng.integers(len(AutoresetMode))]
     settings: dict[str, Any] = {
         "sensors": str(rng.choice(SENSORS)),
         "profile": str(rng.choice(PROFILES)),

@@ -1,0 +1,178 @@
+"""Controllers that do what no controller should. Nothing here is to be imported outside a process of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import random
+import signal
+import socket
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_SOME = 600  # samples after which trouble begins
+
+
+class Sound:
+    """Gives no torque, and does its mischief in the middle of an episode."""
+
+    def __init__(self) -> None:
+        self._samples = 0
+
+    def predict(self, observation: Any, *_: Any, **__: Any) -> tuple[Any, None]:
+        """Return zeros, shape (n, 1), until it is time."""
+        self._samples += 1
+        torque = np.zeros((len(observation), 1), np.float32)
+        return (torque if self._samples != _SOME else self.mischief(torque, observation)), None
+
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        """Return something else, or do it."""
+        return torque
+
+
+class SystemExits(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        sys.exit(0)
+
+
+class ProcessExits(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        os._exit(0)
+
+
+class Segfaults(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        ctypes.string_at(0)
+
+
+class Aborts(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        os.abort()
+
+
+class Hangs(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        time.sleep(1e6)
+
+
+class HangsInC(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
+        ctypes.CDLL(None).pause()
+
+
+class Forks(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        for _ in range(20):
+            if os.fork() == 0:
+                time.sleep(1e6)
+        os._exit(3)
+
+
+class TakesMemory(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return np.ones((1 << 40,))
+
+
+class NotNumbers(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return torque * np.nan
+
+
+class Infinite(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return torque + np.inf
+
+
+class WrongShape(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return torque[:, 0]
+
+
+class TooMany(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return np.concatenate([torque, torque])
+
+
+class Words(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return torque.astype(str)
+
+
+class Nothing(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return None
+
+
+class Interrupts(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        raise KeyboardInterrupt
+
+
+class Recurses(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        return self.mischief(torque, observation)
+
+
+class ClosesFiles(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        os.closerange(0, 100)
+
+
+class Unpicklable(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        raise ValueError(threading.Lock())
+
+
+class Network(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        socket.create_connection(("192.0.2.1", 9), timeout=0.2)  # an address of nobody
+
+
+class Mutates(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        observation[:] = 7.0
+        return torque
+
+
+class Seeds(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        np.random.seed(0)  # noqa: NPY002
+        random.seed(0)
+        return torque
+
+
+class Wanders(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        os.chdir("/")
+        sys.path.clear()
+        os.environ.clear()
+        return torque
+
+
+class Cheats(Sound):
+    """Changes the metrics of the process that it is in."""
+
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        for name, module in list(sys.modules.items()):
+            if name.endswith("metrics"):
+                vars(module).update(dict.fromkeys([key for key in vars(module) if key.islower()], None))
+        return torque
+
+
+class Chatters(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        print("x" * 10_000_000)
+        print("x" * 10_000_000, file=sys.stderr)
+        Path(os.devnull).write_text("x")
+        return torque
+
+
+HARMLESS = ("Seeds", "Wanders", "Chatters")
+"""What those do reaches nobody: they have a row as the sound one has."""
+KINDS = tuple(sorted(kind.__name__ for kind in Sound.__subclasses__()))
