@@ -295,11 +295,11 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "huge weights": (lambda b: os.truncate(weights(b), MAX_BYTES + 1), ("weights-", "cannot be read", str(MAX_BYTES))),
     "deeply nested manifest": (lambda b: (b / MANIFEST).write_text("[" * 10**5), (MANIFEST, "cannot be read")),
     "limit out of range": (
-        lambda b: edit(b, rehash=True, residual={"limit": 5.0, "hold": 4}),
+        lambda b: edit(b, rehash=True, residual={"limit": 5.0, "hold": 4, "knowledge": "belief"}),
         (MANIFEST, "does not fit", "5.0", "(0, 2]"),
     ),
     "unknown residual setting": (
-        lambda b: edit(b, rehash=True, residual={"gain": 1.0}),
+        lambda b: edit(b, rehash=True, residual={"limit": 0.5, "hold": 4, "knowledge": "belief", "gain": 1.0}),
         (MANIFEST, "does not fit", "gain"),
     ),
     "no residual": (lambda b: drop(b, "residual"), (MANIFEST, "does not fit", "residual")),
@@ -329,7 +329,7 @@ PLACES = {
     "layout": ("2", None, [2]),
     "algorithm": ({}, ["ppo"], None, 1),
     "base": ({"paper": 1}, None),
-    "residual": ([], "belief", None, {"limit": NAN}, {"hold": 10**400}, {"knowledge": ["belief"]}),
+    "residual": ([], "belief", None, {"limit": NAN}, {"hold": 10**400}, {"knowledge": ["belief"]}, {"limit": 0.5}),
     "hidden": (None, "44", [[4]], [4.5], {"4": 3}, [NAN]),
     "activation": ([], {}, 3),
     "sensors": ([], {}, None),

@@ -20,11 +20,10 @@ MAX_BYTES = 1_000_000
 """Of each file of a bundle; larger ones are neither written nor read."""
 ALGORITHMS = {"ppo": False, "recurrent_ppo": False, "rma": False, "sac": True, "student": False}
 """Algorithms by name, and whether a tanh bounds their residuals, instead of a cut."""
-_COUNT, _TIME = INTEGER | {"minimum": 0}, NUMBER | {"minimum": 0}
+_COUNT, _TIME = (kind | {"minimum": 0, "maximum": 10**15} for kind in (INTEGER, NUMBER))
 _RUN = {"steps": _COUNT, "seconds": _TIME}
 _POINT = {"type": "array", "prefixItems": [_COUNT, _TIME, NUMBER], "minItems": 3, "maxItems": 3}
 _NAMED_NUMBERS = {"type": "object", "propertyNames": {"pattern": r"^\w+\Z"}, "additionalProperties": NUMBER}
-_RESIDUAL = {"limit": NUMBER, "hold": INTEGER, "knowledge": TEXT}
 _PROVENANCE = {
     "command": TEXT,
     "version": TEXT,
@@ -41,7 +40,7 @@ SCHEMA = object_of(
     layout=INTEGER,
     algorithm={"enum": list(ALGORITHMS)},
     base={"enum": list(BASES)},
-    residual=object_of(tuple(_RESIDUAL), **_RESIDUAL) | {"additionalProperties": False},
+    residual=object_of(limit=NUMBER, hold=INTEGER, knowledge=TEXT) | {"additionalProperties": False},
     hidden=list_of(INTEGER),
     activation=TEXT,
     sensors={"enum": list(ENTRIES)},

@@ -59,6 +59,11 @@ def _is_finite(_: object, value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
+def _step(part: str | int) -> str:
+    """A step to a place in the content, in words without line breaks."""
+    return f"[{part}]" if isinstance(part, int) else f": {part if part.isprintable() else repr(part)}"
+
+
 _Validator = validators.extend(
     Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine("number", _is_finite)
 )
@@ -76,7 +81,7 @@ def check(content: object, where: str, schema: Mapping[str, Any]) -> None:
         ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
     """
     for error in _Validator(schema).iter_errors(content):
-        place = where + "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in error.absolute_path)
+        place = where + "".join(map(_step, error.absolute_path))
         wanted: Any = error.validator_value
         if error.validator == "required":
             raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
