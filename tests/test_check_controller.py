@@ -191,6 +191,21 @@ def test_the_place_of_a_failure_is_named_and_its_traceback_shown_if_asked_for(
 
 
 @pytest.mark.parametrize(
+    ("end", "finding"),
+    [
+        ("sys.exit(0)", "drives 5 arms with finite float32 torques: SystemExit: 0"),
+        ("os._exit(0)", "runs to"),
+    ],
+)
+def test_a_controller_that_ends_its_process_fails(
+    end: str, finding: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "bad.py").write_text(f"import os, sys\nclass Bad:\n    def predict(self, *_, **__):\n        {end}\n")
+    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
+    assert capsys.readouterr().out.startswith(f"FAILED  {finding}")
+
+
+@pytest.mark.parametrize(
     ("spec", "message"),
     [
         ("nothing", "package.module:Class or path/to/file.py:Class"),

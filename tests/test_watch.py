@@ -86,6 +86,12 @@ def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
     assert "Traceback" not in errors
 
 
+def test_a_controller_that_exits_is_a_mistake(tmp_path: Path):
+    (tmp_path / "bad.py").write_text("import sys\nclass Bad:\n    def predict(self, *_, **__):\n        sys.exit(0)\n")
+    line = mistake(watch.main, ("--controller", "bad.py:Bad", "--out", "a.gif"), tmp_path)
+    assert "Bad failed on scenario 0 of randomized: SystemExit: 0 (bad.py:4)" in line
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
