@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,21 +18,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
-    from baselines.engines.parallel import Channel, Failure, run_side_by_side
+    from baselines.engines.parallel import Failure, run_side_by_side
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
-    from eval.siege import controllers, determinism, environment, properties, translation
     from eval.siege.page import markdown
     from eval.siege.part import Siege
+    from eval.siege.parts import PARTS, timed
 except ModuleNotFoundError as error:
     stop_without("eval/soak.py", error)
-
-PARTS: dict[str, Callable[[float, int], Siege]] = {
-    part.__name__.rpartition(".")[2]: part.besiege
-    for part in (environment, translation, controllers, determinism, properties)
-}
-"""By name, the longest first."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +61,7 @@ def besiege(config: Config) -> None:
         raise ValueError(f"--parts has {unknown[0]!r}; there are {', '.join(PARTS)}")
     require_writable(config.out)
     began = time.perf_counter()
-    tasks = {name: partial(_timed, name, config.share, config.seed) for name in config.parts or PARTS}
+    tasks = {name: partial(timed, name, config.share, config.seed) for name in config.parts or PARTS}
     done: dict[str, tuple[Siege, float]] = {}
     for name, result in run_side_by_side(tasks, config.jobs):
         if isinstance(result, Failure):
@@ -84,11 +77,6 @@ def besiege(config: Config) -> None:
     print(f"written to {config.out}: reliability.md")
     if any(siege.found for siege, _ in done.values()):
         raise SystemExit(1)
-
-
-def _timed(name: str, share: float, seed: int, _: Channel) -> tuple[Siege, float]:
-    began = time.perf_counter()
-    return PARTS[name](share, seed), time.perf_counter() - began
 
 
 def main() -> None:

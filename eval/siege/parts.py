@@ -1,0 +1,25 @@
+"""The parts of a siege."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from baselines.engines.parallel import Channel
+from eval.siege import controllers, determinism, environment, properties, translation
+from eval.siege.part import Siege
+
+PARTS: dict[str, Callable[[float, int], Siege]] = {
+    "environment": environment.besiege,
+    "translation": translation.besiege,
+    "controllers": controllers.besiege,
+    "determinism": determinism.besiege,
+    "properties": properties.besiege,
+}
+"""By name, the longest first."""
+
+
+def timed(name: str, share: float, seed: int, _: Channel) -> tuple[Siege, float]:
+    """Run a part: what it tried and found, and the time that it took [s]."""
+    began = time.perf_counter()
+    return PARTS[name](share, seed), time.perf_counter() - began
