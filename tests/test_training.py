@@ -23,6 +23,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 import agents.residual.bases
+import agents.runs.checkpoint
 import agents.runs.monitor
 from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
@@ -226,6 +227,24 @@ def test_a_run_killed_after_its_last_checkpoint_is_finished(tmp_path: Path, monk
         assert bundle_weights(config.out / "last") == bundle_weights(tmp_path / "whole/last")
         for kind in ("best", "last"):
             assert read_spec(config.out / kind)[0].provenance["run"]["steps"] == whole.learner.steps
+
+
+def test_a_run_killed_between_its_last_checkpoint_and_the_curve_has_its_whole_curve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    config, original = tiny("ppo", tmp_path, total_steps=64), agents.runs.checkpoint.write_text
+
+    def killed_at_last(path: Path, text: str) -> None:
+        if path.name == "validation.csv" and len(text.splitlines()) == 3:
+            raise KeyboardInterrupt
+        original(path, text)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("agents.runs.checkpoint.write_text", killed_at_last)
+        run(config)
+    assert len((tmp_path / "validation.csv").read_text().splitlines()) == 2
+    run(replace(config, resume=True))
+    assert len((tmp_path / "validation.csv").read_text().splitlines()) == 3
 
 
 def test_two_runs_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

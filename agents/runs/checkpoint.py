@@ -94,10 +94,18 @@ class RunFolder:
         except Timeout:
             raise ValueError(f"another run works in {self.folder}: wait for its end, or choose another --out") from None
 
-    def note(self, config: RunConfig) -> None:
-        """Write config.json; when resuming, only after the checkpoint has been read."""
+    def note(self, config: RunConfig, progress: dict[str, Any] | None = None) -> None:
+        """Write config.json; when resuming, only after the checkpoint has been read.
+
+        Args:
+            config: Options.
+            progress: Of the run that is resumed. Its learning curve is written too: a process that was killed may have
+                left that of the checkpoint before.
+        """
         content = {"config": asdict(config), "identity": config.identity(), "written_by": self._software}
         write_text(self.config, json.dumps(content, indent=2, default=str) + "\n")
+        if progress is not None:
+            self._write_curve(progress)
 
     def check(self, config: RunConfig) -> None:
         """Check that the folder is free, holds the run to resume, or may be overwritten; raises as `begin`."""
@@ -161,11 +169,14 @@ class RunFolder:
         content["written_by"] = self._software
         try:
             write_sealed(self.checkpoint, pickle.dumps(content, pickle.HIGHEST_PROTOCOL))
-            write_text(self.curve, pandas.DataFrame(progress["curve"]).to_csv(index=False))
+            self._write_curve(progress)
         except OSError as error:
             kept = "the last good checkpoint stays, and --resume continues from it" if self.checkpoint.exists() else ""
             message = f"cannot save to {self.folder}: {error.strerror or error}; {kept or 'free some space'}"
             raise OSError(message) from None
+
+    def _write_curve(self, progress: dict[str, Any]) -> None:
+        write_text(self.curve, pandas.DataFrame(progress["curve"]).to_csv(index=False))
 
     def load(self, restore: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Restore the last checkpoint.

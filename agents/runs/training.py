@@ -56,7 +56,7 @@ def _train(
     learner = make_learner(config)
     goes_on = config.resume and folder.checkpoint.exists()  # else it was killed before it had one
     progress = folder.load(learner.restore) if goes_on else None
-    folder.note(config)
+    folder.note(config, progress)
     suffix = f"_from_{learner.steps}" if goes_on else ""
     formats = [make_output_format(kind, str(folder.folder), suffix) for kind in ("csv", "tensorboard")]
     logger, spec = Logger(str(folder.folder), formats), config.spec(**_origin(config, command))
