@@ -109,6 +109,20 @@ def test_interrupted_search_goes_on(tmp_path: Path):
         search(kind, 4 * MIN_BUDGET, 0, journal)
 
 
+def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path):
+    journal, kind = tmp_path / "journal", Tunable(Counting, OneGain)
+    found = search(kind, MIN_BUDGET, 0, journal)
+    written = journal.read_bytes()
+    for end in (len(written) - 1, written.index(b"\n") + 100, written.index(b"\n") - 1):
+        journal.write_bytes(written[:end])
+        assert search(kind, MIN_BUDGET, 0, journal).gains == found.gains
+        assert search(kind, MIN_BUDGET, 0, journal).gains == found.gains
+    journal.write_text("notes of somebody")
+    with pytest.raises(ValueError, match=r"journal is damaged"):
+        search(kind, MIN_BUDGET, 0, journal)
+    assert journal.read_text() == "notes of somebody"
+
+
 def test_search_interrupted_in_its_first_trial_begins_with_the_untuned_gains(tmp_path: Path):
     def interrupt(_: SearchProgress) -> None:
         raise KeyboardInterrupt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
@@ -66,6 +67,7 @@ def open_study(kind: type[Gains], seed: int, journal: Path, condition: MarginCon
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     remedy = "tune anew, without --resume"
     try:
+        _cut_half_line(journal)
         backend = JournalFileBackend(str(journal), JournalFileOpenLock(str(journal)))
         study = optuna.create_study(study_name="gains", storage=JournalStorage(backend), load_if_exists=True)
         trials = study.get_trials(deepcopy=False)
@@ -86,3 +88,13 @@ def open_study(kind: type[Gains], seed: int, journal: Path, condition: MarginCon
         study.enqueue_trial(asdict(kind()))
     study.sampler = optuna.samplers.TPESampler(seed=seed + len(trials), multivariate=True)
     return study
+
+
+def _cut_half_line(journal: Path) -> None:
+    """Take away the line in which a process was killed: Optuna would write on in it."""
+    written = journal.read_bytes() if journal.exists() else b""
+    if written and not written.startswith(b"{"):
+        raise ValueError("it is no journal")
+    whole = written.rfind(b"\n") + 1
+    if whole < len(written):
+        os.truncate(journal, whole)
