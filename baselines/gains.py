@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from baselines.tools.files import write_text
+from baselines.tools.schema import in_a_line
 from beltarm_env.rollout import Controller
 
 FILE = Path(__file__).with_name("gains.json")
@@ -72,13 +73,13 @@ def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
     known = {gain.name for gain in fields(kind)}
     if set(entry["gains"]) != known:
         raise ValueError(
-            f"{path.name} has gains {', '.join(sorted(entry['gains']))} for {name!r}, but it needs "
+            f"{path.name} has gains {in_a_line(', '.join(sorted(entry['gains'])), 80)} for {name!r}, but it needs "
             f"{', '.join(sorted(known))}: {remedy}"
         )
     try:
         return kind(**entry["gains"])
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path.name}, {name!r}: {error}; {remedy}") from None
+        raise ValueError(f"{path.name}, {name!r}: {in_a_line(error, 120)}; {remedy}") from None
 
 
 def read_file(path: Path = FILE) -> dict[str, Any]:
@@ -91,7 +92,7 @@ def read_file(path: Path = FILE) -> dict[str, Any]:
         return {}
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # not JSON, or not even text
+    except (ValueError, RecursionError) as error:  # not JSON, or not even text
         raise ValueError(f"{path} is damaged ({error}): restore it, or remove it and tune anew") from None
     whole = isinstance(entries, dict) and all(
         isinstance(entry, dict) and isinstance(entry.get("gains"), dict) for entry in entries.values()

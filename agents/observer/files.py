@@ -20,7 +20,7 @@ from agents.observer.network import Observer, offered
 from agents.observer.quantities import QUANTITIES
 from agents.residual.bases import base_settings, settings_hash
 from baselines.tools.files import read_regular, write_atomically
-from baselines.tools.schema import parse
+from baselines.tools.schema import in_a_line, parse
 from beltarm_env.observation import LAYOUT
 from beltarm_env.task.ranges import EDITION
 
@@ -86,10 +86,10 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
     except FileNotFoundError:
         raise ObserverError(f"no observer at {path}: `python train/observer.py` fits one") from None
     except (OSError, KeyError, TypeError, ValueError, RecursionError, SafetensorError) as error:
-        raise ObserverError(f"{path} is no observer of this release ({error})") from None
+        raise ObserverError(f"{path} is no observer of this release ({in_a_line(error)})") from None
     for name, value in belongs.items():
         if content.get(name) != value:
-            found = f": it has {made_for[name]!r}, here is {value!r}" if name in made_for else ""
+            found = f": it has {in_a_line(repr(made_for[name]), 80)}, here is {value!r}" if name in made_for else ""
             raise ObserverError(f"{path} was made for another {name}{found}; fit it again")
     if any(value.dtype != torch.float32 for value in tensors.values()):
         raise ObserverError(f"{path} has weights that are not in single precision; fit it again")
@@ -98,9 +98,7 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
     try:
         observer.load_state_dict(tensors)
     except RuntimeError as error:
-        raise ObserverError(
-            f"{path} does not hold the weights of its observer: {' '.join(str(error).split())}"
-        ) from None
+        raise ObserverError(f"{path} does not hold the weights of its observer: {in_a_line(error)}") from None
     _require_sound(observer, path)
     return observer.requires_grad_(False), content
 

@@ -39,6 +39,7 @@ from agents.residual.bases import base_settings, changed_settings, make_base, se
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
 from baselines.tools.files import read_regular, write_atomically, write_text
+from baselines.tools.schema import in_a_line
 from beltarm_env.observation import ENTRIES, LAYOUT, Entry
 from beltarm_env.task.ranges import EDITION
 
@@ -151,12 +152,12 @@ def read_spec(folder: Path | str) -> tuple[BundleSpec, dict[str, Any]]:
     try:
         spec = _spec_of(content)
     except ValueError as error:
-        raise BundleError(f"{manifest} does not fit this release: {error}") from None
+        raise BundleError(f"{manifest} does not fit this release: {in_a_line(error)}") from None
     settings = base_settings(spec.base, spec.residual.knowledge)
     if content.get("base_hash") != settings_hash(settings):
         before = content.get("base_settings")
         changes = changed_settings(before, settings) if before else "unknown gains"
-        raise BundleError(f"{manifest} was trained on another {spec.base!r} ({changes}): train it again")
+        raise BundleError(f"{manifest} was trained on another {spec.base!r} ({in_a_line(changes)}): train it again")
     return spec, content
 
 
@@ -201,7 +202,7 @@ def read_actor(folder: Path | str) -> tuple[Actor, BundleSpec, dict[str, Any]]:
             raise ValueError(f"they are of {', '.join(sorted(others))}, and must be of torch.float32")
         actor.load_state_dict(tensors)
     except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        words = " ".join(str(error).split())
+        words = in_a_line(error)
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {words}") from None
     require_finite(actor, str(path))
     return actor, spec, content

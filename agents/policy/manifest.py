@@ -10,7 +10,7 @@ from typing import Any
 from agents.policy.card import MANIFEST
 from agents.residual.bases import BASES
 from baselines.tools.files import read_regular
-from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, list_of, mapping_of, object_of, parse
+from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, in_a_line, list_of, mapping_of, object_of, parse
 from beltarm_env.observation import ENTRIES
 from beltarm_env.task.ranges import EDITION
 
@@ -84,12 +84,12 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BundleError(f"{manifest} is not a {FORMAT} bundle")
     if content.get("version") != VERSION:
-        version = content.get("version")
-        raise BundleError(f"{manifest} has version {version!r}, this release reads {VERSION}: train it again")
+        version = in_a_line(repr(content.get("version")), 80)
+        raise BundleError(f"{manifest} has version {version}, this release reads {VERSION}: train it again")
     if content.get("edition") != EDITION:
-        edition = content.get("edition")
+        edition = in_a_line(repr(content.get("edition")), 80)
         raise BundleError(
-            f"{manifest} was trained on arms of edition {edition!r}, these are of {EDITION}: train it again"
+            f"{manifest} was trained on arms of edition {edition}, these are of {EDITION}: train it again"
         )
     if content.get("content_hash") != content_hash(content):
         raise BundleError(f"{manifest} was changed after it was saved: its content hash does not match")

@@ -33,6 +33,7 @@ from filelock import FileLock, Timeout
 from agents.runs.settings import RunConfig
 from baselines.tools.files import Unsealed, read_sealed, require_writable, write_sealed, write_text
 from baselines.tools.provenance import software
+from baselines.tools.schema import in_a_line
 
 VERSION = 4
 """Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
@@ -132,14 +133,15 @@ class RunFolder:
         try:
             content = json.loads(self.config.read_text(encoding="utf-8"))
             before, options = content["identity"], dict(content["identity"]["options"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{self.config} is damaged ({error!r}): choose another --out") from None
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise ValueError(f"{self.config} is damaged ({in_a_line(repr(error))}): choose another --out") from None
         now = json.loads(json.dumps(config.identity(), default=str))
         for name, value in now["options"].items():
             if options.get(name) != value:
                 option = f"--{name.replace('_', '-')}"
                 remedy = "give the same options, or choose another --out"
-                raise ValueError(f"the run in {self.folder} has {option} {options.get(name)}, not {value}: {remedy}")
+                known = in_a_line(options.get(name), 80)
+                raise ValueError(f"the run in {self.folder} has {option} {known}, not {value}: {remedy}")
         for name in ("algorithm", "base_hash", "layout", "entries"):
             if before.get(name) != now[name]:
                 what = {"algorithm": "another algorithm", "base_hash": "other gains of the base"}
@@ -226,19 +228,23 @@ class RunFolder:
         """Software that wrote config.json, or None."""
         try:
             return json.loads(self.config.read_text(encoding="utf-8"))["written_by"]
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
 
 def _words(error: Exception) -> str:
     """Kind and first line of an error."""
-    return f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}"
+    return in_a_line(f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}", 120)
 
 
 def _remedy(origin: Any) -> str:
     """Advice on a run of another version that keeps the run."""
     known = isinstance(origin, dict) and {"version", "commit"} <= set(origin)
-    writer = f"beltarm {origin['version']} at commit {origin['commit']}" if known else "the version that wrote it"
+    writer = (
+        in_a_line(f"beltarm {origin['version']} at commit {origin['commit']}", 100)
+        if known
+        else "the version that wrote it"
+    )
     return f"continue it with {writer}, or choose another --out"
 
 

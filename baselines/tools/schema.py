@@ -37,6 +37,18 @@ def mapping_of(values: Any) -> dict[str, Any]:
     return {"type": "object", "additionalProperties": values}
 
 
+def in_a_line(value: object, most: int = 200) -> str:
+    """Words for something that others may have written, as part of a message: printable, in a line, and not too long.
+
+    Args:
+        value: What to show.
+        most: Number of characters, beyond which it is cut.
+    """
+    text = " ".join(str(value)[: 2 * most].split())
+    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 def parse(data: bytes) -> Any:
     """Parse JSON in UTF-8.
 
@@ -81,11 +93,11 @@ def check(content: object, where: str, schema: Mapping[str, Any]) -> None:
         ValueError: Naming the first place that is not as the schema says, what is wanted and what is there.
     """
     for error in _Validator(schema).iter_errors(content):
-        place = where + "".join(map(_step, error.absolute_path))
+        place = where + in_a_line("".join(map(_step, error.absolute_path)), 100)
         wanted: Any = error.validator_value
         if error.validator == "required":
             raise ValueError(f"{place}: {next(name for name in wanted if name not in error.instance)} must be there")
         if error.validator not in ("enum", "type"):
-            raise ValueError(f"{place}: {' '.join(error.message.split())[:200]}")
+            raise ValueError(f"{place}: {in_a_line(error.message, 120)}")
         words = f"one of {', '.join(wanted)}" if error.validator == "enum" else _TYPES[wanted]
-        raise ValueError(f"{place} must be {words}, got {str(error.instance)[:80]!r}")
+        raise ValueError(f"{place} must be {words}, got {in_a_line(error.instance, 80)!r}")

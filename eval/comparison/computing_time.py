@@ -65,5 +65,5 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         return {name: entry for name, entry in content.items() if _LONGEST >= entry["p99"] >= entry["p50"] > 0}
-    except (OSError, ValueError, AttributeError, KeyError, TypeError):
+    except (OSError, ValueError, AttributeError, KeyError, TypeError, RecursionError):
         return {}

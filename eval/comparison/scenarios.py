@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from baselines.tools.files import write_text
 from baselines.tools.provenance import last_commit_of
+from baselines.tools.schema import in_a_line
 from beltarm_env.arm import FIELDS, NOMINAL, params_columns
 from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
@@ -159,20 +160,21 @@ def load(path: Path) -> ScenarioSet:
         if wrong := [name for name, split in found.items() if split.seed != first_seed(name, seeds)]:
             raise ValueError(f"the seed of {wrong[0]} is not the one that the protocol's commit chooses")
         return make_set(TEST_NAME, found)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} does not hold what it should ({error!r}): {remedy}") from None
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} does not hold what it should ({in_a_line(repr(error), 120)}): {remedy}") from None
 
 
 def _read(path: Path, name: str, remedy: str) -> dict[str, Any]:
     """Content of the file of a set, of this version and as it was written."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} cannot be read ({error}): {remedy}") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} cannot be read ({in_a_line(error)}): {remedy}") from None
     if not isinstance(content, dict) or content.get("format") != FORMATS[name]:
         raise ValueError(f"{path} is no file of {FORMATS[name]}: {remedy}")
     if content.get("version") != VERSION:
-        raise ValueError(f"{path} has version {content.get('version')!r}, this checkout needs {VERSION}: {remedy}")
+        found = in_a_line(repr(content.get("version")), 80)
+        raise ValueError(f"{path} has version {found}, this checkout needs {VERSION}: {remedy}")
     if content.get("sha256") != digest_of({key: value for key, value in content.items() if key != "sha256"}):
         raise ValueError(f"{path} was changed after it was written, its SHA-256 does not match: {remedy}")
     return content

@@ -40,7 +40,7 @@ import numpy as np
 import pandas as pd
 
 from baselines.tools.files import write_atomically, write_text
-from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, list_of, mapping_of, object_of
+from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, in_a_line, list_of, mapping_of, object_of
 from baselines.tools.schema import check as check_by
 from beltarm_env.metrics import SHOWN
 from eval.comparison import splits
@@ -235,8 +235,8 @@ def require_same_set(path: Path, wanted: SetLabel, timed: bool = False) -> None:
     if found != wanted._asdict():
         name, digest = (found.get(key) for key in wanted._fields) if isinstance(found, dict) else (None, None)
         raise ValueError(
-            f"{path} has results of the scenarios {name!r} ({str(digest)[:12]}), this run is of {wanted.name!r} "
-            f"({wanted.sha256[:12]}); {_REMEDY}"
+            f"{path} has results of the scenarios {in_a_line(name, 40)!r} ({str(digest)[:12]}), this run is of "
+            f"{wanted.name!r} ({wanted.sha256[:12]}); {_REMEDY}"
         )
     if bool(content.get("provenance", {}).get(COMPUTING_TIME)) != timed:
         does, now = ("does not count", "with") if timed else ("counts", "without")
@@ -248,11 +248,12 @@ def _of_this_version(path: Path) -> Any:
     try:
         content = json.loads(path.read_text(encoding="utf-8"), parse_constant=str)
         found = content.get("edition", 1), content["version"]  # the first edition did not say that it was one
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} cannot be read ({error}): remove it, or choose another folder") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{path} cannot be read ({in_a_line(error)}): remove it, or choose another folder") from None
     if found != (splits.EDITION, splits.VERSION):
+        edition, version = (in_a_line(part, 40) for part in found)
         raise ValueError(
-            f"{path} has results of edition {found[0]}, version {found[1]} of the scenarios, this checkout has edition "
+            f"{path} has results of edition {edition}, version {version} of the scenarios, this checkout has edition "
             f"{splits.EDITION}, version {splits.VERSION}; {_REMEDY}"
         )
     return content

@@ -14,11 +14,13 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+from baselines.tools.schema import in_a_line
+
 MAX_FILES, MAX_BYTES = 200, 10_000_000
 """Of an archive; its files are counted as they are unpacked."""
 _PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")  # of a path: neither "..", nor hidden, nor with a separator
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time that a ZIP file can hold
-_UNSOUND = (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+_UNSOUND = (OSError, EOFError, IndexError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 def require_plain(names: list[str], where: str) -> None:
@@ -89,7 +91,8 @@ def read_archive(path: Path) -> dict[str, bytes]:
             require_size(sum(member.file_size for member in members), path.name)
             return {member.filename: archive.read(member) for member in members}
     except _UNSOUND as error:
-        raise ValueError(f"{path} cannot be read ({error}): a submission is a ZIP file of eval/submit.py") from None
+        words = in_a_line(error)
+        raise ValueError(f"{path} cannot be read ({words}): a submission is a ZIP file of eval/submit.py") from None
 
 
 def _require_regular(member: zipfile.ZipInfo, where: str) -> None:

@@ -85,7 +85,7 @@ def read(path: Path = FILE) -> dict[str, Any]:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} cannot be read ({error}): restore it from the repository") from None
     check(content, str(path), _SCHEMA)
     return content
