@@ -1,0 +1,86 @@
+"""Two parts of the siege: they find nothing here, and they do find what is wrong."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from baselines.tools.files import write_text
+from eval.siege import inputs, kills
+from eval.siege.damage import exploit
+
+
+def test_a_search_for_gains_survives_kills():
+    (subject,) = [one for one in kills.SUBJECTS if one.name == "a search for gains"]
+    count, found = kills.attack(subject, 0.05, 0)
+    assert found == [] and count >= 3
+
+
+def _careful(folder: Path) -> None:
+    for name in "ab":
+        write_text(folder / f"{name}.json", json.dumps([name] * 500))
+
+
+def _careless(folder: Path) -> None:
+    for name in "abcdef":
+        if not (folder / f"{name}.json").exists():
+            (folder / f"{name}.json").write_text(json.dumps([name] * 500))
+
+
+def _fails_the_second_time(folder: Path) -> None:
+    (folder / "begun").mkdir()
+    _careful(folder)
+
+
+def _meaning(folder: Path) -> dict[str, object]:
+    return {path.name: json.loads(path.read_text()) for path in folder.glob("*.json")}
+
+
+@pytest.mark.parametrize(
+    ("run", "words"),
+    [(_careful, ""), (_careless, "JSONDecodeError"), (_fails_the_second_time, "FileExistsError")],
+)
+def test_kills_find_what_does_not_survive_them(run: Callable[[Path], None], words: str):
+    count, found = kills.attack(kills.Subject("it", run, run, _meaning), 1.0, 0)
+    assert count > 5
+    assert any(words in line for line in found) if words else found == []
+
+
+def test_damaged_files_are_refused():
+    siege = inputs.besiege(0.001, 0)
+    assert siege.found == [] and siege.count >= 100
+
+
+FAULTS: dict[str, Callable[[Path], object]] = {
+    "KeyError: 'size'": lambda path: json.loads(path.read_text())["size"],
+    "accepted with another meaning": lambda path: json.loads(path.read_text()).get("size"),
+    "leaves more": lambda path: (path.with_name("more").touch(), refuse("no size")),
+    "changes sound.json": lambda path: (path.write_text("{}"), refuse("no size")),
+    "a message of 301 characters": lambda path: refuse("x" * 301),
+    "a message that is no line": lambda path: refuse("no\nsize"),
+    "a pickle was executed": lambda path: pickle.loads(path.read_bytes()),
+}
+
+
+def refuse(message: str) -> None:
+    raise ValueError(message)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_inputs_find_a_reader_with_a_fault(fault: str, monkeypatch: pytest.MonkeyPatch):
+    def reader(folder: Path) -> inputs.Reader:
+        path, sound = folder / "sound.json", b'{"size": 3}'
+        path.write_bytes(sound)
+        bad = exploit(folder) if "pickle" in fault else b'{ "other": 3}'
+        return inputs.Reader(
+            lambda: 3 if path.read_bytes() == sound else FAULTS[fault](path) or 0, lambda _: ({path.name: bad}, False)
+        )
+
+    monkeypatch.setitem(inputs.READERS, "faulty", reader)
+    siege = inputs.again("faulty", 0, 7)
+    assert siege.count == 1 and len(siege.found) == 1
+    assert siege.found[0].startswith("eval.siege.inputs.again('faulty', 0, 7): ") and fault in siege.found[0]
