@@ -73,7 +73,8 @@ def besiege(share: float, seed: int) -> Siege:
         share: Of a whole siege.
         seed: Of all damage.
     """
-    siege = Siege("inputs", "inputs", "inputs that never come to an end, and files that change while they are read")
+    blind = "inputs that never come to an end, and what a learner makes of a damaged checkpoint whose hash fits"
+    siege = Siege("inputs", "inputs", blind)
     for name in READERS:
         attack(siege, name, seed, range(round(share * INPUTS / len(READERS)) + 1))
     return siege
