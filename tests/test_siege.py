@@ -83,4 +83,4 @@ def test_the_page_has_what_was_found_and_what_cannot_be_seen():
 
 def test_an_unknown_part(tmp_path: Path):
     told = mistake(soak.main, ("--parts", "moon"), tmp_path)
-    assert "--parts has 'moon'; there are environment, translation" in told
+    assert "--parts has 'moon'; there are properties, inputs, kills" in told

@@ -6,15 +6,17 @@ import time
 from collections.abc import Callable
 
 from baselines.engines.parallel import Channel
-from eval.siege import controllers, determinism, environment, properties, translation
+from eval.siege import controllers, determinism, environment, inputs, kills, properties, translation
 from eval.siege.part import Siege
 
 PARTS: dict[str, Callable[[float, int], Siege]] = {
+    "properties": properties.besiege,
+    "inputs": inputs.besiege,
+    "kills": kills.besiege,
     "environment": environment.besiege,
     "translation": translation.besiege,
     "controllers": controllers.besiege,
     "determinism": determinism.besiege,
-    "properties": properties.besiege,
 }
 """By name, the longest first."""
 
