@@ -1,7 +1,7 @@
 """Besiege the project: `python eval/soak.py`, or `make soak`.
 
-Attacks what the documentation promises: with arms that nobody would build, mischievous controllers, kills at any moment,
-damaged files, and elsewhere. Writes what was tried and what was found. Exit status 1 if anything was.
+Attacks what the documentation promises: with arms that nobody would build, mischievous controllers, kills at any
+moment, damaged files, and elsewhere. Writes what was tried and what was found. Exit status 1 if anything was.
 """
 
 from __future__ import annotations
