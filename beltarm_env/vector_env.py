@@ -16,8 +16,9 @@ from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
+from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
-from beltarm_env.kernels.threads import in_threads
+from beltarm_env.kernels.threads import in_threads, threads_for
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -71,8 +72,8 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             randomization: As in `BeltArmEnv`; every arm draws its own parameters.
             encoder_counts: As in `BeltArmEnv`.
             delay: As in `BeltArmEnv`, for all arms or one each, shape (num_envs,).
-            num_threads: Threads that step the arms, at most 256. Their number changes no result. More than one pays
-                from some thousand arms on.
+            num_threads: Threads that may step the arms, at most 256. Their number changes no result; small batches, which would
+                be slower with them, use fewer.
             autoreset_mode: What happens to an arm whose episode is over.
             render_mode: "rgb_array" or None.
 
@@ -174,12 +175,13 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             batch.advance_in_engine(fractions)
         settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
         into = fractions, result, rewards, terminated, truncated, terms
-        taken = np.zeros(len(batch.rooms), np.int64)
+        threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, len(batch.rooms))
+        taken = np.zeros(threads, np.int64)
 
         def step_blocks(thread: int) -> None:
             step_arms(batch.blocks, taken, thread, *batch.rooms[thread], *into, *settings)
 
-        in_threads(step_blocks, len(batch.rooms))
+        in_threads(step_blocks, threads)
         stepped = np.ones(count, np.bool_)
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
         if len(restarted):

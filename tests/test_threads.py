@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 
 from beltarm_env import BeltArmVectorEnv
+from beltarm_env.kernels import threads
 
 ARMS = 700  # six blocks
 STEPS = 40
+
+
+@pytest.fixture(autouse=True)
+def eager(monkeypatch: pytest.MonkeyPatch):
+    """However few the blocks, all threads are used."""
+    monkeypatch.setattr(threads, "LEAST_BLOCKS", 1)
+    monkeypatch.setattr(threads, "LEAST_BUILT_BLOCKS", 1)
 
 
 def played(env: BeltArmVectorEnv, steps: int = STEPS) -> bytes:
@@ -30,8 +38,8 @@ def played(env: BeltArmVectorEnv, steps: int = STEPS) -> bytes:
 @pytest.mark.parametrize("randomization", ["ideal", "train"])
 def test_their_number_changes_no_result(randomization: str):
     alone = played(BeltArmVectorEnv(ARMS, randomization=randomization), 300)  # pyright: ignore[reportArgumentType]
-    for threads in (2, 3, 16):  # more than there are cores, and than blocks
-        env = BeltArmVectorEnv(ARMS, randomization=randomization, num_threads=threads)  # pyright: ignore[reportArgumentType]
+    for number in (2, 3, 16):  # more than there are cores, and than blocks
+        env = BeltArmVectorEnv(ARMS, randomization=randomization, num_threads=number)  # pyright: ignore[reportArgumentType]
         assert played(env, 300) == alone
 
 
@@ -50,7 +58,13 @@ def test_a_copy_and_a_forked_process_go_on():
         assert pool.apply_async(played, (env,)).get(timeout=60) == alone
 
 
-@pytest.mark.parametrize("threads", [0, 257, 1.5, True, "2"])
-def test_what_is_no_number_of_threads_is_refused(threads: object):
+def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.undo()
+    assert [threads.threads_for(blocks, False, 4) for blocks in (1, 60, 120, 1000)] == [1, 1, 3, 4]
+    assert [threads.threads_for(blocks, True, 2) for blocks in (1, 8, 30)] == [1, 1, 2]
+
+
+@pytest.mark.parametrize("number", [0, 257, 1.5, True, "2"])
+def test_what_is_no_number_of_threads_is_refused(number: object):
     with pytest.raises(ValueError, match=r"num_threads must be a whole number from 1 to 256, got "):
-        BeltArmVectorEnv(4, num_threads=threads)  # pyright: ignore[reportArgumentType]
+        BeltArmVectorEnv(4, num_threads=number)  # pyright: ignore[reportArgumentType]

@@ -24,7 +24,14 @@ from beltarm_env.jit import inlined
 Integers = NDArray[np.int64]
 
 MAX_THREADS = 256
+LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 40, 8
+"""For which it pays to wake a thread: of arms with an ideal drive, and with drives as they are built."""
 _BACK = 1 << 32
+
+
+def threads_for(blocks: int, built: bool, most: int) -> int:
+    """Return how many threads to use for some blocks, of drives as they are built or not; at most so many."""
+    return min(most, max(1, blocks // (LEAST_BUILT_BLOCKS if built else LEAST_BLOCKS)))
 
 
 def in_threads(work: Callable[[int], None], threads: int) -> None:

@@ -35,20 +35,20 @@ _PATIENCE = 900  # [s]
 
 
 def besiege(share: float, seed: int) -> Siege:
-    """Compare hashes of episodes: batch sizes, threads, and processes in other circumstances.
+    """Compare hashes of episodes: batch sizes, and processes in other circumstances.
 
     Args:
-        share: Of a whole siege, which has 40 batch sizes and numbers of threads, and five circumstances.
+        share: Of a whole siege, which has 40 batch sizes and five circumstances.
         seed: Of the episodes.
     """
     siege = Siege("determinism", "repetitions", "other machines: compare the hash with theirs")
     expected = episodes(seed)
     rng = np.random.default_rng(seed)
     for _ in range(max(1, round(40 * share))):
-        batch, threads = int(rng.integers(1, _ARMS)), int(rng.integers(1, 5))
+        batch = int(rng.integers(1, _ARMS))
         siege.count += 1
-        if episodes(seed, batch, threads) != expected:
-            siege.found.append(f"seed {seed}: other bits in batches of {batch} with {threads} threads")
+        if episodes(seed, batch) != expected:
+            siege.found.append(f"seed {seed}: other bits in batches of {batch}")
     count = max(1, round(len(_ELSEWHERE) * share))
     for name, variables in list(_ELSEWHERE.items())[:count]:
         siege.count += 1
@@ -58,21 +58,19 @@ def besiege(share: float, seed: int) -> Siege:
     return siege
 
 
-def episodes(seed: int, batch: int = _ARMS, threads: int = 1) -> str:
+def episodes(seed: int, batch: int = _ARMS) -> str:
     """SHA-256 of what some arms show, in batches."""
     total = hashlib.sha256()
     for number, settings in enumerate(_SETTINGS):
         torques = np.random.default_rng([seed, number]).uniform(-1, 1, (_STEPS, _ARMS, 1)).astype(np.float32)
-        shown = [
-            _shown(settings, seed, torques, low, min(low + batch, _ARMS), threads) for low in range(0, _ARMS, batch)
-        ]
+        shown = [_shown(settings, seed, torques, low, min(low + batch, _ARMS)) for low in range(0, _ARMS, batch)]
         total.update(np.concatenate(shown, axis=1).tobytes())
     return total.hexdigest()
 
 
-def _shown(settings: dict[str, Any], seed: int, torques: Singles, low: int, high: int, threads: int) -> Floats:
+def _shown(settings: dict[str, Any], seed: int, torques: Singles, low: int, high: int) -> Floats:
     """What arms from one to another show, shape (steps + 1, arms, numbers)."""
-    env = BeltArmVectorEnv(high - low, num_threads=threads, **settings)
+    env = BeltArmVectorEnv(high - low, **settings)
     observations, _ = env.reset(seed=seed + low)
     seen = [np.column_stack([observations.astype(np.float64), env.state, np.zeros(high - low)])]
     for torque in torques[:, low:high]:
