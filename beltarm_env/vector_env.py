@@ -72,8 +72,8 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             randomization: As in `BeltArmEnv`; every arm draws its own parameters.
             encoder_counts: As in `BeltArmEnv`.
             delay: As in `BeltArmEnv`, for all arms or one each, shape (num_envs,).
-            num_threads: Threads that may step the arms, at most 256. Their number changes no result; small batches, which would
-                be slower with them, use fewer.
+            num_threads: Threads that may step the arms, at most 256. Their number changes no result; batches so small
+                that they would be slower with them use fewer.
             autoreset_mode: What happens to an arm whose episode is over.
             render_mode: "rgb_array" or None.
 

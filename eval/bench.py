@@ -47,7 +47,8 @@ def run(config: Config) -> None:
     """Measure and print."""
     console = Console()
     rows = batch_rows(config.arms, config.steps, config.repetitions)
-    rows.append(threads_row(4 * config.arms, config.steps, config.repetitions))
+    rows.append(threads_row(4 * config.arms, config.steps, config.repetitions, "ideal"))
+    rows.append(threads_row(config.arms, config.steps, config.repetitions, "train"))
     rows += [single_row(config.steps, config.repetitions), accuracy_row(), *start_up_rows(config.repetitions)]
     if config.parts:
         console.print(parts_table(config.arms, config.steps, config.repetitions))

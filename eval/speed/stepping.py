@@ -36,12 +36,8 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
     Random torques over the whole limit stop and start the motor in nearly every sample, which no controller does: so
     drives are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
-    cores = cpu_count()
     stepped = {
         "vector step": _batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
-        f"vector step, {cores} threads": _batch_steps(
-            "BeltArm-v0", arms, steps, randomization="ideal", num_threads=cores
-        ),
         "vector step, all effects of the drive": _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
         "vector step of the full arm": _batch_steps(
             "BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"
@@ -61,14 +57,14 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
     ]
 
 
-def threads_row(arms: int, steps: int, repetitions: int) -> Row:
+def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomization) -> Row:
     """Speed of the vector environment with as many threads as cores, beside one thread."""
     cores = cpu_count()
-    runs = [
-        _batch_steps("BeltArm-v0", arms, steps, randomization="ideal", num_threads=threads) for threads in (1, cores)
-    ]
+    settings = {"randomization": randomization}
+    runs = [_batch_steps("BeltArm-v0", arms, steps, num_threads=threads, **settings) for threads in (1, cores)]
     alone, together = (seconds / steps for seconds in best_times(runs, repetitions))
-    name = f"vector step, {cores} threads, N = {arms}"
+    drives = "" if randomization == "ideal" else ", all effects of the drive"
+    name = f"vector step{drives}, {cores} threads, N = {arms}"
     return name, _rate(arms, together), f"1 thread: {_rate(arms, alone)}", f"{alone / together:.2f}x"
 
 
