@@ -20,7 +20,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_context, get_start_method, set_start_method
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +72,8 @@ def besiege(share: float, seed: int) -> Siege:
     blind = "power cuts, after which a disk may lack what was written last, and runs that are killed more than twice"
     siege = Siege("kills", "kills", blind)
     chosen = SUBJECTS if share > _SMALL else (SUBJECTS[seed % len(SUBJECTS)],)
+    if get_start_method(allow_none=True) == "loky":  # joblib's, which a process that is spawned does not know
+        set_start_method("spawn", force=True)
     with ProcessPoolExecutor(_WORKERS, get_context("spawn")) as pool:
         for count, found in pool.map(partial(attack, share=share, seed=seed), chosen):
             siege.count += count
