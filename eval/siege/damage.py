@@ -91,7 +91,7 @@ def _change(rng: Random, content: Any, inside: Any, key: Any, places: list[tuple
                 nested = [nested] if rng.random() < 0.5 else {"a": nested}
             inside[key] = nested
         case _:
-            number = isinstance(value, int | float) and not isinstance(value, bool)
+            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
             inside[key] = rng.choice((-value, value + 1, value * 1e6, float(value), value / 3)) if number else -1
 
 
