@@ -108,7 +108,8 @@ def test_a_request_to_stop_reaches_what_runs_and_the_rest_does_not_begin(tmp_pat
         stop.made = True
         found[name] = outcome
     assert found.pop("seen") is None
-    assert {"a"} <= set(found) <= {"a", "b"} and all(end.message == "saved" for end in found.values())
+    assert "a" in found and len(found) <= 2, "a core was free for one more, whichever Ray had ready"
+    assert all(end.message == "saved" for end in found.values())
     assert {folder.name for folder in folders if (folder / "ended").exists()} == set(found)
 
 
