@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from glob import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def read_sealed(path: Path) -> bytes:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays by name, see `write_sealed`."""
+    """Write arrays of finite numbers by name, see `write_sealed`."""
     packed = io.BytesIO()
     np.savez(packed, allow_pickle=False, **arrays)
     write_sealed(path, packed.getvalue())
@@ -104,10 +105,15 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
         ValueError: If it is not what was written, or lacks one.
     """
     data = read_sealed(path)
-    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        if missing := [name for name in names if name not in stored]:
-            raise ValueError(f"it lacks {missing[0]}")
-        return {name: stored[name] for name in names}
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            arrays: dict[str, Any] = {name: stored[name] for name in names}
+    except Exception as error:  # numpy, zipfile and what they call raise whatever they stumble over
+        raise ValueError(f"it does not hold its arrays ({type(error).__name__})") from None
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():
+            raise ValueError(f"its {name} is no array of finite numbers")
+    return arrays
 
 
 def write_text(path: Path, text: str) -> None:

@@ -212,17 +212,10 @@ def read_kept(pair: Pair, folder: Path) -> Metrics | None:
         metrics = read_arrays(path, pair.tables)
     except FileNotFoundError:
         return None
-    except Exception:  # numpy, zipfile and what they call raise whatever they stumble over
+    except (OSError, ValueError):
         path.unlink(missing_ok=True)  # damaged, or changed since: run again
         return None
-    return metrics if all(_is_table(table, shape) for table in metrics.values()) else None
-
-
-def _is_table(found: object, shape: tuple[int, ...]) -> bool:
-    """Whether something is an array of finite numbers of a shape."""
-    if not isinstance(found, np.ndarray) or found.dtype != np.float64:
-        return False
-    return found.shape == shape and bool(np.isfinite(found).all())
+    return metrics if all(table.shape == shape for table in metrics.values()) else None
 
 
 def keep(pair: Pair, folder: Path, metrics: Metrics) -> None:
