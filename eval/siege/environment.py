@@ -72,7 +72,6 @@ def _torques(rng: np.random.Generator, kind: int, step: int, env: BeltArmVectorE
     """Torques of one of eight kinds, over their limits, shape (arms, 1)."""
     count = env.num_envs
     noise = rng.uniform(-1, 1, (count, 1)).astype(np.float32)
-    state = env.state
     match kind:
         case 0:
             return noise
@@ -81,9 +80,9 @@ def _torques(rng: np.random.Generator, kind: int, step: int, env: BeltArmVectorE
         case 2:
             return held
         case 3:  # drives the belt's vibration
-            return np.sign(state[:, 3:]).astype(np.float32)
+            return np.sign(env.state[:, 3:]).astype(np.float32)
         case 4:  # stops and starts the motor
-            return -np.sign(state[:, 1:2]).astype(np.float32)
+            return -np.sign(env.state[:, 1:2]).astype(np.float32)
         case 5:
             return 1e-3 * noise
         case 6:  # far beyond the limit

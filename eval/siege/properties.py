@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -28,9 +27,7 @@ def besiege(share: float, seed: int) -> Siege:
     for given in np.random.default_rng(seed).integers(1, 10**6, size=max(1, round(SEEDS * share))):
         words = ["-m", "hypothesis", "--hypothesis-profile", "fuzz", f"--hypothesis-seed={given}"]
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
-        done = subprocess.run(
-            command, cwd=_ROOT, env={**os.environ}, capture_output=True, text=True, timeout=_PATIENCE, check=False
-        )
+        done = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, timeout=_PATIENCE, check=False)
         siege.count += 1
         if done.returncode:
             failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]

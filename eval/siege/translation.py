@@ -43,9 +43,9 @@ def besiege(share: float, seed: int) -> Siege:
         name = f"{Path(source).parent.name or source}{' behind its guard' if guard else ''} on {split.name}"
         try:
             with tempfile.TemporaryDirectory() as folder:
-                loop = loop_of(source, guard)
-                write(Path(folder) / "made", loop)
-                made, controller = Path(folder) / "made", controller_of(source, guard)
+                made, loop = Path(folder) / "made", loop_of(source, guard)
+                write(made, loop)
+                controller = controller_of(source, guard)
                 found = compare(made, loop, controller, split, episodes, flags=(*SANITISED, "-O1"))
         except ValueError as error:
             siege.found.append(f"{name}, {episodes} episodes: {error}")
