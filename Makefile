@@ -39,7 +39,7 @@ test: $(READY)  ## Run the tests
 fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
 
-soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; takes 45 minutes; ARGS="--seed 1" tries others
+soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; ARGS="--share 0.1 --seed 1" is a tenth of another
 	$(BIN)/python eval/soak.py $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
