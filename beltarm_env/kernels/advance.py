@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state
+from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state, whole_vectors
 from beltarm_env.kernels.runge_kutta import DIRECTION, DT, NEXT, RK4_ROWS, TORQUE, rk4_steps
 from beltarm_env.physics.integrator import mode_change, mode_margin
 from beltarm_env.physics.models import Model, sliding_direction
@@ -22,8 +22,6 @@ Floats = NDArray[np.float64]
 
 MAX_MODE_CHANGES = 8
 """Within one integration step; more than two or three do not occur, and the rest would be taken in the last mode."""
-
-_VECTOR = 8  # arms that the widest vector units take at once
 
 # Rows of the working block: as in `runge_kutta`, then
 _MARGIN = RK4_ROWS  # negative once the mode has been left
@@ -112,8 +110,8 @@ def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
 
 @compiled
 def _pad(work: Floats, pending: int) -> int:
-    """Fill up with copies of the first arm to whole vectors, since a remainder would be stepped one by one."""
-    padded = -(-pending // _VECTOR) * _VECTOR
+    """Fill up with copies of the first arm to whole vectors."""
+    padded = whole_vectors(pending)
     for i in range(pending, padded):
         for row in range(at.KINEMATICS):
             work[row * LANES + i] = work[row * LANES]

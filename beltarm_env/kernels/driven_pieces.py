@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.exits import EXIT, EXIT_ROWS, find_exits, load_margin, store_margin
-from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_state
+from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_state, whole_vectors
 from beltarm_env.physics.drive import angles_of
 from beltarm_env.physics.driven.events import Margin, leaves_mode, margin_of
 from beltarm_env.physics.driven.step import driven_step, needed_rate, slope, step_length
@@ -26,8 +26,6 @@ Floats = NDArray[np.float64]
 
 MOST_STEPS = 20_000
 """Of a piece; an arm that takes more is left where it is."""
-
-_VECTOR = 8  # arms that the widest vector units take at once
 
 # Rows of the working block: as in `layout` up to MOVE, then
 _TORQUE = at.MOVE  # of the motor [N m]
@@ -199,8 +197,8 @@ def _put_back_finished(block: Floats, work: Floats, count: int) -> int:
 
 @compiled
 def _pad(work: Floats, pending: int) -> int:
-    """Fill up with copies of the first arm to whole vectors, since a remainder would be stepped one by one."""
-    padded = -(-pending // _VECTOR) * _VECTOR
+    """Fill up with copies of the first arm to whole vectors."""
+    padded = whole_vectors(pending)
     for i in range(pending, padded):
         _copy(work, 0, i)
     return padded

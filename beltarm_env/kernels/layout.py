@@ -66,6 +66,7 @@ BUILT: Final = True
 """Whether drives as they are built are among the arms: a kernel compiled for IDEAL has none of their equations."""
 
 MAX_DELAY = 2
+_VECTOR = 8  # lanes that the widest vector units take at once
 _LINE = 64  # bytes of a cache line
 
 
@@ -93,6 +94,12 @@ def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64
     arms = np.arange(len(values))
     table = blocks.reshape(len(blocks), ROWS, LANES)
     table[arms // LANES, first : first + values.shape[1], arms % LANES] = values
+
+
+@inlined
+def whole_vectors(count: int) -> int:
+    """Return so many lanes that they fill whole vectors: what is left over would be stepped one by one."""
+    return -(-count // _VECTOR) * _VECTOR
 
 
 @inlined
