@@ -96,6 +96,11 @@ class TestGain:
         for step in 0.1 * np.diag(start):
             assert all(mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
 
+    def test_does_not_depend_on_where_the_descent_begins_nor_then_on_how_a_processor_rounds(self):
+        loops, start = loops_at(DESIGN, 45, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
+        gain, other = least_cost_gain(start, loops), least_cost_gain(1.01 * start, loops)
+        assert other == pytest.approx(gain, rel=1e-7)
+
     def test_is_found_from_one_that_does_not_hold_all_arms(self):
         loops, start = loops_at(DESIGN, 45, WEIGHTS, WRONG, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
         assert mean_cost(start, loops)[0] == np.inf

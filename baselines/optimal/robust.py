@@ -17,8 +17,9 @@ in the loop of arm c behind its own drive: with s = [arm and drive; estimate; d;
 where w is the process noise that the filter counts on, the encoder's rounding, the growth of a torque that nobody knows
 and that is forgotten after 0.3 s, and steps of the motor's angle, as of one that friction stops, which the observer
 sees. A is linear in K, and J is descended from the gain of LQG
-(L-BFGS). A loop that is unstable on one arm costs infinitely much, so K holds all of them at once. The late corners
-count a second time with one sample more of latency, which is the delay that tuned loops have to bear.
+(L-BFGS) until its slope is zero: where a descent gives up before that depends on how a processor rounds. A loop that is
+unstable on one arm costs infinitely much, so K holds all of them at once. The late corners count a second time with one
+sample more of latency, which is the delay that tuned loops have to bear.
 
 Levine and Athans 1970 (gains for a state that is not all measured, by two Lyapunov equations); Ackermann 1980 and Ly,
 Bryson and Cannon 1985 (one gain for several arms). H-infinity synthesis would bound what is unknown by discs around the
@@ -33,7 +34,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, root
 
 from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
 from baselines.gains import tunable
@@ -51,9 +52,9 @@ from beltarm_env.timing import LATENCY_SAMPLES
 _PLACES = list(range(0, len(ANGLES), 5))  # of `ANGLES`, at which gains are found; between them they are interpolated
 _FORGOTTEN = 0.3  # [s]  time constant of the unknown torque
 _DOUBLINGS = 40  # of the time that a Lyapunov sum covers: 2^40 samples, unless it has converged before
-_CONVERGED, _DIVERGED = 1e-9, 1e30
+_CONVERGED, _DIVERGED = 1e-15, 1e30
 _TRIES, _BEYOND = 10, 1e-3  # to stabilise all loops; distance of the largest pole to 1 after A was shrunk
-_STEPS = 60
+_FLAT = 1e-12  # slope of J where a descent ends, over J
 
 
 @dataclass(frozen=True)
@@ -226,8 +227,9 @@ def _descended(start: Floats, scale: Floats, loops: Loops, shrunk: float) -> Flo
         cost, slope = mean_cost(start + scale * change, loops, shrunk)
         return (cost / first, scale * slope / first) if np.isfinite(cost) else (1e3, np.zeros(5))
 
-    found = minimize(relative, np.zeros(5), jac=True, method="L-BFGS-B", options={"maxiter": _STEPS})
-    return start + scale * found.x
+    near = minimize(relative, np.zeros(5), jac=True, method="L-BFGS-B").x
+    least = root(lambda change: relative(change)[1], near, tol=_FLAT)
+    return start + scale * (least.x if least.success else near)
 
 
 @lru_cache(maxsize=64)
