@@ -21,7 +21,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process per core; read a
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
-import torch
 import tyro
 from rich.console import Console
 
@@ -106,7 +105,6 @@ def run(config: Config) -> None:
     check_options(config)
     config.check_engine()
     require_bounds(config, time_limit=(1, LONGEST))
-    torch.set_num_threads(1)  # the networks are too small for more
     if config.scenarios == "sealed" and config.scenario_seed is None:
         known = sealed_set()
     else:

@@ -13,7 +13,6 @@ from typing import Annotated, Literal
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import torch
 import tyro
 from rich.console import Console
 
@@ -63,7 +62,6 @@ def run(config: Config) -> None:
     require_bounds(config, episodes=(1, DATASET_SPACING), seed=(0, MAX_DATASET_SEED))
     place = Place(config.out, config.id)
     place.check(config.overwrite)
-    torch.set_num_threads(1)  # the networks are too small for more
     settings = {"randomization": config.randomization, "sensors": config.sensors}
     mixture = Mixture.of(config.controller, config.policy, config.disturbed, settings)
     with progress_count("episodes", Console()) as done:

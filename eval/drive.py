@@ -17,7 +17,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
-    import torch
     import tyro
     from rich.console import Console
 
@@ -62,7 +61,6 @@ def report(config: Config) -> None:
     check_sizes(config.sizes)
     methods = choose_methods(config.names)
     require_writable(config.out)
-    torch.set_num_threads(1)  # the networks are too small for more
     provenance = {"command": command_line(), **software("numpy", "numba", "torch"), "seed": DRIVE_SIZES.first}
     with progress_count("controllers and effects", Console(stderr=True)) as done:
         study = run_study(methods, config.arms, config.sizes, config.jobs or default_jobs(), done)

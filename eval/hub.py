@@ -15,7 +15,6 @@ from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import torch
 import tyro
 
 from agents.policy.bundle import read_spec
@@ -66,7 +65,6 @@ def share(config: Config) -> None:
     _, content = read_spec(config.policy)
     out = config.out or Path("results/hub") / (config.repo_id.split("/")[-1] or model_name(content))
     shared.require_free(out, config.overwrite)
-    torch.set_num_threads(1)
     scores = scores_of(config.policy, content["content_hash"], config.results or PUBLISHED)
     if scores is None and config.results is not None:
         raise ValueError(f"{config.policy} took no part in {config.results}: give it to eval/compare.py with --policy")

@@ -17,7 +17,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a process per core; read a
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
-import torch
 import tyro
 from rich.console import Console
 
@@ -91,7 +90,6 @@ def run(config: Config) -> None:
     """Pack, verify or write the table; a submission that does not come out again exits with 1."""
     config.check()
     console = Console(soft_wrap=True, markup=False, highlight=False)
-    torch.set_num_threads(1)  # as in the comparison
     if config.results is not None:
         submission = pack(config.results, config.author, board_rules())
         path = add_archive(submission, FOLDER)

@@ -14,7 +14,6 @@ from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import torch
 import tyro
 from rich.console import Console
 
@@ -69,7 +68,6 @@ def watch(config: Config) -> None:
     """Run the arms, then show or write what they did."""
     console = Console()
     config.check()
-    torch.set_num_threads(1)
     (name,) = chosen("split", (config.split,), SPLITS)
     if config.scenario_seed is None:
         split, scenario = choose_set().splits[name], config.scenario

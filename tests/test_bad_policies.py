@@ -23,7 +23,7 @@ from safetensors.torch import load_file
 from safetensors.torch import save as save_tensors
 
 import agents.policy.bundle
-from agents.policy.actor import MAX_LAYERS, MAX_WIDTH, Actor
+from agents.policy.actor import Actor
 from agents.policy.bundle import (
     FORMAT,
     MANIFEST,
@@ -35,6 +35,7 @@ from agents.policy.bundle import (
     read_spec,
     save_bundle,
 )
+from agents.policy.weights import MAX_LAYERS, MAX_WIDTH, Weights
 from agents.residual.bases import settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualEnv, ResidualVecEnv
@@ -104,14 +105,14 @@ def test_residuals_that_are_not_finite():
 SPEC = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
 
 
-def new_actor(spec: BundleSpec = SPEC) -> Actor:
-    return Actor(spec.shape()).requires_grad_(False)
+def new_weights(spec: BundleSpec = SPEC) -> Weights:
+    return Actor(spec.shape()).weights()
 
 
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
     folder = tmp_path / "policy"
-    save_bundle(folder, SPEC, new_actor())
+    save_bundle(folder, SPEC, new_weights())
     load_controller(folder)
     return folder
 
@@ -146,7 +147,7 @@ def flip_a_bit(path: Path) -> None:
 def foreign_weights(bundle: Path) -> None:
     """Weights of another network, with fitting hashes."""
     other, spec = bundle.parent / "other", BundleSpec("ppo", "paper", ResidualSettings(), (5,))
-    save_bundle(other, spec, new_actor(spec))
+    save_bundle(other, spec, new_weights(spec))
     manifest = json.loads((other / MANIFEST).read_text())
     shutil.copy(weights(other), bundle)
     edit(bundle, rehash=True, weights=manifest["weights"])
@@ -282,7 +283,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "two memories": (lambda b: edit(b, rehash=True, gru=4, lstm=4), (MANIFEST, "does not fit", "an LSTM or a GRU")),
     "a GRU that is not in the weights": (lambda b: edit(b, rehash=True, gru=4), ("weights-", "does not hold")),
     "an LSTM that is not in the weights": (lambda b: edit(b, rehash=True, lstm=4), ("weights-", "does not hold")),
-    "weights in double precision": (double_weights, ("weights-x", "torch.float64", "torch.float32")),
+    "weights in double precision": (double_weights, ("weights-x", "float64", "float32")),
     "weights of NaN": (nan_weights, ("weights-x", "not finite")),
     "weights elsewhere": (lambda b: name_weights(b, "../elsewhere.safetensors"), ("../elsewhere", "beside it")),
     "weights at an absolute path": (lambda b: name_weights(b, "/etc/passwd"), ("/etc/passwd", "beside it")),
@@ -374,7 +375,7 @@ def test_manifests_that_are_not_as_they_should_be(place: str, bundle: Path):
 
 def test_bundles_are_written_with_finite_numbers_alone(tmp_path: Path):
     spec = replace(SPEC, provenance={"curve": [[0, 1.0, NAN]]})
-    refused(ValueError, ("not JSON compliant",), lambda: save_bundle(tmp_path, spec, new_actor()))
+    refused(ValueError, ("not JSON compliant",), lambda: save_bundle(tmp_path, spec, new_weights()))
 
 
 def test_what_a_machine_is_sent_of_a_bundle_is_the_bundle(bundle: Path):
@@ -402,12 +403,12 @@ def test_loading_executes_nothing(bundle: Path):
 
 def test_policies_that_are_not_saved(bundle: Path):
     before = read_spec(bundle)
-    actor = new_actor()
-    next(actor.parameters())[:] = NAN
-    refused(BundleError, ("not finite", "layers.0.weight"), lambda: save_bundle(bundle, SPEC, actor))
+    broken = new_weights()
+    next(iter(broken.arrays.values()))[:] = NAN
+    refused(BundleError, ("not finite", "layers.0.weight"), lambda: save_bundle(bundle, SPEC, broken))
     wide = BundleSpec("ppo", "paper", ResidualSettings(), (600, 600))
-    refused(ValueError, (str(MAX_BYTES), "smaller layers"), lambda: save_bundle(bundle, wide, new_actor(wide)))
-    refused(ValueError, ("(600, 600)", "(4, 3)"), lambda: save_bundle(bundle, wide, new_actor()))
+    refused(ValueError, (str(MAX_BYTES), "smaller layers"), lambda: save_bundle(bundle, wide, new_weights(wide)))
+    refused(ValueError, ("(600, 600)", "(4, 3)"), lambda: save_bundle(bundle, wide, new_weights()))
     assert read_spec(bundle) == before
 
 
@@ -429,11 +430,11 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
 
     monkeypatch.setattr(os, "replace", replace_then_fail)
     with pytest.raises(OSError, match="No space"):
-        save_bundle(bundle, SPEC, new_actor())
+        save_bundle(bundle, SPEC, new_weights())
     monkeypatch.undo()
     again, _ = load_controller(bundle)
     assert isinstance(again, ResidualController)
     assert np.array_equal(again.predict(seen)[0], expected)
     assert not [name for name in os.listdir(bundle) if name.startswith(".")]
-    save_bundle(bundle, SPEC, new_actor())
+    save_bundle(bundle, SPEC, new_weights())
     assert len(os.listdir(bundle)) == 3

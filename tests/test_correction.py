@@ -37,7 +37,7 @@ SPECS = {
 
 def lively(spec: BundleSpec) -> ResidualController:
     torch.manual_seed(0)
-    policy: Any = NetworkPolicy(Actor(spec.shape()).requires_grad_(False))
+    policy: Any = NetworkPolicy(Actor(spec.shape()).weights())
     if spec.inputs is not None:
         policy = SelectedInputs(policy, spec.inputs, spec.offered())
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)

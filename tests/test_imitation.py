@@ -288,7 +288,9 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
 def test_the_untrained_student_is_its_base(tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
     config = StudentConfig(out=tmp_path)
-    untrained = ResidualController(CONTROLLERS["adaptive"](), NetworkPolicy(Student(config).actor()), config.residual)
+    untrained = ResidualController(
+        CONTROLLERS["adaptive"](), NetworkPolicy(Student(config).actor().weights()), config.residual
+    )
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 

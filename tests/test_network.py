@@ -15,8 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.policy import network
-from agents.policy.actor import Actor, ActorShape
+from agents.policy.actor import Actor
+from agents.policy.bundle import POLICIES, load_controller
 from agents.policy.network import NetworkPolicy
+from agents.policy.weights import ActorShape
 from beltarm_env.arrays import Singles
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -65,14 +67,14 @@ def test_residuals_are_those_of_the_library(name: str):
     actor = lively(SHAPES[name])
     seen = episodes(SHAPES[name], 50)
     expected = by_torch(actor, seen)
-    np.testing.assert_allclose(answers(NetworkPolicy(actor), seen), expected, atol=3e-6)
+    np.testing.assert_allclose(answers(NetworkPolicy(actor.weights()), seen), expected, atol=3e-6)
     assert 0.05 < expected.std()
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(1, 40), st.integers(0, 1000))
 def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: int):
     """Rows turned round, and cut where the kernel's tiles do not end."""
-    policy, seen = NetworkPolicy(lively(SHAPES[name])), episodes(SHAPES[name], count, 3, seed)
+    policy, seen = NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], count, 3, seed)
     whole = answers(policy, seen)
     np.testing.assert_array_equal(answers(policy, seen[:, ::-1])[:, ::-1], whole)
     np.testing.assert_array_equal(answers(policy, seen[:, : 1 + count // 3]), whole[:, : 1 + count // 3])
@@ -81,7 +83,7 @@ def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: i
 
 def test_a_memory_begins_anew_where_an_episode_does():
     shape = SHAPES["student"]
-    policy, seen = NetworkPolicy(lively(shape)), 0.1 * episodes(shape, 3, 4)
+    policy, seen = NetworkPolicy(lively(shape).weights()), 0.1 * episodes(shape, 3, 4)
     _, memory = policy.predict(seen[0])
     residual, following = policy.predict(seen[1], memory, np.array([False, True, False]))
     fresh, _ = policy.predict(seen[1])
@@ -93,7 +95,7 @@ def test_a_memory_begins_anew_where_an_episode_does():
 def test_weights_are_copied():
     """Training goes on with an actor that a policy was made of."""
     actor = lively(SHAPES["student"])
-    policy, seen = NetworkPolicy(actor), episodes(SHAPES["student"], 2)
+    policy, seen = NetworkPolicy(actor.weights()), episodes(SHAPES["student"], 2)
     before = answers(policy, seen)
     for tensor in actor.state_dict().values():
         tensor.add_(1.0)
@@ -113,7 +115,7 @@ PLAIN = """
 import sys; sys.path.insert(0, "tests")
 import numpy as np
 from test_network import SHAPES, answers, episodes, lively, NetworkPolicy
-found = {name: answers(NetworkPolicy(lively(SHAPES[name])), episodes(SHAPES[name], 9, 3)) for name in NAMES}
+found = {name: answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3)) for name in NAMES}
 """
 
 
@@ -124,5 +126,22 @@ def test_without_compiler_the_very_same_numbers(tmp_path: Path):
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True)
     with np.load(tmp_path / "plain.npz") as plain:
         for name in names:
-            expected = answers(NetworkPolicy(lively(SHAPES[name])), episodes(SHAPES[name], 9, 3))
+            expected = answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3))
             assert plain[name].tobytes() == expected.tobytes(), name
+
+
+WITHOUT = """
+import sys
+import numpy as np
+import eval.compare
+from agents.policy.bundle import POLICIES, load_controller
+controller, _ = load_controller(POLICIES / "ppo" / "seed0")
+print(controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex())
+assert "torch" not in sys.modules
+"""
+
+
+def test_shipped_policies_act_and_are_compared_without_pytorch():
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
+    controller, _ = load_controller(POLICIES / "ppo" / "seed0")
+    assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()

@@ -13,10 +13,11 @@ import torch
 from gymnasium.error import DependencyNotInstalled
 from test_network import SHAPES, episodes, lively
 
-from agents.policy.actor import Actor, ActorShape
+from agents.policy.actor import Actor
 from agents.policy.bundle import MANIFEST, POLICIES, BundleError, BundleSpec, read_spec, save_bundle
 from agents.policy.network import NetworkPolicy
 from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
+from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualSettings
 from beltarm_env.arrays import Singles
 
@@ -45,11 +46,11 @@ def answers(model: Any, seen: Singles, memory: tuple[int, ...]) -> tuple[Singles
 def test_residuals_and_states_are_the_policys(name: str):
     shape = {**SHAPES, **MORE}[name]
     actor = lively(shape)
-    policy, seen, memory, expected = NetworkPolicy(actor), 0.5 * episodes(shape, 7, 5), None, []
+    policy, seen, memory, expected = NetworkPolicy(actor.weights()), 0.5 * episodes(shape, 7, 5), None, []
     for observation in seen:
         residual, memory = policy.predict(observation, memory)
         expected.append(residual[:, 0])
-    residuals, state = answers(model_of(actor, {}), seen, policy.memory)
+    residuals, state = answers(model_of(actor.weights(), {}), seen, policy.memory)
     np.testing.assert_allclose(residuals, np.stack(expected), rtol=0, atol=2e-6)
     assert 0.05 < np.std(expected)
     if memory is not None:
@@ -81,7 +82,7 @@ def test_a_shipped_policy(method: str, tmp_path: Path):
 def test_a_damaged_bundle_makes_no_model(tmp_path: Path):
     spec = BundleSpec("ppo", "paper", ResidualSettings(), (4,))
     actor = Actor(spec.shape()).requires_grad_(False)
-    save_bundle(tmp_path, spec, actor)
+    save_bundle(tmp_path, spec, actor.weights())
     (weights,) = tmp_path.glob("*.safetensors")
     weights.write_bytes(weights.read_bytes()[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(BundleError, match="damaged"):
@@ -92,10 +93,10 @@ def test_weights_that_are_no_numbers_are_refused():
     actor = Actor(MORE["no hidden layer"]).requires_grad_(False)
     next(actor.parameters())[0] = torch.inf
     with pytest.raises(ValueError, match="weights that are not finite numbers, in layers"):
-        model_of(actor, {})
+        model_of(actor.weights(), {})
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(DependencyNotInstalled, match=r"'\.\[onnx\]'"):
-        model_of(lively(MORE["no hidden layer"]), {})
+        model_of(lively(MORE["no hidden layer"]).weights(), {})

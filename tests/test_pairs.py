@@ -496,7 +496,7 @@ def test_dominated_methods_run_where_they_are_named():
 
 def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
     spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
-    save_bundle(folder, spec, Actor(spec.shape()))
+    save_bundle(folder, spec, Actor(spec.shape()).weights())
     return folder
 
 

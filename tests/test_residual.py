@@ -79,7 +79,7 @@ def lively_actor(spec: BundleSpec | None = None, seed: int = 0) -> Actor:
 
 def lively_policy(spec: BundleSpec | None = None, seed: int = 0) -> NetworkPolicy:
     """Policy that acts by them."""
-    return NetworkPolicy(lively_actor(spec, seed))
+    return NetworkPolicy(lively_actor(spec, seed).weights())
 
 
 class Silent:
@@ -518,7 +518,7 @@ SPECS = [
 @pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.algorithm + spec.activation)
 def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSpec):
     policy = lively_policy(spec)
-    save_bundle(tmp_path, spec, lively_actor(spec))
+    save_bundle(tmp_path, spec, lively_actor(spec).weights())
     loaded, told = load_controller(tmp_path)
     assert told == spec == read_spec(tmp_path)[0]
     original = ResidualController(make_base(spec.base), policy, spec.residual)
@@ -531,23 +531,27 @@ def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSp
 
 def test_content_hash_depends_on_content_alone(tmp_path: Path):
     spec, actor = SPECS[0], lively_actor()
-    first = save_bundle(tmp_path / "a", spec, actor)
-    assert save_bundle(tmp_path / "b", spec, actor) == first == save_bundle(tmp_path / "a", spec, actor)
+    first = save_bundle(tmp_path / "a", spec, actor.weights())
+    assert (
+        save_bundle(tmp_path / "b", spec, actor.weights())
+        == first
+        == save_bundle(tmp_path / "a", spec, actor.weights())
+    )
     files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
     assert files[0] == files[1]
     _, told = load_controller(tmp_path / "a")
-    assert save_bundle(tmp_path / "c", told, actor) == first
+    assert save_bundle(tmp_path / "c", told, actor.weights()) == first
     others = [
-        save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), actor),
-        save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), actor),
-        save_bundle(tmp_path / "d", spec, lively_actor(seed=1)),
+        save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), actor.weights()),
+        save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), actor.weights()),
+        save_bundle(tmp_path / "d", spec, lively_actor(seed=1).weights()),
     ]
     assert len({first, *others}) == 4
 
 
 def test_saving_again_replaces_the_bundle(tmp_path: Path):
-    save_bundle(tmp_path, SPECS[0], lively_actor())
-    save_bundle(tmp_path, SPECS[0], lively_actor(seed=1))
+    save_bundle(tmp_path, SPECS[0], lively_actor().weights())
+    save_bundle(tmp_path, SPECS[0], lively_actor(seed=1).weights())
     assert len(list(tmp_path.iterdir())) == 3
     seen = np.ones((1, size()), np.float32)
     expected = ResidualController(CONTROLLERS["paper"](), lively_policy(seed=1), SETTINGS).predict(seen)[0]
@@ -555,7 +559,7 @@ def test_saving_again_replaces_the_bundle(tmp_path: Path):
 
 
 def test_no_pickle_in_a_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    save_bundle(tmp_path, SPECS[0], lively_actor())
+    save_bundle(tmp_path, SPECS[0], lively_actor().weights())
 
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("unpickled")
@@ -579,7 +583,7 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
     names = ("base_torque", "motor_speed", "believed_torsion", "motor_angle_error")
     spec = BundleSpec("ppo", "paper", SETTINGS, (16,), inputs=names)
     policy = lively_policy(spec)
-    save_bundle(tmp_path, spec, lively_actor(spec))
+    save_bundle(tmp_path, spec, lively_actor(spec).weights())
     loaded, told = load_controller(tmp_path)
     assert told == spec
     places = [[entry.name for entry in spec.offered()].index(name) for name in names]
@@ -593,7 +597,7 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
 
 def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(tmp_path: Path):
     spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
-    save_bundle(tmp_path, spec, Actor(spec.shape()))
+    save_bundle(tmp_path, spec, Actor(spec.shape()).weights())
     controller, _ = load_controller(str(tmp_path))
     assert isinstance(controller.informed.base, FeltAdaptiveController)
     assert not isinstance(make_base("adaptive"), FeltAdaptiveController)

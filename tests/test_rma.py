@@ -12,9 +12,9 @@ import torch
 from trainings import StopAfter, weights
 
 from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, Told, merged, told_constants
-from agents.policy.actor import ActorShape
 from agents.policy.bundle import load_controller
 from agents.policy.network import NetworkPolicy
+from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController
 from agents.runs.monitor import validate
 from agents.runs.training import train
@@ -110,7 +110,7 @@ def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
     expected = informed.policy(torch.cat([observed, guess], dim=-1))
     assert expected.std() > 0.1 and guess.std() > 0.1
     np.testing.assert_allclose(actor(inputs).numpy(), expected.numpy(), atol=2e-5)
-    policy, state, residuals = NetworkPolicy(actor), None, []
+    policy, state, residuals = NetworkPolicy(actor.weights()), None, []
     for seen in inputs.numpy():
         residual, state = policy.predict(seen, state)
         residuals.append(residual)
@@ -129,7 +129,8 @@ def test_a_policy_is_told_the_arm_of_its_row():
 def test_the_untrained_policy_is_its_base(tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
     config = RmaConfig(out=tmp_path)
-    untrained = ResidualController(CONTROLLERS["adaptive"](), NetworkPolicy(Rma(config).actor()), config.residual)
+    policy = NetworkPolicy(Rma(config).actor().weights())
+    untrained = ResidualController(CONTROLLERS["adaptive"](), policy, config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 
@@ -184,7 +185,7 @@ def test_the_memory_moves_the_torque_once_it_is_fitted(whole: Path):
     memories[1] = 0.5
     residuals, _ = policy.predict(seen, memories)
     assert residuals[0, 0] != residuals[1, 0]
-    untrained, _ = NetworkPolicy(Rma(tiny(whole)).actor()).predict(seen, memories)
+    untrained, _ = NetworkPolicy(Rma(tiny(whole)).actor().weights()).predict(seen, memories)
     assert untrained[0, 0] == untrained[1, 0]
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from commands import mistake, stopped
 from jsonschema import Draft202012Validator
-from test_bad_policies import SPEC, Exploit, edit, new_actor
+from test_bad_policies import SPEC, Exploit, edit, new_weights
 from test_card import halves
 
 import eval.hub
@@ -103,7 +103,7 @@ def few(tmp_path: Path) -> Path:
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     """A policy of a user's own."""
-    save_bundle(tmp_path / "own", SPEC, new_actor())
+    save_bundle(tmp_path / "own", SPEC, new_weights())
     return tmp_path / "own"
 
 

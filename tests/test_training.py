@@ -435,7 +435,7 @@ def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
     with torch.no_grad():
         for parameter in model.policy.parameters():
             parameter.add_(0.1 * torch.randn(parameter.shape))
-    policy = NetworkPolicy(actor_of(model.policy, config.spec().shape()))
+    policy = NetworkPolicy(actor_of(model.policy, config.spec().shape()).weights())
     ours, theirs = None, None
     begins = np.ones(config.arms, np.bool_)
     seen, residuals = env.reset(), []

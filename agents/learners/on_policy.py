@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.learners.reinforcement import ReinforcementConfig
-from agents.policy.actor import ACTIVATIONS
+from agents.policy.actor import MODULES
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class OnPolicyConfig(ReinforcementConfig):
             "ent_coef": self.entropy,
             "policy_kwargs": {
                 "net_arch": list(self.hidden),
-                "activation_fn": ACTIVATIONS[self.activation],
+                "activation_fn": MODULES[self.activation],
                 "log_std_init": self.initial_log_std,
                 **policy,
             },

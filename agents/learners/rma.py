@@ -26,9 +26,10 @@ from torch import nn
 
 from agents.learners.student import MAX_GRADIENT, Pause, Student, StudentConfig, as_base, note_round
 from agents.learners.teaching import Advice, Noted
-from agents.policy.actor import Actor, ActorShape, standardised
+from agents.policy.actor import Actor, standardised
 from agents.policy.network import NetworkPolicy
 from agents.policy.regression import Regression
+from agents.policy.weights import ActorShape
 from agents.runs.monitor import TrainingMonitor
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, NOMINAL, params_table
@@ -207,7 +208,7 @@ class Rma(Student):
 
     def _remember(self, monitor: TrainingMonitor) -> None:
         """Fit the memory to the z of arms, on moves that are made with its guess."""
-        pause, noted = Pause(monitor), Noted(self._acting(NetworkPolicy(self.actor())))
+        pause, noted = Pause(monitor), Noted(self._acting(NetworkPolicy(self.actor().weights())))
         self.advice = []
         own = self._trial(pause)(noted)
         informed = self._regression.averaged()

@@ -19,7 +19,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 
 from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
-from agents.policy.actor import ACTIVATIONS
+from agents.policy.actor import MODULES
 from agents.residual.env import ResidualVecEnv
 from beltarm_env.arrays import Singles
 from beltarm_env.task.cost import MAX_COST
@@ -104,7 +104,7 @@ class SacConfig(ReinforcementConfig):
             "action_noise": NormalActionNoise(np.zeros(1), np.full(1, self.noise)) if self.noise else None,
             "policy_kwargs": {
                 "net_arch": list(self.hidden),
-                "activation_fn": ACTIVATIONS[self.activation],
+                "activation_fn": MODULES[self.activation],
                 "optimizer_class": ClippedAdam,
             },
             "ent_coef": f"auto_{self.initial_entropy_weight}",

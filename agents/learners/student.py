@@ -178,7 +178,7 @@ class Student:
 
     def _asked(self, pause: Pause) -> tuple[Advice, Recording]:
         """Advice about this round's moves, and the moves."""
-        return self._ask(NetworkPolicy(self.actor()), pause)
+        return self._ask(NetworkPolicy(self.actor().weights()), pause)
 
     def _ask(self, policy: Policy, pause: Pause) -> tuple[Advice, Recording]:
         """Ask the teacher about this round's moves, made by a policy."""

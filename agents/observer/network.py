@@ -21,7 +21,8 @@ import torch
 from torch import nn
 
 from agents.observer.quantities import BELIEVED, NAMES, SCALES
-from agents.policy.actor import begun, standardised
+from agents.policy.actor import standardised
+from agents.policy.network import begun
 from agents.residual.knowledge import ENTRIES, Knowledge
 from beltarm_env import observation
 from beltarm_env.arrays import Flags, Floats, Singles

@@ -1,7 +1,7 @@
 """Policy bundles: a trained residual policy as a folder of three files, loaded without executing anything.
 
     policy.json                what the policy is and how it came about; names the weights and their SHA-256
-    weights-XXXX.safetensors   of the actor alone: numbers, no code
+    weights-XXXX.safetensors   of the network that acts: numbers, no code
     README.md                  the same as a card to read, see `agents.policy.card`
 
 `policy.json` carries a hash of its own content (`agents.policy.manifest`), so that a bundle is either what was saved or
@@ -25,16 +25,16 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import torch
+import numpy as np
 from safetensors import SafetensorError
-from safetensors.torch import load as load_weights
-from safetensors.torch import save as save_weights
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
 
-from agents.policy.actor import Actor, ActorShape
 from agents.policy.card import CARD, MANIFEST, card
 from agents.policy.inputs import SelectedInputs, chosen_names
 from agents.policy.manifest import ALGORITHMS, FORMAT, MAX_BYTES, VERSION, BundleError, content_hash, read_manifest
 from agents.policy.network import NetworkPolicy
+from agents.policy.weights import ActorShape, Weights
 from agents.residual.bases import base_settings, changed_settings, make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.knowledge import ENTRIES as TOLD
@@ -75,7 +75,7 @@ class BundleSpec:
         return [by_name[name] for name in (by_name if self.inputs is None else self.inputs)]
 
     def shape(self) -> ActorShape:
-        """Layers of the policy's actor.
+        """Layers of the policy's network.
 
         Raises:
             ValueError: If they are not of a size that is allowed.
@@ -85,7 +85,7 @@ class BundleSpec:
         return ActorShape(inputs, hidden, self.activation, squashed, self.lstm, self.gru, self.standardised)
 
 
-def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
+def save_bundle(folder: Path, spec: BundleSpec, weights: Weights) -> str:
     """Write a bundle; one at the same place is replaced.
 
     Returns:
@@ -95,13 +95,13 @@ def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
         ValueError: If the weights are not finite, not those of the spec, or take more than `MAX_BYTES`.
         OSError: If the folder cannot be written; an older bundle in it stays valid.
     """
-    if actor.shape != spec.shape():
-        raise ValueError(f"the actor's layers are {actor.shape}, the bundle's are {spec.shape()}")
-    require_finite(actor, "the policy")
-    weights = save_weights({name: value.contiguous() for name, value in actor.state_dict().items()})
-    if len(weights) > MAX_BYTES:
-        raise ValueError(f"a bundle's weights take at most {MAX_BYTES} bytes, these {len(weights)}: use smaller layers")
-    digest = hashlib.sha256(weights).hexdigest()
+    if weights.shape != spec.shape():
+        raise ValueError(f"the weights are of {weights.shape}, the bundle's layers are {spec.shape()}")
+    require_finite(weights, "the policy")
+    data = save_arrays({name: np.ascontiguousarray(array) for name, array in weights.arrays.items()})
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"a bundle's weights take at most {MAX_BYTES} bytes, these {len(data)}: use smaller layers")
+    digest = hashlib.sha256(data).hexdigest()
     name = f"weights-{digest[:12]}.safetensors"
     settings = base_settings(spec.base, spec.residual.knowledge)
     content = {
@@ -116,7 +116,7 @@ def save_bundle(folder: Path, spec: BundleSpec, actor: Actor) -> str:
         "entries": spec.entries(),
         "weights": {"file": name, "sha256": digest},
     }
-    write_atomically(folder / name, lambda path: path.write_bytes(weights))
+    write_atomically(folder / name, lambda path: path.write_bytes(data))
     _write_manifest(folder, content)
     for other in folder.glob("weights-*.safetensors"):
         if other.name != name:
@@ -178,37 +178,32 @@ def _spec_of(content: dict[str, Any]) -> BundleSpec:
 
 
 def load_controller(folder: Path | str) -> tuple[ResidualController, BundleSpec]:
-    """Load a bundle as a controller on the environment's observation; raises the errors of `read_actor`."""
-    actor, spec, _ = read_actor(folder)
-    network = NetworkPolicy(actor)
+    """Load a bundle as a controller on the environment's observation; raises the errors of `read_weights`."""
+    weights, spec, _ = read_weights(folder)
+    network = NetworkPolicy(weights)
     policy = network if spec.inputs is None else SelectedInputs(network, spec.inputs, spec.offered())
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual), spec
 
 
-def read_actor(folder: Path | str) -> tuple[Actor, BundleSpec, dict[str, Any]]:
-    """Read a bundle whole: its actor, its description and its manifest.
+def read_weights(folder: Path | str) -> tuple[Weights, BundleSpec, dict[str, Any]]:
+    """Read a bundle whole: its weights, its description and its manifest.
 
     Raises:
         BundleError: If it is missing, damaged, or foreign.
     """
     spec, content = read_spec(folder)
     path = Path(folder) / content["weights"]["file"]
-    data = _read_weights(path, content)
-    actor = Actor(spec.shape()).requires_grad_(False)
+    data = _read_file(path, content)
     try:
-        tensors = load_weights(data)
-        others = {str(tensor.dtype) for tensor in tensors.values()} - {str(torch.float32)}
-        if others:
-            raise ValueError(f"they are of {', '.join(sorted(others))}, and must be of torch.float32")
-        actor.load_state_dict(tensors)
+        weights = Weights(spec.shape(), load_arrays(data))
     except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         words = in_a_line(error)
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {words}") from None
-    require_finite(actor, str(path))
-    return actor, spec, content
+    require_finite(weights, str(path))
+    return weights, spec, content
 
 
-def _read_weights(path: Path, content: dict[str, Any]) -> bytes:
+def _read_file(path: Path, content: dict[str, Any]) -> bytes:
     try:
         data = read_regular(path, MAX_BYTES)
     except OSError as error:
@@ -227,11 +222,10 @@ def bundle_files(folder: Path) -> dict[str, bytes]:
     """
     _, content = read_spec(folder)
     name = content["weights"]["file"]
-    return {MANIFEST: read_regular(folder / MANIFEST, MAX_BYTES), name: _read_weights(folder / name, content)}
+    return {MANIFEST: read_regular(folder / MANIFEST, MAX_BYTES), name: _read_file(folder / name, content)}
 
 
-def require_finite(actor: Actor, owner: str) -> None:
-    """Raise a `BundleError` if some weights of an actor are no finite numbers."""
-    for name, value in actor.state_dict().items():
-        if not torch.isfinite(value).all():
-            raise BundleError(f"{owner} has weights that are not finite numbers, in {name}")
+def require_finite(weights: Weights, owner: str) -> None:
+    """Raise a `BundleError` if some weights are no finite numbers."""
+    if name := weights.not_finite():
+        raise BundleError(f"{owner} has weights that are not finite numbers, in {name}")

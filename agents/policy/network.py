@@ -1,4 +1,4 @@
-"""A policy's network as it acts: an actor's numbers, computed row by row in one fixed order.
+"""A policy's network as it acts: its weights, computed row by row in one fixed order.
 
 A library multiplies matrices in an order that depends on how many rows there are. The last digits of a residual are
 then not the same in a batch and for one arm, and a torque that differs by 1e-9 N m can decide whether the motor sticks:
@@ -12,26 +12,26 @@ same alone and in any batch, bit for bit. The kernel `evaluate` takes one row or
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from agents.policy.actor import ACTIVATIONS, FARTHEST, Actor, begun
+from agents.policy.weights import ACTIVATIONS, FARTHEST, Weights
 from agents.residual.limits import cut
+from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import compiled, inlined
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LANES = 16  # numbers that a processor takes at once at most: rows begin at multiples of them, to be read faster
 _FEEDFORWARD, _GRU, _LSTM = range(3)
-_TANH, _RELU, _ELU = (list(ACTIVATIONS).index(name) for name in ("tanh", "relu", "elu"))
+_TANH, _RELU, _ELU = (ACTIVATIONS.index(name) for name in ("tanh", "relu", "elu"))
 _MOST = 7.90531110763549805  # from here on tanh is 1 in single precision
 
 
 class Network(NamedTuple):
-    """An actor's numbers, as kernels read them."""
+    """Weights, as kernels read them."""
 
     weights: Singles  # matrices by input, each before its bias, the recurrent ones first
     widths: NDArray[np.int64]  # from the first layer's input on
@@ -45,15 +45,15 @@ class Network(NamedTuple):
 
 
 class NetworkPolicy:
-    """Policy by the network of an actor; `predict` is that of a Stable-Baselines3 policy, deterministic.
+    """Policy by a network; `predict` is that of a Stable-Baselines3 policy, deterministic.
 
     Args:
-        actor: Whose weights are copied.
+        weights: They are copied.
     """
 
-    def __init__(self, actor: Actor) -> None:
-        self.shape = shape = actor.shape
-        self.network = _network(actor)
+    def __init__(self, weights: Weights) -> None:
+        self.shape = shape = weights.shape
+        self.network = _network(weights)
         self.memory = (2, shape.lstm) if shape.lstm else (shape.gru,)
         """Shape of a row's memory."""
         self.widest = max(_GATES[self.network.kind] * self.network.remembered, *self.network.widths.tolist())
@@ -89,30 +89,28 @@ class NetworkPolicy:
 _GATES = (0, 3, 4)  # of each kind of memory
 
 
-def _array(tensor: torch.Tensor) -> Singles:
-    return tensor.detach().cpu().numpy().astype(np.float32, order="C")
+def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> Singles:
+    """Memory of a shape, rows first, which is zero where an episode begins: everywhere if there is none yet."""
+    memory = np.zeros(shape, np.float32)
+    if state is not None:
+        memory = state if start is None else chosen(start, memory, state)
+    return memory
 
 
-def _network(actor: Actor) -> Network:
-    shape = actor.shape
-    blocks: list[tuple[Any, Any]] = []
-    recurrent = actor.lstm or actor.gru
-    if recurrent is not None:
-        of = dict(recurrent.named_parameters())
-        blocks += [(of[f"weight_{kind}_l0"], of[f"bias_{kind}_l0"]) for kind in ("ih", "hh")]
-    linear = [layer for layer in actor.layers if isinstance(layer, torch.nn.Linear)]
-    blocks += [(layer.weight, layer.bias) for layer in linear]
-    flat = [part for weight, bias in blocks for part in (_array(weight).T.ravel(), _array(bias))]
+def _network(weights: Weights) -> Network:
+    shape, blocks = weights.shape, [*weights.recurrent(), *weights.layers()]
+    none = {"mean": np.zeros(shape.inputs, np.float32), "deviation": np.ones(shape.inputs, np.float32)}
+    scales = weights.arrays if shape.standardised else none
     return Network(
-        weights=np.concatenate(flat),
-        widths=np.array([linear[0].in_features, *(layer.out_features for layer in linear)]),
+        weights=np.concatenate([part for weight, bias in blocks for part in (weight.T.ravel(), bias)]),
+        widths=np.array(shape.widths),
         kind=_LSTM if shape.lstm else _GRU if shape.gru else _FEEDFORWARD,
         remembered=shape.lstm or shape.gru,
-        activation=list(ACTIVATIONS).index(shape.activation),
+        activation=ACTIVATIONS.index(shape.activation),
         squashed=shape.squashed,
         standardised=shape.standardised,
-        mean=_array(actor.mean) if shape.standardised else np.zeros(shape.inputs, np.float32),
-        deviation=_array(actor.deviation) if shape.standardised else np.ones(shape.inputs, np.float32),
+        mean=scales["mean"].copy(),
+        deviation=scales["deviation"].copy(),
     )
 
 

@@ -20,11 +20,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from gymnasium.error import DependencyNotInstalled
 
-from agents.policy.actor import FARTHEST, Actor
-from agents.policy.bundle import MANIFEST, read_actor, require_finite
+from agents.policy.bundle import MANIFEST, read_weights, require_finite
+from agents.policy.weights import FARTHEST, Weights
 from baselines.tools.files import write_atomically
 from beltarm_env.arrays import Singles
 
@@ -44,11 +43,11 @@ def onnx_model(folder: Path | str) -> onnx.ModelProto:
         BundleError: If the bundle is missing, damaged, or foreign.
         DependencyNotInstalled: If the package onnx is not installed.
     """
-    actor, spec, content = read_actor(folder)
+    weights, spec, content = read_weights(folder)
     told = {name: content[name] for name in ("base", "edition", "sensors", "entries")}
     told |= {"hold": spec.residual.hold, "limit": spec.residual.limit, MANIFEST: content}
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()}
-    return model_of(actor, texts)
+    return model_of(weights, texts)
 
 
 def write_onnx(folder: Path | str, path: Path) -> None:
@@ -57,20 +56,20 @@ def write_onnx(folder: Path | str, path: Path) -> None:
     write_atomically(path, lambda file: file.write_bytes(data))
 
 
-def model_of(actor: Actor, metadata: Mapping[str, str]) -> onnx.ModelProto:
-    """Make the ONNX model of an actor.
+def model_of(weights: Weights, metadata: Mapping[str, str]) -> onnx.ModelProto:
+    """Make the ONNX model of a network.
 
     Raises:
         BundleError: If weights are not finite.
         DependencyNotInstalled: If the package onnx is not installed.
     """
-    require_finite(actor, "the policy")
+    require_finite(weights, "the policy")
     try:
         from onnx import TensorProto, checker, helper
     except ImportError:
         raise DependencyNotInstalled("an ONNX model needs the package onnx: pip install -e '.[onnx]'") from None
-    shape, graph = actor.shape, _Graph()
-    _write_network(graph, actor)
+    shape, graph = weights.shape, _Graph()
+    _write_network(graph, weights)
 
     def described(name: str, *sizes: int) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", *sizes])
@@ -109,27 +108,25 @@ class _Graph:
         """Add a constant. Return its name."""
         from onnx import numpy_helper
 
-        array = value.detach().cpu().numpy() if isinstance(value, torch.Tensor) else np.asarray(value)
-        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value), name))
         return name
 
 
-def _write_network(graph: _Graph, actor: Actor) -> None:
+def _write_network(graph: _Graph, weights: Weights) -> None:
     """Write the nodes from the observation, and the state, to the residual, and the next state."""
-    shape, features = actor.shape, "observation"
+    shape, features = weights.shape, "observation"
     if shape.standardised:
-        centred = graph.add("Sub", features, graph.constant("mean", actor.mean))
-        ratio = graph.add("Div", centred, graph.constant("deviation", actor.deviation))
+        centred = graph.add("Sub", features, graph.constant("mean", weights.arrays["mean"]))
+        ratio = graph.add("Div", centred, graph.constant("deviation", weights.arrays["deviation"]))
         features = _cut(graph, ratio, "farthest", FARTHEST)
     if shape.gru:
-        features = graph.add("Concat", features, _remembered(graph, actor, features), axis=1)
+        features = graph.add("Concat", features, _remembered(graph, weights, features), axis=1)
     elif shape.lstm:
-        features = _remembered(graph, actor, features)
-    linear = [layer for layer in actor.layers if isinstance(layer, torch.nn.Linear)]
-    for k, layer in enumerate(linear):
-        weight, bias = graph.constant(f"weight_{k}", layer.weight), graph.constant(f"bias_{k}", layer.bias)
+        features = _remembered(graph, weights, features)
+    for k, (matrix, offset) in enumerate(weights.layers()):
+        weight, bias = graph.constant(f"weight_{k}", matrix), graph.constant(f"bias_{k}", offset)
         features = graph.add("Gemm", features, weight, bias, transB=1)
-        if layer is not linear[-1]:
+        if k < len(shape.hidden):
             features = graph.add(_ACTIVATIONS[shape.activation], features)
     if shape.squashed:
         graph.add("Tanh", features, outputs=["residual"])
@@ -142,34 +139,33 @@ def _cut(graph: _Graph, features: str, name: str, most: float, outputs: Sequence
     return graph.add("Clip", features, *bounds, outputs=outputs)
 
 
-def _remembered(graph: _Graph, actor: Actor, features: str) -> str:
+def _remembered(graph: _Graph, weights: Weights, features: str) -> str:
     """Write the GRU or LSTM, for one step. Return its hidden state, shape (n, width).
 
     ONNX has the gates of a GRU in the order z, r, n and those of an LSTM in the order i, o, f, g, and one axis for the
     steps before, and one for the directions beside the rows.
     """
-    recurrent, order = (actor.gru, (1, 0, 2)) if actor.gru is not None else (actor.lstm, (0, 3, 1, 2))
-    assert recurrent is not None
-    width = recurrent.hidden_size
+    shape = weights.shape
+    order, width = (1, 0, 2) if shape.gru else (0, 3, 1, 2), shape.gru or shape.lstm
+    (weight_in, bias_in), (weight_hidden, bias_hidden) = weights.recurrent()
 
-    def gates(name: str) -> Singles:
-        rows = getattr(recurrent, f"{name}_l0").detach().cpu().numpy()
+    def gates(rows: Singles) -> Singles:
         return np.concatenate([rows[gate * width : (gate + 1) * width] for gate in order])[None]
 
     first = graph.constant("first", np.array([0]))
     steps = graph.add("Unsqueeze", features, first)
-    weights = [
-        graph.constant("recurrent_weight", gates("weight_ih")),
-        graph.constant("hidden_weight", gates("weight_hh")),
+    constants = [
+        graph.constant("recurrent_weight", gates(weight_in)),
+        graph.constant("hidden_weight", gates(weight_hidden)),
+        graph.constant("recurrent_bias", np.concatenate([gates(bias_in), gates(bias_hidden)], axis=1)),
     ]
-    weights.append(graph.constant("recurrent_bias", np.concatenate([gates("bias_ih"), gates("bias_hh")], axis=1)))
-    if actor.gru is not None:
+    if shape.gru:
         before = graph.add("Unsqueeze", "state", first)
         hidden = ["", "hidden"]
-        graph.add("GRU", steps, *weights, "", before, outputs=hidden, hidden_size=width, linear_before_reset=1)
+        graph.add("GRU", steps, *constants, "", before, outputs=hidden, hidden_size=width, linear_before_reset=1)
         return graph.add("Squeeze", "hidden", first, outputs=["next_state"])
     parts, states = ["hidden_before", "cell_before"], ["hidden", "cell"]
     graph.add("Split", graph.add("Transpose", "state", perm=[1, 0, 2]), outputs=parts, axis=0)
-    graph.add("LSTM", steps, *weights, "", *parts, outputs=["", *states], hidden_size=width)
+    graph.add("LSTM", steps, *constants, "", *parts, outputs=["", *states], hidden_size=width)
     graph.add("Transpose", graph.add("Concat", *states, axis=0), outputs=["next_state"], perm=[1, 0, 2])
     return graph.add("Squeeze", "hidden", first)

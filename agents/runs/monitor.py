@@ -164,8 +164,8 @@ class TrainingMonitor:
         steps = self.learner.steps
         if self.progress["curve"] and self.progress["curve"][-1]["steps"] == steps:
             return
-        actor = self.learner.actor()
-        policy, base = NetworkPolicy(actor), make_base(self.config.base, self.config.sensors)
+        weights = self.learner.actor().weights()
+        policy, base = NetworkPolicy(weights), make_base(self.config.base, self.config.sensors)
         controller = ResidualController(base, policy, self.spec.residual)
         scores = validate(controller, self.config.validation_arms, self.config.sensors)
         of_base = self.base_scores
@@ -179,7 +179,7 @@ class TrainingMonitor:
         self.progress["curve"].append({"steps": steps, "seconds": round(self.seconds, 1), **scores})
         if scores["cost"] < self.progress["best_cost"]:
             self.progress["best_cost"] = scores["cost"]
-            save_bundle(self.folder.best, self.completed_spec(scores), actor)
+            save_bundle(self.folder.best, self.completed_spec(scores), weights)
         self.save()
         self.channel.report(News(steps, self.progress["scores"], scores["cost"]))
 

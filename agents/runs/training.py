@@ -84,7 +84,7 @@ def _is_finished(monitor: TrainingMonitor) -> bool:
 def _finish(monitor: TrainingMonitor) -> None:
     """Save the last policy, and complete the provenance of the best one."""
     scores = {name: monitor.progress["curve"][-1][name] for name in SCORES}
-    save_bundle(monitor.folder.last, monitor.completed_spec(scores), monitor.learner.actor())
+    save_bundle(monitor.folder.last, monitor.completed_spec(scores), monitor.learner.actor().weights())
     annotate(monitor.folder.best, **monitor.provenance())
 
 

@@ -228,7 +228,9 @@ if __name__ == "__main__":
     actor = Actor(spec.shape())
     actor.layers.load_state_dict(agent.actor_mean.state_dict())
     of_base = validate(make_base(args.base), args.validation_arms)
-    scores = validate(ResidualController(make_base(args.base), NetworkPolicy(actor), settings), args.validation_arms)
+    scores = validate(
+        ResidualController(make_base(args.base), NetworkPolicy(actor.weights()), settings), args.validation_arms
+    )
     provenance = {
         "command": command_line(),
         **software("gymnasium", "torch"),
@@ -237,7 +239,7 @@ if __name__ == "__main__":
         "reached": {**run, "validation": scores},
         "validation_of_base": of_base,
     }
-    save_bundle(args.out / "policy", replace(spec, provenance=provenance), actor)
+    save_bundle(args.out / "policy", replace(spec, provenance=provenance), actor.weights())
     costs = f"{of_base['cost']:.1f} of {args.base} alone, {scores['cost']:.1f} with the residual"
     print(f"cost on {args.validation_arms} validation arms: {costs}")
     print(f"compare it: python eval/compare.py --policy {args.out / 'policy'}")

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_actor
+from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_weights
 from agents.policy.card import ENVIRONMENT, Offer, card
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
@@ -69,7 +69,7 @@ def files_of(policy: Path, offer: Offer, scores: Scores | None) -> dict[str, byt
     Raises:
         BundleError: If the bundle is missing, damaged, or foreign.
     """
-    _, _, content = read_actor(policy)
+    _, _, content = read_weights(policy)
     config = {
         "format": FORMAT,
         "environment": ENVIRONMENT,

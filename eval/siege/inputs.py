@@ -23,7 +23,7 @@ import numpy as np
 from agents.learners.ppo import PpoConfig
 from agents.observer.files import SHIPPED, load_observer
 from agents.policy.actor import Actor
-from agents.policy.bundle import BundleSpec, read_actor, read_spec, save_bundle
+from agents.policy.bundle import BundleSpec, read_spec, read_weights, save_bundle
 from agents.policy.card import MANIFEST
 from agents.policy.manifest import content_hash
 from agents.residual.controller import ResidualSettings
@@ -193,7 +193,7 @@ def _bundle(folder: Path) -> dict[str, Any]:
     """Save a small bundle, and return its manifest."""
     origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
     spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
-    save_bundle(folder, spec, Actor(spec.shape()))
+    save_bundle(folder, spec, Actor(spec.shape()).weights())
     return json.loads((folder / MANIFEST).read_text())
 
 
@@ -215,7 +215,7 @@ def _weights(folder: Path) -> Reader:
             files[MANIFEST] = json.dumps(told).encode()
         return files, fits
 
-    return Reader(lambda: {key: one.tolist() for key, one in read_actor(folder)[0].state_dict().items()}, damaged)
+    return Reader(lambda: {key: one.tolist() for key, one in read_weights(folder)[0].arrays.items()}, damaged)
 
 
 def _run(folder: Path) -> tuple[RunFolder, PpoConfig]:

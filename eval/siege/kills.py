@@ -32,7 +32,7 @@ from rich.console import Console
 from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
 from agents.learners.student import StudentConfig
-from agents.policy.bundle import read_actor
+from agents.policy.bundle import read_weights
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.engines.options import WithStorage
@@ -234,7 +234,7 @@ def _changes(event: str, arguments: tuple[Any, ...], folder: str) -> bool:
 def _train(config: RunConfig, folder: Path, resume: bool) -> None:
     for kind in ("best", "last"):
         if resume and (folder / kind / "policy.json").exists():
-            read_actor(folder / kind)
+            read_weights(folder / kind)
     train(_options(config, folder, resume), ALGORITHMS[config.algorithm].make_learner)
 
 
@@ -248,7 +248,7 @@ def _training(folder: Path) -> dict[str, Any]:
     meaning: dict[str, Any] = {"validation.csv": curve.to_csv()}
     meaning["config.json"] = json.loads((folder / "config.json").read_text())["identity"]
     for kind in ("best", "last"):
-        _, _, content = read_actor(folder / kind)
+        _, _, content = read_weights(folder / kind)
         origin = content.pop("provenance")
         content.pop("content_hash")
         origin.pop("commit")  # of a checkout that is worked in

@@ -1,0 +1,119 @@
+"""Weights of a policy's network: its layers, and their numbers as plain arrays.
+
+    o <- clip((o - mean) / deviation, -5, 5)  if it is standardised
+    z = o, LSTM(o) or [o, GRU(o)]
+    u = W_n act(... act(W_1 z + b_1) ...) + b_n    residual = tanh(u) or clip(u, -1, 1)
+
+This is all that a bundle holds and all that a policy needs to act: no critics, and nothing of what it was trained with,
+not even PyTorch, whose names the arrays have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from beltarm_env.arrays import Singles
+
+ACTIVATIONS = ("tanh", "relu", "elu")
+MAX_WIDTH = 1024
+MAX_LAYERS = 8
+FARTHEST = 5.0
+"""Bound of a standardised input, in deviations."""
+_GATES = {"lstm": 4, "gru": 3}
+
+
+@dataclass(frozen=True, slots=True)
+class ActorShape:
+    """Layers of an actor.
+
+    Raises:
+        ValueError: If a layer is not of a size that is allowed.
+    """
+
+    inputs: int
+    hidden: tuple[int, ...]  # width of the hidden layers
+    activation: str = "tanh"
+    squashed: bool = False  # tanh at the end instead of a cut
+    lstm: int = 0  # width of an LSTM before the first layer, 0 for none
+    gru: int = 0  # width of a GRU beside the inputs of the first layer, 0 for none
+    standardised: bool = False  # whether inputs are, by the mean and deviation that they had in training
+
+    def __post_init__(self) -> None:
+        """Check the sizes before memory is allocated."""
+        if len(self.hidden) > MAX_LAYERS:
+            raise ValueError(f"an actor has at most {MAX_LAYERS} hidden layers, got {len(self.hidden)}")
+        memories = (("the LSTM", 0, (self.lstm,)), ("the GRU", 0, (self.gru,)))
+        for name, least, widths in (("hidden layers", 1, self.hidden), *memories):
+            for width in widths:
+                if isinstance(width, bool) or not isinstance(width, int) or not least <= width <= MAX_WIDTH:
+                    raise ValueError(f"{name} must have a whole width from {least} to {MAX_WIDTH}, got {width!r}")
+        if self.lstm and self.gru:
+            raise ValueError(f"an actor has an LSTM or a GRU, got both, of {self.lstm} and {self.gru}")
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(f"activation must be one of {', '.join(ACTIVATIONS)}, got {self.activation!r}")
+
+    @property
+    def recurrent(self) -> str:
+        """Name of the recurrent layer, empty for none."""
+        return "lstm" if self.lstm else "gru" if self.gru else ""
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Widths of what the layers after the recurrent one take and give, from the first input on."""
+        return (self.lstm or self.inputs + self.gru, *self.hidden, 1)
+
+    def arrays(self) -> dict[str, tuple[int, ...]]:
+        """Names of the arrays, and their shapes: of matrices, outputs first."""
+        found: dict[str, tuple[int, ...]] = {}
+        if self.standardised:
+            found |= {"mean": (self.inputs,), "deviation": (self.inputs,)}
+        if self.recurrent:
+            width = self.lstm or self.gru
+            for kind, inputs in (("ih", self.inputs), ("hh", width)):
+                rows = _GATES[self.recurrent] * width
+                found |= {f"{self.recurrent}.weight_{kind}_l0": (rows, inputs)}
+                found |= {f"{self.recurrent}.bias_{kind}_l0": (rows,)}
+        for k, (before, after) in enumerate(pairwise(self.widths)):
+            found |= {f"layers.{2 * k}.weight": (after, before), f"layers.{2 * k}.bias": (after,)}
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Layers of an actor with their numbers.
+
+    Raises:
+        ValueError: If an array is missing, there is one too many, or one has another shape or type.
+    """
+
+    shape: ActorShape
+    arrays: dict[str, Singles]
+
+    def __post_init__(self) -> None:
+        """Check that these are the arrays of the layers."""
+        wanted = self.shape.arrays()
+        for name in (*wanted, *self.arrays):
+            if name not in self.arrays:
+                raise ValueError(f"there is no array {name!r}")
+            if name not in wanted:
+                raise ValueError(f"there is an array {name!r}, of no layer")
+            kind, shape = self.arrays[name].dtype, self.arrays[name].shape
+            if shape != wanted[name] or kind != np.float32:
+                raise ValueError(f"{name} is {kind} of shape {shape}, and must be float32 of shape {wanted[name]}")
+
+    def recurrent(self) -> list[tuple[Singles, Singles]]:
+        """Matrices and biases of the recurrent layer, on its inputs and on what it remembers; empty for none."""
+        kinds, name = ("ih", "hh") if self.shape.recurrent else (), self.shape.recurrent
+        return [(self.arrays[f"{name}.weight_{kind}_l0"], self.arrays[f"{name}.bias_{kind}_l0"]) for kind in kinds]
+
+    def layers(self) -> list[tuple[Singles, Singles]]:
+        """Matrices and biases of the layers after it."""
+        places = range(0, 2 * len(self.shape.widths) - 2, 2)
+        return [(self.arrays[f"layers.{k}.weight"], self.arrays[f"layers.{k}.bias"]) for k in places]
+
+    def not_finite(self) -> str | None:
+        """Name of the first array that has numbers that are not finite; None if all are."""
+        return next((name for name, array in self.arrays.items() if not np.isfinite(array).all()), None)
