@@ -22,9 +22,8 @@ try:
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
-    from eval.siege.page import markdown
-    from eval.siege.part import Siege
     from eval.siege.parts import PARTS, timed
+    from eval.siege.report import Siege, markdown
 except ModuleNotFoundError as error:
     stop_without("eval/soak.py", error)
 

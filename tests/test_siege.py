@@ -10,8 +10,7 @@ from commands import mistake
 from beltarm_env import BeltArmVectorEnv
 from eval import soak
 from eval.siege import determinism, environment, hostile
-from eval.siege.page import markdown
-from eval.siege.part import Siege
+from eval.siege.report import Siege, markdown
 
 
 def test_a_sample_finds_nothing():

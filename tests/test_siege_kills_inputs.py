@@ -1,16 +1,18 @@
-"""Two parts of the siege: they find nothing here, and they do find what is wrong."""
+"""Three parts of the siege: they find nothing here, and they do find what is wrong."""
 
 from __future__ import annotations
 
 import json
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from baselines.tools.files import write_text
-from eval.siege import inputs, kills
+from eval.siege import chains, inputs, kills
 from eval.siege.damage import exploit
 
 
@@ -84,3 +86,44 @@ def test_inputs_find_a_reader_with_a_fault(fault: str, monkeypatch: pytest.Monke
     siege = inputs.again("faulty", 0, 7)
     assert siege.count == 1 and len(siege.found) == 1
     assert siege.found[0].startswith("eval.siege.inputs.again('faulty', 0, 7): ") and fault in siege.found[0]
+
+
+COUNTING = """
+import json, os, sys, time
+from pathlib import Path
+out, careful = Path(sys.argv[1]), sys.argv[2] == "careful"
+out.mkdir(exist_ok=True)
+file, lock = out / "count.json", out / "lock"
+if careful:
+    import fcntl
+    handle = lock.open("w")
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        print(f"somebody counts in {out}", file=sys.stderr)
+        sys.exit(2)
+done = json.loads(file.read_text()) if file.exists() else []
+for k in range(len(done) if careful else 0, 15):
+    done.append(k)
+    temporary = file.with_suffix(".new")
+    temporary.write_text(json.dumps(done))
+    temporary.replace(file)
+    time.sleep(0.03)
+"""
+
+
+@pytest.mark.parametrize("how", ["careful", "careless"])
+def test_chains_find_what_does_not_survive_kills_from_outside(how: str, monkeypatch: pytest.MonkeyPatch):
+    def started(out: Path) -> subprocess.Popen[str]:
+        words = [sys.executable, "-c", COUNTING, str(out), how]
+        return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+    monkeypatch.setattr(chains, "_started", started)
+    monkeypatch.setattr(
+        chains, "meaning_of_training", lambda out: {"count": json.loads((out / "count.json").read_text())}
+    )
+    siege = chains.besiege(0.1, 0)
+    assert siege.count == 5
+    assert [line.split(":")[0] for line in siege.found] == (
+        [] if how == "careful" else ["chain 0 of seed 0", "two trainings at a time in one folder"]
+    )

@@ -9,8 +9,8 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from typing import Any
@@ -33,12 +33,19 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     Raises:
         OSError: If the folder cannot be written to or is full, naming `path`, which is then as it was.
     """
-    try:
+    with errors_about(path):  # which it is to be, not a temporary name
         _write_atomically(path, write)
+
+
+@contextmanager
+def errors_about(path: Path) -> Iterator[None]:
+    """Let errors of the system name a file, as those of writing, such as a full disk, do not by themselves."""
+    try:
+        yield
     except OSError as error:
         if error.errno is None or error.strerror is None:
             raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # of what it is to be, not of a temporary name
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -43,6 +43,7 @@ from optuna.trial import FrozenTrial, TrialState
 from baselines.engines.parallel import Channel, Interrupted
 from baselines.gains import Tunable
 from baselines.loops.condition import MarginCondition, least_margins
+from baselines.tools.files import errors_about
 from baselines.tuning.race import FINALISTS, RUNGS, charged, estimate, hopeless, split_budget
 from baselines.tuning.study import open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
@@ -104,10 +105,11 @@ def search(
     Raises:
         ValueError: If the budget is too small, the controller fails or falls short of the margins with its untuned
             gains or has no linear law, the journal belongs to another search, or another process searches with it.
+        OSError: If the journal cannot be written.
         Interrupted: If asked to stop; the journal is in order.
     """
     parts = split_budget(budget)
-    with own(journal):
+    with own(journal), errors_about(journal):
         study = open_study(tunable.gains, seed, journal, condition)
         if study.user_attrs.get("budget") == budget:
             return SearchResult(**study.user_attrs["found"])

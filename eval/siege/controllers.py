@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.siege import hostile
-from eval.siege.part import Siege
+from eval.siege.report import Siege
 
 _ROOT = Path(__file__).resolve().parents[2]
 _LIMIT = 40  # [s] that a controller may take

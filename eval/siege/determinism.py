@@ -13,7 +13,7 @@ import numpy as np
 
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Floats, Singles
-from eval.siege.part import Siege
+from eval.siege.report import Siege
 
 _ROOT = Path(__file__).resolve().parents[2]
 _ARMS, _STEPS = 140, 25  # more than a block; in plain Python an arm's step takes milliseconds

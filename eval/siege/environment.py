@@ -16,7 +16,7 @@ from beltarm_env.physics.models import MODELS, Model
 from beltarm_env.physics.substeps import integration_limits
 from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.reference import PROFILES
-from eval.siege.part import Siege
+from eval.siege.report import Siege
 
 STEPS = 3e8
 """Of arms, in a whole siege."""

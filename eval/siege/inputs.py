@@ -41,7 +41,7 @@ from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
 from eval.leaderboard.archive import archived, read_archive
 from eval.siege import damage
-from eval.siege.part import Siege
+from eval.siege.report import Siege
 
 INPUTS = 100_000
 """Of a whole siege."""

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from baselines.engines.parallel import Channel
-from eval.siege import controllers, determinism, environment, inputs, kills, properties, translation
-from eval.siege.part import Siege
+from eval.siege import chains, controllers, determinism, environment, inputs, kills, properties, translation
+from eval.siege.report import Siege
 
 PARTS: dict[str, Callable[[float, int], Siege]] = {
     "properties": properties.besiege,
@@ -16,6 +16,7 @@ PARTS: dict[str, Callable[[float, int], Siege]] = {
     "environment": environment.besiege,
     "translation": translation.besiege,
     "controllers": controllers.besiege,
+    "chains": chains.besiege,
     "determinism": determinism.besiege,
 }
 """By name, the longest first."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.siege.part import Siege
+from eval.siege.report import Siege
 
 SEEDS = 10
 """In a whole siege; each is ten times the examples of `make test`."""

@@ -13,7 +13,7 @@ from eval.deploy.check import compare
 from eval.deploy.controllers import controller_of, loop_of
 from eval.deploy.package import write
 from eval.deploy.study import CONTROLLERS
-from eval.siege.part import Siege
+from eval.siege.report import Siege
 
 STEPS = 1e7
 """Of arms, in a whole siege."""

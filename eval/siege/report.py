@@ -1,10 +1,21 @@
-"""The page that says what a siege tried and found."""
+"""What a part of the siege reports, and the page of all."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
-from eval.siege.part import Siege
+
+@dataclass
+class Siege:
+    """Attacks on one promise: how many there were, of what, and what they found."""
+
+    name: str
+    unit: str  # what is counted, in the plural
+    blind: str  # what it cannot see, a sentence
+    count: int = 0
+    found: list[str] = field(default_factory=list)  # one line each: what to do to see it again, and what happens
+
 
 _HEAD = """# What was tried to break it
 
