@@ -15,7 +15,8 @@ half the time.
 unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256
 of all sources that a kernel can be made of: those of this package and of the kernel's own. An edited equation is thus
 never run in its old form, wherever the cache lies (`__pycache__`, `NUMBA_CACHE_DIR`). Where the cache lacks a kernel, a
-line on stderr says why the first call takes so long. A kernel that the cache has is loaded without the compiler.
+line on stderr says why the first call takes so long. A kernel that the cache has is loaded without the compiler. Of
+several processes that want one which it lacks, one compiles, and the others wait.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import os
 import pickle
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, cast
@@ -41,6 +43,11 @@ from numba.core.registry import CPUDispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 from numba.core.typed_passes import NativeLowering
+
+try:
+    import fcntl
+except ImportError:  # Windows, where all of them compile
+    fcntl = None
 
 ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
 _OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -101,6 +108,13 @@ class _Kernel(CPUDispatcher):
     def __init__(self, function: Callable[..., Any], *_: Any, **__: Any) -> None:
         super().__init__(function, targetoptions={**_OPTIONS, "nogil": True}, pipeline_class=_WholeCompiler)
         self._cache = _ContentKeyedCache(function)
+
+    def compile(self, sig: Any) -> Any:
+        """Return machine code for arguments of some types, from the cache or compiled."""
+        try:
+            return super().compile(sig)
+        finally:
+            self._cache.end_turn()
 
     @cached_property
     def _part(self) -> _Part:
@@ -210,15 +224,24 @@ class _ContentKeyedCache(FunctionCache):
         digest = _digest_behind(function.__module__.partition(".")[0])
         # The whole name changes, not just the stamp inside: another process may read the old files meanwhile.
         self._cache_file = _SignatureFiles(Path(self._cache_path), f"{self._impl.filename_base}-{digest}")
+        self._turn: _Turn | None = None
         _drop_outdated(Path(self._cache_path), digest)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Look a kernel up; numba compiles one that is not found."""
+        """Look a kernel up; numba compiles one that is not found, and no other process has compiled meanwhile."""
         rtsys.initialize(target_context)  # all that a kernel needs to run; numba would load its compiler as well
         found = self._load_overload(sig, target_context)
         if found is None:
             _announce()
+            self._turn = self._cache_file.turn(self._index_key(sig, target_context.codegen()))
+            found = self._load_overload(sig, target_context)
         return found
+
+    def end_turn(self) -> None:
+        """Let other processes look up what this one has compiled, or failed to."""
+        if self._turn is not None:
+            self._turn.end()
+            self._turn = None
 
 
 class _SignatureFiles:
@@ -242,11 +265,32 @@ class _SignatureFiles:
             return None  # not there, or damaged: compiled anew
         return data if kept == (numba.__version__, key) else None
 
+    def turn(self, key: Any) -> _Turn:
+        """Wait until no other process compiles this kernel."""
+        return _Turn(Path(f"{self._path(key)}.lock"))
+
     def save(self, key: Any, data: Any) -> None:
         path = self._path(key)
         temporary = path.with_name(f"{path.name}.{os.getpid()}")
         temporary.write_bytes(dumps(((numba.__version__, key), data)))
         temporary.replace(path)
+
+
+class _Turn:
+    """Turn of this process to compile a kernel, until it ends it or ends itself."""
+
+    def __init__(self, lock: Path) -> None:
+        self._lock, self._file = lock, None
+        with suppress(OSError):  # a folder that is read-only
+            self._file = lock.open("wb")
+            if fcntl is not None:
+                fcntl.flock(self._file, fcntl.LOCK_EX)
+
+    def end(self) -> None:
+        """Let the others look the kernel up."""
+        if self._file is not None:
+            self._lock.unlink(missing_ok=True)
+            self._file.close()
 
 
 @cache
@@ -266,7 +310,7 @@ def _digest_behind(package: str) -> str:
 @cache
 def _drop_outdated(folder: Path, digest: str) -> None:
     """Delete the kernels in a folder that were compiled from other sources."""
-    for kernel in folder.glob("*.nb[ic]"):
+    for kernel in folder.glob("*.nb[ic]*"):  # also half-written ones and locks
         if f"-{digest}." not in kernel.name:
             try:
                 kernel.unlink()

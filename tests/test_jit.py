@@ -4,6 +4,8 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -124,6 +126,31 @@ def test_processes_that_compile_at_a_time_do_not_overwrite_their_kernels(tmp_pat
     other.save("int64", "code for int64")
     assert one.load("int64") == "code for int64" and other.load("float64") == "code for float64"
     assert one.load("float32") is None
+
+
+WANTING = """
+import os, time
+from pathlib import Path
+from toy.kernel import torque
+try:
+    torque("not a number")
+except Exception:
+    pass
+Path(f"ready{os.getpid()}").touch()
+while len(list(Path().glob("ready*"))) < 3:
+    time.sleep(0.01)
+print(torque(2.0), sum(torque.stats.cache_misses.values()))
+"""
+
+
+def test_of_processes_that_want_a_kernel_one_compiles_it(toy: Path, monkeypatch: pytest.MonkeyPatch):
+    """The others wait and load it, whatever any of them failed to compile before."""
+    monkeypatch.chdir(toy.parent)
+    with ThreadPoolExecutor() as threads:
+        told = [process.stdout.split() for process in threads.map(partial(done, toy), [WANTING] * 3)]
+    assert [value for value, _ in told] == ["2.0"] * 3
+    assert sum(int(misses) for _, misses in told) == 3 + 1, "each its own failure, and one of them the kernel"
+    assert not list(toy.rglob("*.lock"))
 
 
 def test_a_kernel_of_another_signature_is_not_taken_for_ones_own(tmp_path: Path):
