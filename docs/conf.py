@@ -104,7 +104,13 @@ myst_substitutions = {
     "citation": f"```bibtex\n{bibtex()}\n```",
 }
 
-PAGES = {"README.md": "index", "CONTRIBUTING.md": "contributing", "CHANGELOG.md": "changelog", "CITATION.cff": "citing"}
+PAGES = {
+    "README.md": "index",
+    "CONTRIBUTING.md": "contributing",
+    "SECURITY.md": "security",
+    "CHANGELOG.md": "changelog",
+    "CITATION.cff": "citing",
+}
 """Files outside docs/ that a page of the site includes."""
 
 
