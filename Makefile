@@ -8,7 +8,7 @@ READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz soak coverage lint format bench docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.PHONY: help compare train setup test fuzz soak coverage lint format bench dist docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
@@ -56,6 +56,9 @@ format: $(READY)  ## Format the code
 
 bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the same run
 	$(BIN)/python eval/bench.py $(ARGS)
+
+dist: $(READY)  ## Build the wheel and the source archive in dist: the same commit gives the same bytes
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation
 
 docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its tutorials (needs a C compiler): three minutes
 	rm -rf docs/_build docs/gallery

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -121,14 +122,23 @@ def test_controllers_do_not_know_the_environment_class():
 # The wheel
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dist")
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
-    result = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+def build(folder: Path, checkout: Path, *kinds: str, umask: int = 0o022) -> dict[str, Path]:
+    """Files that `build` makes of a checkout, by suffix; without kinds the wheel is made from the source archive."""
+    command = [sys.executable, "-m", "build", *kinds, "--no-isolation", "--outdir", str(folder), str(checkout)]
+    fixed = {**os.environ, "SOURCE_DATE_EPOCH": "1700000002"}
+    result = subprocess.run(command, cwd=folder, env=fixed, umask=umask, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr + result.stdout
-    (built,) = folder.glob("*.whl")
-    return built
+    return {path.suffix: path for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return build(tmp_path_factory.mktemp("dist"), ROOT, "--sdist", "--wheel")
+
+
+@pytest.fixture(scope="module")
+def wheel(built: dict[str, Path]) -> Path:
+    return built[".whl"]
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +174,22 @@ def test_wheel_asks_for_its_dependencies_alone(wheel: Path):
         requirement.split(">")[0].split("=")[0].strip() for requirement in needed if "extra ==" not in requirement
     }
     assert always == DEPENDENCIES
+
+
+def test_the_same_sources_give_the_same_bytes(built: dict[str, Path], tmp_path: Path):
+    """Whatever the folder, the times and modes of its files, and the umask."""
+    checkout, made = tmp_path / "elsewhere", tmp_path / "dist"
+    shutil.copytree(ROOT / "beltarm_env", checkout / "beltarm_env", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", ".gitignore", "README.md", "LICENSE", "CHANGELOG.md"):
+        shutil.copy(ROOT / name, checkout)
+    for path in checkout.rglob("*"):
+        path.chmod(0o700 if path.is_dir() else 0o600)
+        os.utime(path, (0, 10**9))
+    made.mkdir()
+    again = build(made, checkout, umask=0o077)
+    assert set(again) == set(built) == {".whl", ".gz"}
+    for suffix, path in again.items():
+        assert path.name == built[suffix].name and path.read_bytes() == built[suffix].read_bytes(), path.name
 
 
 EPISODE = """
