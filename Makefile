@@ -1,20 +1,26 @@
 # Every target sets up .venv by itself, and only when pyproject.toml or constraints.txt have changed.
+# Each Python has an environment of its own: `make test PYTHON=python3.13` sets up .venv-3.13.
 
 PYTHON ?= python3.11
-VENV := .venv
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+VENV ?= .venv$(addprefix -,$(filter-out 3.11,$(VERSION)))
+CONSTRAINTS ?= constraints.txt
+EXTRA ?= dev
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
+LOWEST := .venv-lowest
 
 .DEFAULT_GOAL := help
-.PHONY: help compare train setup test fuzz soak coverage lint format bench dist docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.DELETE_ON_ERROR:
+.PHONY: help compare train setup test test-lowest fuzz soak coverage lint format bench dist docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
 help:  ## Show this list
 	@awk '/^##@/ { printf "\n%s\n", substr($$0, 5) } \
-		/^[a-z]+:.*## / { split($$0, part, ":.*## "); printf "  make %-9s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
+		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-11s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 
 compare: $(READY)  ## Compare all controllers on 50 scenarios of every split: report.html, pictures in results/compare
 	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 50)
@@ -26,15 +32,21 @@ train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 
 setup: $(READY)  ## Create .venv with pinned versions
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml $(CONSTRAINTS)
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or make PYTHON=..." >&2; exit 2; }
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { echo "$(PYTHON) is not Python 3.11: make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "$(PYTHON) is not Python 3.11 or newer: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
 	@touch $@
 
 test: $(READY)  ## Run the tests
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+
+test-lowest: $(LOWEST).txt  ## Run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
+	$(MAKE) test VENV=$(LOWEST) CONSTRAINTS=$(LOWEST).txt EXTRA=test
+
+$(LOWEST).txt: pyproject.toml tests/lowest.py
+	$(PYTHON) tests/lowest.py > $@
 
 fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
@@ -69,8 +81,8 @@ $(READY_DOCS): $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	@touch $@
 
-clean:  ## Remove .venv, results, the site and caches
-	rm -rf $(VENV) results docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis dist
+clean:  ## Remove environments, results, the site and caches
+	rm -rf .venv .venv-* results docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 ##@ Regenerate, or check, what is committed

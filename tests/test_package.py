@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from lowest import lowest_versions
 
 ROOT = Path(__file__).parents[1]
 HEAVY = (
@@ -103,6 +104,12 @@ def test_the_environment_needs_what_it_declares_and_no_more():
     for source in sources("beltarm_env"):
         others = imported(source) - set(sys.stdlib_module_names) - {"beltarm_env"}
         assert others <= DEPENDENCIES | OPTIONAL, source
+
+
+def test_every_dependency_states_one_lowest_version():
+    stated = {*lowest_versions()}
+    assert len(stated) == len({one.partition("==")[0] for one in stated}) > len(DEPENDENCIES)
+    assert {one.partition("==")[0] for one in stated} >= DEPENDENCIES
 
 
 def test_optional_packages_are_imported_where_they_are_used():
