@@ -178,6 +178,7 @@ def _be_child(run: Callable[[Path], object], folder: Path, trouble: _Trouble | N
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGXFSZ, signal.SIG_DFL if trouble and trouble.kind == "cut" else signal.SIG_IGN)
 
     def watch(event: str, arguments: tuple[Any, ...]) -> None:
         if not _changes(event, arguments, str(folder)):
@@ -209,8 +210,7 @@ def _strike(trouble: _Trouble) -> None:
     elif trouble.kind == "clock":
         now, calls = time.time, iter(range(sys.maxsize))
         time.time = lambda: now() + (_DAY if next(calls) % 2 else -_DAY)
-    else:  # the system lets a file grow that far, and then kills, or refuses to write
-        signal.signal(signal.SIGXFSZ, signal.SIG_DFL if trouble.kind == "cut" else signal.SIG_IGN)
+    else:  # the system lets a file grow that far, and then kills a run that is to be cut, and lets no other write
         most = trouble.half or 1 if trouble.kind == "cut" else 0
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
