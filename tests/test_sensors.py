@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
@@ -66,15 +66,16 @@ class TestCounting:
 class TestIndexPulse:
     @examples(200)
     @given(st.floats(-1000, 1000))
+    @example(303.171875)  # near the end of the series
     def test_sine_and_cosine_of_twice_the_angle(self, angle: float):
         expected = math.sin(2 * angle), math.cos(2 * angle)
-        assert around_half_a_turn(angle) == pytest.approx(expected, rel=0, abs=1e-12)
+        assert around_half_a_turn(angle) == pytest.approx(expected, rel=0, abs=1.5e-12)
 
     @examples(100)
     @given(st.floats(-200, 200), st.integers(-50, 50))
     def test_half_turns_do_not_show(self, angle: float, half_turns: int):
         turned = around_half_a_turn(angle + math.pi * half_turns)
-        assert turned == pytest.approx(around_half_a_turn(angle), rel=0, abs=1e-12)
+        assert turned == pytest.approx(around_half_a_turn(angle), rel=0, abs=3e-12)
 
 
 ANGLES, SPEEDS = st.floats(-200, 200), st.floats(-1000, 1000)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -75,6 +77,16 @@ class Learner(Protocol):
         ...
 
 
+@contextmanager
+def log_errors(folder: Path) -> Iterator[None]:
+    """Say of a training log that cannot be written in which folder it is, and what to do."""
+    try:
+        yield
+    except OSError as error:
+        words = f"cannot write the training log to {folder}: {error.strerror or error}"
+        raise OSError(f"{words}; free some space, and go on with --resume") from None
+
+
 class TrainingMonitor:
     """Validates a run, keeps its best policy and a checkpoint, reports progress, and stops on request.
 
@@ -135,11 +147,8 @@ class TrainingMonitor:
             OSError: If it cannot be written.
         """
         self.logger.record("time/total_timesteps", self.learner.steps)
-        try:
+        with log_errors(self.folder.folder):
             self.logger.dump(self.learner.steps)
-        except OSError as error:
-            where = f"cannot write the training log to {self.folder.folder}"
-            raise OSError(f"{where}: {error.strerror or error}; free some space, and go on with --resume") from None
 
     def stop_if_asked(self, save: bool = True) -> None:
         """Raise Interrupted on a request to stop, after saving a checkpoint if `save`.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.policy.bundle import BundleError, annotate, read_spec, save_bundle
 from agents.runs.checkpoint import RunFolder, written_by
-from agents.runs.monitor import SCORES, Maker, TrainingMonitor
+from agents.runs.monitor import SCORES, Maker, TrainingMonitor, log_errors
 from agents.runs.settings import RunConfig
 from baselines.engines.parallel import Channel
 from baselines.tools.provenance import command_line
@@ -58,18 +60,29 @@ def _train(
     progress = folder.load(learner.restore) if goes_on else None
     folder.note(config, progress)
     suffix = f"_from_{learner.steps}" if goes_on else ""
-    formats = [make_output_format(kind, str(folder.folder), suffix) for kind in ("csv", "tensorboard")]
-    logger, spec = Logger(str(folder.folder), formats), config.spec(**_origin(config, command))
-    monitor = TrainingMonitor(config, folder, learner, spec, logger, channel, progress)
-    try:
+    spec = config.spec(**_origin(config, command))
+    with closing(learner), _training_log(folder.folder, suffix) as logger:
+        monitor = TrainingMonitor(config, folder, learner, spec, logger, channel, progress)
         if learner.steps < config.length:
             learner.learn(monitor)
         if not _is_finished(monitor):
             _finish(monitor)
-    finally:
-        logger.close()
-        learner.close()
     return monitor
+
+
+@contextmanager
+def _training_log(folder: Path, suffix: str) -> Iterator[Logger]:
+    """Open the training log, and close it whatever happens."""
+    with log_errors(folder):
+        logger = Logger(str(folder), [make_output_format(kind, str(folder), suffix) for kind in ("csv", "tensorboard")])
+    try:
+        yield logger
+    except BaseException:
+        with suppress(OSError):  # what went wrong before says more
+            logger.close()
+        raise
+    with log_errors(folder):
+        logger.close()
 
 
 def _is_finished(monitor: TrainingMonitor) -> bool:
