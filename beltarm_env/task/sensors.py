@@ -42,7 +42,7 @@ def speed_from_counts(now: float, before: float, resolution: float) -> float:
 def around_half_a_turn(angle: float) -> tuple[float, float]:
     """Return sine and cosine of twice a motor angle [rad]: where in its half turn the motor is.
 
-    Whole periods are taken off first, because `sin_cos` is for small angles. The error is below 1.5e-12 for angles of up
+    Whole periods are taken off first, because `sin_cos` is for small angles. The error is below 1.5e-12 for angles up
     to 1000 rad: that of its series at pi is 1.1e-12.
     """
     return sin_cos(wrapped(2.0 * angle))
