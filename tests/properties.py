@@ -6,9 +6,13 @@ from hypothesis import Phase, settings
 
 FUZZ = "fuzz"
 """Name of the profile that tries random examples, and many; the suite tries the same few in every run."""
+MUTANTS = "mutants"
+"""Name of the profile of `make mutants`: the same examples as in the suite, and no search for smaller ones."""
 _MORE = 10
+_UNSHRUNK = (Phase.explicit, Phase.generate)
 
 settings.register_profile("suite", derandomize=True, deadline=None, database=None)
+settings.register_profile(MUTANTS, derandomize=True, deadline=None, database=None, phases=_UNSHRUNK)
 settings.register_profile(FUZZ, deadline=None, print_blob=True, max_examples=1000)
 
 
@@ -20,6 +24,7 @@ def examples(count: int, shrink: bool = True) -> settings:
         shrink: Whether to look for the smallest example that fails; not where a failure is numerical, which
             takes minutes and tells little.
     """
-    many = count * (_MORE if settings.get_current_profile_name() == FUZZ else 1)
-    phases = tuple(Phase) if shrink else (Phase.explicit, Phase.generate)
+    profile = settings.get_current_profile_name()
+    many = count * (_MORE if profile == FUZZ else 1)
+    phases = tuple(Phase) if shrink and profile != MUTANTS else _UNSHRUNK
     return settings(max_examples=many, phases=phases)

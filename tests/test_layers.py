@@ -24,7 +24,7 @@ FLOORS = {
             "deploy",
             "loops sharing",
             "reproduction",
-            "learning repetition speed engines siege",
+            "learning repetition speed engines siege mutation",
         ),
     ),
 }

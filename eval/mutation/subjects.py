@@ -1,0 +1,93 @@
+"""What is mutated, and which tests are to find it: quick ones first, for the first that fails ends a trial."""
+
+from __future__ import annotations
+
+_STEP = "tests/test_driven_step.py"
+_LINEAR = ("tests/test_linear_drive.py", "tests/test_python_control.py")
+_EQUATIONS = "tests/test_models.py::TestEquations"
+_MOTION = (
+    "tests/test_full_arm.py",
+    "tests/test_dynamics.py::TestIntegrator",
+    "tests/test_models.py::TestMotion",
+    "tests/test_dynamics.py::TestAgainstEventLocatedIntegration::test_little_friction",
+)
+_DRIVEN = (
+    _STEP,
+    "tests/test_drive_motion.py::test_energy_is_conserved_without_losses[more0-lumped]",
+    "tests/test_drive_motion.py::test_breaking_away_while_the_torque_still_rises[0-lumped]",
+    "tests/test_drive_motion.py::test_latency_and_lag[0.0002-2.7-lagrangian]",
+    "tests/test_drive_motion.py::test_stick_slip_with_all_effects[0-lumped]",
+    "tests/test_drive_motion.py::test_fast_move_with_all_effects[12-lagrangian]",
+)
+_BUNDLES = (
+    "tests/test_bad_policies.py",
+    "tests/test_residual.py::test_bundle_gives_the_same_policy_bit_for_bit",
+    "tests/test_residual.py::test_content_hash_depends_on_content_alone",
+    "tests/test_residual.py::test_saving_again_replaces_the_bundle",
+    "tests/test_residual.py::test_a_policy_is_given_its_entries_by_name",
+)
+
+SUBJECTS: dict[str, tuple[str, ...]] = {
+    "beltarm_env/physics/derivative.py": ("tests/test_python_control.py",),
+    "beltarm_env/physics/drive.py": (*_LINEAR, *_DRIVEN),
+    "beltarm_env/physics/friction.py": (*_MOTION, *_DRIVEN),
+    "beltarm_env/physics/full_arm.py": (*_LINEAR, _EQUATIONS, *_MOTION, *_DRIVEN),
+    "beltarm_env/physics/integrator.py": ("tests/test_dynamics.py::TestIntegrator", *_MOTION),
+    "beltarm_env/physics/kinematics.py": ("tests/test_kinematics.py",),
+    "beltarm_env/physics/linear.py": (*_LINEAR, "tests/test_bad_input.py::test_joint_angle_of_the_linear_model"),
+    "beltarm_env/physics/lumped.py": (*_LINEAR, _EQUATIONS, *_MOTION, *_DRIVEN),
+    "beltarm_env/physics/sampled.py": _LINEAR,
+    "beltarm_env/physics/substeps.py": (
+        "tests/test_bad_input.py",
+        "tests/test_models.py::TestEnvironment::test_fastest_mode_asks_for_steps_enough",
+        "tests/test_models.py::TestEnvironment::test_no_arm_of_a_range_is_faster_than_those_that_are_checked",
+        "tests/test_models.py::TestEnvironment::test_every_arm_of_ranges_that_are_accepted_can_be_integrated",
+        "tests/test_models.py::TestEnvironment::test_too_stiff_an_arm_is_refused",
+    ),
+    "beltarm_env/physics/trigonometry.py": (
+        "tests/test_kinematics.py::TestSinCos",
+        _STEP,
+    ),
+    "beltarm_env/physics/driven/events.py": _DRIVEN,
+    "beltarm_env/physics/driven/step.py": _DRIVEN,
+    "beltarm_env/physics/driven/torque.py": _DRIVEN,
+    "beltarm_env/task/cost.py": (
+        "tests/test_env.py::test_reward_is_the_documented_cost",
+        "tests/test_env.py::test_terms_saturate",
+        "tests/test_env.py::test_leaving_is_charged_the_bound_for_every_remaining_step",
+    ),
+    "beltarm_env/task/reference.py": (
+        *("tests/test_reference.py::TestShape", "tests/test_reference.py::TestPeaks"),
+        "tests/test_reference.py::TestInTheEnvironment",
+    ),
+    "beltarm_env/task/sensors.py": ("tests/test_sensors.py",),
+    "eval/comparison/estimates.py": (
+        "tests/test_estimates.py",
+        "tests/test_from_1991.py::test_worst_is_the_mean_of_a_twentieth",
+    ),
+    "eval/tails/estimates.py": (
+        "tests/test_tails.py::test_percentiles_are_values_and_their_intervals_cover",
+        "tests/test_tails.py::test_an_end_that_too_few_values_show_is_not_a_number",
+        "tests/test_tails.py::test_tails_of_known_values",
+        "tests/test_tails.py::test_what_a_tail_is_told_by",
+    ),
+    "eval/views/verdict.py": (
+        "tests/test_verdict.py::test_a_learned_method_that_is_better_and_worse",
+        "tests/test_verdict.py::test_costs_of_several_times_as_much",
+        "tests/test_verdict.py::test_a_difference_below_three_percent_is_a_practical_tie",
+        "tests/test_verdict.py::test_a_tie_is_called_one",
+        "tests/test_verdict.py::test_better_takes_the_mean_too",
+        "tests/test_verdict.py::test_the_correction_is_for_all_splits",
+        "tests/test_verdict.py::test_the_main_split_decides_who_is_compared",
+        "tests/test_verdict.py::test_the_best_of_several_learned_methods_stands_for_them",
+        "tests/test_verdict.py::test_without_a_learned_method_or_a_classical_one",
+        "tests/test_verdict.py::test_the_duels_are_in_the_results_and_in_the_summary",
+        "tests/test_verdict.py::test_the_answer_when_learning_loses",
+    ),
+    "agents/policy/actor.py": _BUNDLES,
+    "agents/policy/bundle.py": _BUNDLES,
+    "agents/policy/inputs.py": _BUNDLES,
+    "agents/policy/manifest.py": _BUNDLES,
+    "baselines/tools/schema.py": _BUNDLES,
+}
+"""Tests, as pytest is told them, by module."""
