@@ -1,12 +1,22 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
-from eval.comparison.estimates import RESAMPLES, estimate, holm, interquartile_mean, paired, profile, resampled
+from eval.comparison.estimates import (
+    RESAMPLES,
+    estimate,
+    holm,
+    interquartile_mean,
+    paired,
+    profile,
+    resampled,
+)
 
 
 def test_interquartile_mean_by_hand():
@@ -23,6 +33,11 @@ def test_interquartile_mean_is_the_trimmed_mean_of_scipy(count: int):
 def test_equal_values_have_an_interval_of_no_width():
     result = estimate(np.full((3, 10), 4.0))
     assert (result.iqm, result.low, result.high) == (4.0, 4.0, 4.0)
+
+
+def test_an_estimate_is_of_the_middle_half_unless_the_mean_is_asked_for():
+    values = np.array([[1.0, 2, 3, 4, 5, 6, 7, 800]])
+    assert (estimate(values).iqm, estimate(values, mean=True).iqm) == (4.5, 103.5)
 
 
 def test_interval_is_reproducible_and_holds_the_estimate():
@@ -83,6 +98,11 @@ def test_bootstrap_samples_are_of_scenarios_and_of_seeds():
     assert means.std() > 0.5 * rows.std() / np.sqrt(3)
 
 
+def test_there_are_as_many_as_the_protocol_says():
+    protocol = Path(__file__).resolve().parent.parent / "docs" / "protocol.md"
+    assert f"interval of {RESAMPLES} resamples" in protocol.read_text(encoding="utf-8")
+
+
 def test_spread_of_bootstrap_samples_is_the_standard_error():
     values = np.random.default_rng(4).normal(3, 2, (1, 300))
     assert resampled(values, mean=True).std() == pytest.approx(values.std() / np.sqrt(300), rel=0.06)
@@ -120,6 +140,13 @@ def test_a_constant_difference_is_as_sure_as_can_be():
     values = np.arange(30.0)[None]
     assert paired(values - 1, values).p == pytest.approx(2 / (RESAMPLES + 1))
     assert paired(values - 1, values).verdict == "better"
+
+
+@pytest.mark.parametrize("odd", [-1.0, 1.0])
+def test_methods_that_tie_nearly_everywhere_are_not_told_apart(odd: float):
+    result = paired(np.array([[odd] + 39 * [0.0]]), np.zeros((1, 40)))
+    assert (result.difference.iqm, result.p) == (0.0, 1.0)
+    assert result.verdict == "no difference shown"
 
 
 def test_p_values_are_about_uniform_where_there_is_no_difference():

@@ -10,7 +10,14 @@ from properties import examples
 
 from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import Plant, plant_of
-from beltarm_env.physics.kinematics import WORKSPACE_MARGIN, outside_workspace, reference_tip, tip_motion
+from beltarm_env.physics.kinematics import (
+    WORKSPACE_MARGIN,
+    contained,
+    outside_workspace,
+    reference_tip,
+    tip_errors,
+    tip_motion,
+)
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import sin_cos
 from eval.verification.event_located import tip
@@ -109,6 +116,20 @@ class TestTipError:
         np.testing.assert_allclose(env.tip_errors()[0], expected, rtol=1e-12)
         assert (np.abs(expected) > 1e-3).all()
 
+    def test_of_many_states_by_finite_differences(self):
+        params = ArmParams()
+        states = np.array([[60.0, 90.0, 0.04, -2.0], [110.0, -40.0, -0.03, 1.0]])
+        references = np.array([[0.7, 1.1], [1.2, -0.6]])
+
+        def errors(time: float) -> Floats:
+            moved = [tip(params, x + time * np.array([x[1], 0.0, x[3], 0.0])) for x in states]
+            angles = references[:, 0] + time * references[:, 1]
+            return np.array(moved) - np.column_stack([0.5 * np.cos(angles) + 0.1, np.zeros(2)])
+
+        found = tip_errors(states, references, plant_for(params))
+        np.testing.assert_allclose(found[:, :2], errors(0.0), atol=1e-14)
+        np.testing.assert_allclose(found[:, 2:], (errors(1e-5) - errors(-1e-5)) / 2e-5, atol=1e-8)
+
 
 class TestDirectionOfVibration:
     """The motor holds still while the belt is wound up a little: d tip / d torsion."""
@@ -155,6 +176,12 @@ class TestWorkspace:
             state = arm_state(ArmParams(), limit + torsion + outwards * beyond, 0.0, torsion, 0.0)
             assert outside_workspace(state, plant_for(ArmParams())) == (beyond > 0)
 
+    @pytest.mark.parametrize("limit", [LOWEST, HIGHEST])
+    def test_the_limits_themselves_are_inside(self, limit: float):
+        plant = plant_for(ArmParams(gear_ratio=1.0))
+        for angle, torsion in ((limit, limit), (limit, 0.0), (0.0, -limit)):
+            assert not outside_workspace(ArmState(angle, 0.0, torsion, 0.0), plant)
+
     def test_margin_is_a_quarter_of_a_radian(self):
         assert math.degrees(LOWEST) == pytest.approx(-14.3, abs=0.05)
         assert math.degrees(HIGHEST) == pytest.approx(104.3, abs=0.05)
@@ -171,6 +198,18 @@ class TestWorkspace:
     def test_hand_and_links_do_not_matter(self):
         state = arm_state(ArmParams(), HIGHEST - 0.01, 0.0, 0.0, 0.0)
         assert not outside_workspace(state, plant_for(replace(ArmParams(), link_length=2.0, hand_length=1.0)))
+
+    @pytest.mark.parametrize("field", ArmState._fields)
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -1e9, 1e9])
+    def test_what_runs_away_is_put_at_rest_outside(self, field: str, value: float):
+        plant = plant_for(ArmParams())
+        state = contained(ArmState(60.0, 1.0, 0.01, 2.0)._replace(**{field: value}), plant)
+        assert state[1:] == (0.0, 0.0, 0.0)
+        assert math.isfinite(state.motor_angle) and outside_workspace(state, plant)
+
+    def test_what_is_far_but_finite_stays_as_it_is(self):
+        for state in (ArmState(60.0, 1.0, 0.01, 2.0), ArmState(-9e8, 9e8, 9e8, -9e8)):
+            assert contained(state, plant_for(ArmParams())) == state
 
 
 class TestSinCos:

@@ -112,6 +112,11 @@ class TestShape:
         middle = reference_at(TRAPEZOID, MOVES[0], 0.45)
         assert middle == pytest.approx((0.75, 1.1 / 0.6, 0.0))
 
+    def test_accelerations_that_jump_take_the_value_that_holds_from_then_on(self):
+        move = MoveShape(0.0, 1.5, 2.0, 0.5)  # corners that floats hold exactly
+        found = [reference_at(TRAPEZOID, move, time).acceleration for time in (0.0, 0.5, 1.5, 2.0)]
+        assert found == [2.0, 0.0, -2.0, 0.0]
+
     @pytest.mark.parametrize("profile", [SCURVE, QUINTIC])
     @SOME
     def test_smooth_profiles_have_no_jumps_of_acceleration(self, profile: int, move: MoveShape):
