@@ -11,7 +11,8 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import BundleSpec, load_controller, read_spec, save_bundle
+from agents.policy.bundle import BundleSpec, load_controller, read_actor, read_spec, save_bundle
+from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combine
@@ -23,6 +24,7 @@ from baselines.optimal.adaptive import tuned_identifier
 from baselines.optimal.felt import FeltAdaptiveController
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.observation import ENTRIES as MEASURED
 from beltarm_env.observation import index, size
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
@@ -516,6 +518,17 @@ SPECS = [
 
 
 @pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.algorithm + spec.activation)
+def test_bundle_holds_the_description_and_the_weights(tmp_path: Path, spec: BundleSpec):
+    actor = lively_actor(spec)
+    digest = save_bundle(tmp_path, spec, actor)
+    read, told, content = read_actor(tmp_path)
+    assert told == spec and content["content_hash"] == digest
+    for name, value in actor.state_dict().items():
+        assert torch.equal(read.state_dict()[name], value), name
+    assert not any(weight.requires_grad for weight in read.parameters())
+
+
+@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.algorithm + spec.activation)
 def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSpec):
     policy = lively_policy(spec)
     save_bundle(tmp_path, spec, lively_actor(spec).weights())
@@ -577,6 +590,27 @@ class Picks:
 
     def predict(self, observation: Singles, state: Any = None, episode_start: Any = None, deterministic: bool = True):
         return self.policy.predict(observation[:, self.places].copy(), state, episode_start)
+
+
+class Echo:
+    """A policy that says what it was given."""
+
+    def predict(self, observation: Singles, state: Any, episode_start: Any, deterministic: bool) -> Any:
+        return observation, (state, episode_start, deterministic)
+
+
+def test_inputs_are_picked_in_the_policys_own_order():
+    offered = MEASURED["encoder"]
+    echo: Any = Echo()
+    policy = SelectedInputs(echo, [offered[3].name, offered[0].name], offered)
+    seen = np.arange(2.0 * len(offered), dtype=np.float32).reshape(2, -1)
+    assert policy.columns.tolist() == [3, 0]
+    given, (state, start, deterministic) = policy.predict(seen, None, np.array([True, False]))
+    np.testing.assert_array_equal(given, [[3, 0], [len(offered) + 3, len(offered)]])
+    assert state is None and start.tolist() == [True, False] and deterministic
+    for shape in ((2, len(offered) - 1), (2, len(offered) + 1), (len(offered),), (1, 2, len(offered))):
+        with pytest.raises(ValueError, match=f"chooses from {len(offered)} entries, got shape"):
+            policy.predict(np.ones(shape, np.float32))
 
 
 def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):

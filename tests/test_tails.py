@@ -18,7 +18,7 @@ from eval.comparison.pairs import Failure, Pair, measure
 from eval.comparison.sets import MOST, fresh_scenarios, fresh_set
 from eval.comparison.splits import EPISODES, SPLITS, first_seed
 from eval.tails import shards, study
-from eval.tails.estimates import against, percentile, share_of, tail_of, unlike
+from eval.tails.estimates import against, percentile, share_of, tail_of, tail_size, unlike
 from eval.tails.shards import KEPT, Shard, is_kept, keep, merged, policy_of, run, run_shards, shards_of
 from eval.views import side_by_side
 
@@ -176,6 +176,18 @@ def test_tails_of_known_values():
     assert share_of(values < 0).low == 0 < share_of(values < 0).high < 4e-4
     paired = against(values, np.full(10_000, 2500.0))
     assert paired.dearer.value == 0.7499 and (paired.least, paired.most) == (-2500, 7499)
+
+
+def test_errors_of_few_values_by_hand():
+    # The standard deviation of 1, 2, 3, 6 is the root of 14 / 3, that of their mean half as large.
+    values = np.array([2.0, 6.0, 1.0, 3.0])
+    assert tail_of(values).error == pytest.approx((14 / 3) ** 0.5 / 2)
+    paired = against(values, np.array([1.0, 1.0, 1.0, 1.0]))
+    assert (paired.mean, paired.error) == (2.0, pytest.approx((14 / 3) ** 0.5 / 2))
+
+
+def test_a_thousandth_is_the_tail_and_one_value_at_least():
+    assert [tail_size(count) for count in (1, 1400, 1600, 100_000)] == [1, 1, 2, 100]
 
 
 def test_what_a_tail_is_told_by():

@@ -20,11 +20,16 @@ _DRIVEN = (
     "tests/test_drive_motion.py::test_fast_move_with_all_effects[12-lagrangian]",
 )
 _BUNDLES = (
-    "tests/test_bad_policies.py",
-    "tests/test_residual.py::test_bundle_gives_the_same_policy_bit_for_bit",
+    "tests/test_bad_policies.py::test_bundles",
+    "tests/test_bad_policies.py::test_manifests_that_are_not_as_they_should_be",
+    "tests/test_bad_policies.py::test_bundles_are_written_with_finite_numbers_alone",
+    "tests/test_bad_policies.py::test_what_a_machine_is_sent_of_a_bundle_is_the_bundle",
+    "tests/test_bad_policies.py::test_policies_that_are_not_saved",
+    "tests/test_bad_policies.py::test_a_bundle_that_cannot_be_replaced_stays_valid",
+    "tests/test_residual.py::test_bundle_holds_the_description_and_the_weights",
+    "tests/test_residual.py::test_inputs_are_picked_in_the_policys_own_order",
     "tests/test_residual.py::test_content_hash_depends_on_content_alone",
     "tests/test_residual.py::test_saving_again_replaces_the_bundle",
-    "tests/test_residual.py::test_a_policy_is_given_its_entries_by_name",
 )
 
 SUBJECTS: dict[str, tuple[str, ...]] = {
@@ -46,7 +51,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     ),
     "beltarm_env/physics/trigonometry.py": (
         "tests/test_kinematics.py::TestSinCos",
-        _STEP,
+        "tests/test_trigonometry.py",
     ),
     "beltarm_env/physics/driven/events.py": _DRIVEN,
     "beltarm_env/physics/driven/step.py": _DRIVEN,
@@ -68,6 +73,8 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "eval/tails/estimates.py": (
         "tests/test_tails.py::test_percentiles_are_values_and_their_intervals_cover",
         "tests/test_tails.py::test_an_end_that_too_few_values_show_is_not_a_number",
+        "tests/test_tails.py::test_errors_of_few_values_by_hand",
+        "tests/test_tails.py::test_a_thousandth_is_the_tail_and_one_value_at_least",
         "tests/test_tails.py::test_tails_of_known_values",
         "tests/test_tails.py::test_what_a_tail_is_told_by",
     ),

@@ -31,15 +31,8 @@ _OPTIONS = (
 )
 _CAUGHT_INSTEAD = "CosmicRayTestingException"  # of what a mutant no longer catches
 _LOADED = (
-    "numba",
-    "scipy.integrate",
-    "scipy.stats",
-    "sympy",
-    "torch",
-    "gymnasium",
-    "hypothesis",
-    "jsonschema",
-    "pytest",
+    *("numba", "scipy.integrate", "scipy.stats", "sympy", "torch", "gymnasium", "hypothesis", "jsonschema", "pytest"),
+    *("control", "matplotlib.pyplot", "stable_baselines3"),
 )
 
 
