@@ -30,7 +30,7 @@ class Config:
 
     modules: tuple[str, ...] = ()
     """Modules to mutate, as paths from the root. Default: all."""
-    count: int = 30
+    count: int = 20
     """Mutants of each module, at most."""
     kept: Path = Path("results/mutation")
     """Folder where outcomes are kept. Without them all begins anew."""

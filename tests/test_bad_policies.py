@@ -184,6 +184,12 @@ def double_weights(bundle: Path) -> None:
     not_weights(bundle, save_tensors({name: value.double() for name, value in load_file(weights(bundle)).items()}))
 
 
+def four_bit_weights(bundle: Path) -> None:
+    """Weights in a type of the format's that PyTorch does not have."""
+    header = json.dumps({"layers.0.weight": {"dtype": "F4", "shape": [2], "data_offsets": [0, 1]}}).encode()
+    not_weights(bundle, len(header).to_bytes(8, "little") + header + b"\0")
+
+
 def other_gains(bundle: Path) -> None:
     settings = json.loads((bundle / MANIFEST).read_text())["base_settings"]
     settings["gains"]["angle"] += 1
@@ -284,6 +290,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "a GRU that is not in the weights": (lambda b: edit(b, rehash=True, gru=4), ("weights-", "does not hold")),
     "an LSTM that is not in the weights": (lambda b: edit(b, rehash=True, lstm=4), ("weights-", "does not hold")),
     "weights in double precision": (double_weights, ("weights-x", "float64", "float32")),
+    "weights of four bits": (four_bit_weights, ("weights-x", "does not hold")),
     "weights of NaN": (nan_weights, ("weights-x", "not finite")),
     "weights elsewhere": (lambda b: name_weights(b, "../elsewhere.safetensors"), ("../elsewhere", "beside it")),
     "weights at an absolute path": (lambda b: name_weights(b, "/etc/passwd"), ("/etc/passwd", "beside it")),
@@ -371,6 +378,39 @@ def test_manifests_that_are_not_as_they_should_be(place: str, bundle: Path):
         with pytest.raises(BundleError, match=MANIFEST) as caught:
             read_spec(bundle)
         assert "\n" not in str(caught.value), value
+
+
+MOST = 10**15
+
+
+@pytest.mark.parametrize(
+    ("provenance", "allowed"),
+    [
+        ({"run": {"steps": MOST, "seconds": MOST}}, True),
+        ({"run": {"steps": 0, "seconds": 0.0}}, True),
+        ({"run": {"steps": MOST + 1}}, False),
+        ({"run": {"seconds": MOST + 1}}, False),
+        ({"run": {"steps": -1}}, False),
+        ({"run": {"seconds": -1e-9}}, False),
+        ({"curve": [[0, 0.0, -1.5], [MOST, 1e15, 3]]}, True),
+        ({"curve": [[0, 0.0]]}, False),
+        ({"curve": [[0, 0.0, 1.0, 1.0]]}, False),
+    ],
+)
+def test_how_far_a_training_may_have_gone(provenance: dict[str, Any], allowed: bool, bundle: Path):
+    edit(bundle, rehash=True, provenance=provenance)
+    if allowed:
+        assert read_spec(bundle)[0].provenance == provenance
+    else:
+        refused(BundleError, (MANIFEST, "does not fit"), lambda: read_spec(bundle))
+
+
+def test_a_manifest_of_a_megabyte_is_read_and_no_larger_one(bundle: Path):
+    text = (bundle / MANIFEST).read_text()
+    (bundle / MANIFEST).write_text(text.ljust(10**6))
+    read_spec(bundle)
+    (bundle / MANIFEST).write_text(text.ljust(10**6 + 1))
+    refused(BundleError, (MANIFEST, "cannot be read"), lambda: read_spec(bundle))
 
 
 def test_bundles_are_written_with_finite_numbers_alone(tmp_path: Path):

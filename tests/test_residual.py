@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.policy.actor import Actor
+from agents.policy.actor import Actor, ActorShape
 from agents.policy.bundle import BundleSpec, load_controller, read_actor, read_spec, save_bundle
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
@@ -540,6 +540,14 @@ def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSp
     recording = rollout(loaded, 3, seed=1, sensors=sensors, **ARMS)
     assert recording.torque.tobytes() == expected.torque.tobytes()
     assert recording.state.tobytes() == expected.state.tobytes()
+
+
+def test_a_bundle_is_of_a_plain_network_unless_it_says_otherwise():
+    plain = BundleSpec("ppo", "paper", SETTINGS, (4, 3))
+    assert plain.shape() == ActorShape(len(plain.offered()), (4, 3))
+    assert lively_actor(plain).state_dict().keys() == {
+        f"layers.{k}.{part}" for k in (0, 2, 4) for part in ("weight", "bias")
+    }
 
 
 def test_content_hash_depends_on_content_alone(tmp_path: Path):

@@ -97,6 +97,8 @@ def _silent(tree: ast.Module) -> Iterator[tuple[Place, Place]]:
             parts = [node.annotation]
         elif isinstance(node, ast.Raise):
             parts = [node.exc]
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "in_a_line":
+            parts = [node]
         elif isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             parts = [node]
         for part in parts:

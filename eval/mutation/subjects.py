@@ -22,12 +22,15 @@ _DRIVEN = (
 _BUNDLES = (
     "tests/test_bad_policies.py::test_bundles",
     "tests/test_bad_policies.py::test_manifests_that_are_not_as_they_should_be",
+    "tests/test_bad_policies.py::test_how_far_a_training_may_have_gone",
+    "tests/test_bad_policies.py::test_a_manifest_of_a_megabyte_is_read_and_no_larger_one",
     "tests/test_bad_policies.py::test_bundles_are_written_with_finite_numbers_alone",
     "tests/test_bad_policies.py::test_what_a_machine_is_sent_of_a_bundle_is_the_bundle",
     "tests/test_bad_policies.py::test_policies_that_are_not_saved",
     "tests/test_bad_policies.py::test_a_bundle_that_cannot_be_replaced_stays_valid",
     "tests/test_residual.py::test_bundle_holds_the_description_and_the_weights",
     "tests/test_residual.py::test_inputs_are_picked_in_the_policys_own_order",
+    "tests/test_residual.py::test_a_bundle_is_of_a_plain_network_unless_it_says_otherwise",
     "tests/test_residual.py::test_content_hash_depends_on_content_alone",
     "tests/test_residual.py::test_saving_again_replaces_the_bundle",
 )
