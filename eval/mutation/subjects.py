@@ -98,6 +98,6 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "agents/policy/bundle.py": _BUNDLES,
     "agents/policy/inputs.py": _BUNDLES,
     "agents/policy/manifest.py": _BUNDLES,
-    "baselines/tools/schema.py": _BUNDLES,
+    "baselines/tools/schema.py": ("tests/test_schema.py", *_BUNDLES),
 }
 """Tests, as pytest is told them, by module."""
