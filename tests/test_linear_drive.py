@@ -65,6 +65,31 @@ def test_the_belt_has_its_stiffness_about_zero_torsion(model: str):
         np.testing.assert_array_equal(one, other)
 
 
+def test_models_from_sample_to_sample_are_blocks_of_an_exponential():
+    arms = [ArmParams(), ArmParams(belt_stiffness=20.0, payload_mass=0.2, belt_damping_ratio=0.03, gear_ratio=60.0)]
+    models = sample_models(params_table(arms), np.array(ANGLES), 0.0015)
+    for i, arm in enumerate(arms):
+        for k, angle in enumerate(ANGLES):
+            held = np.zeros((6, 6))  # x, and what is held: the torque, and an acceleration of the torsion
+            held[:4, :4], held[:4, 4:5], _ = state_space(arm, angle)
+            held[3, 5] = 1.0
+            exact = expm(0.0015 * held)
+            for found, block in zip(models, (exact[:4, :4], exact[:4, 4], exact[:4, 5]), strict=True):
+                np.testing.assert_allclose(found[i, k], block, rtol=1e-12, atol=1e-17)
+
+
+@pytest.mark.parametrize("angle", [0.0, math.pi / 2, np.float64(0.3), 1, np.int64(0)])
+def test_angles_of_the_workspace_and_of_any_type_of_number(angle: float):
+    a, _, _ = state_space(ArmParams(), angle)
+    assert a[3, 2] == pytest.approx(-33 * (1 / (6.3e-5 * GEAR**2) + 1 / inertia(float(angle))))
+
+
+def inertia(angle: float) -> float:
+    """M2 of the nominal arm [kg m^2]."""
+    nominal = ArmParams()
+    return nominal.arm_inertia + nominal.arm_inertia_swing * math.sin(angle) ** 2
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_is_the_derivative_of_the_derived_equations(model: str):
     p = replace(DRIVEN, coulomb_friction=0.0, kinematic_error=0.0, torque_ripple=0.0)
