@@ -1,7 +1,7 @@
 """The full arm in the kernels, against the equations that SymPy derives and solutions that do not share its code."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
@@ -28,6 +28,7 @@ from beltarm_env.physics.models import (
 )
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import (
+    check_integrable,
     check_ranges_integrable,
     fastest_arms,
     fastest_rate,
@@ -300,6 +301,33 @@ class TestEnvironment:
             for row in bounds[0] + shares * (bounds[1] - bounds[0]):
                 assert max(integration_limits(row, model)) <= 1 + 1e-9, ranges
         assert accepted > 100
+
+    def test_limits_by_hand(self):
+        arm = ArmParams(
+            **{"belt_damping_ratio": 0.0, "belt_stiffness": 3300.0, "belt_stiffening": 0.4, "kinematic_error": 0.002},
+            **{"coulomb_friction": 0.03, "friction_variation": 0.2, "static_friction_excess": 0.5},
+            **{"torque_limit": 0.3, "torque_constant_error": 0.1, "torque_ripple": 0.006, "stribeck_speed": 0.1},
+        )
+        rate, slack, steps = integration_limits(arm.row(), LUMPED)
+        # The steepest belt is 1.5 times as stiff; motor and arm, stretched, swing against each other.
+        mobility = 1 / (6.3e-5 * GEAR**2) + 1 / arm.arm_inertia
+        assert rate == pytest.approx(math.sqrt(1.5 * 3300 * mobility) / (400 * 0.12 / 0.0015))
+        assert slack == pytest.approx(2.2 * 0.002 * 88)
+        # From full torque to the opposite, with friction and ripple: 0.66 + 0.054 + 0.006 N m.
+        assert steps == pytest.approx(12 * 0.0015 * 0.72 / 6.3e-5 / 0.1 / 15_000)
+        assert integration_limits(replace(arm, static_friction_excess=0.0).row(), LUMPED)[2] == 0.0
+
+    def test_a_motor_in_thick_oil_is_fast_too(self):
+        oily = plant(ArmParams(motor_viscous_friction=0.63))
+        assert fastest_rate(oily, LUMPED) == pytest.approx(0.63 / 6.3e-5)
+        assert integration_substeps(oily, LUMPED) == math.ceil(1e4 * 0.0015 / 0.12)
+        assert integration_substeps(plant(ArmParams()), LUMPED) == 1.0
+
+    def test_the_largest_kinematic_error_is_the_one_that_the_refusal_names(self):
+        largest = ArmParams(kinematic_error=1 / 2.2 / 64, gear_ratio=64.0)
+        check_integrable(largest.row()[None], LUMPED)
+        with pytest.raises(ValueError, match=r"with gear_ratio 64 at most 0\.0071 can be integrated"):
+            check_integrable(replace(largest, kinematic_error=0.00711).row()[None], LUMPED)
 
     def test_too_stiff_an_arm_is_refused(self):
         with pytest.raises(ValueError, match=r"fastest rate is .* lower belt_stiffness"):
