@@ -13,7 +13,7 @@ from beltarm_env.kernels.exits import EXIT, EXIT_ROWS, find_exits, store_margin
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.drive import angles_near, angles_of, belt_stiffness, decay, drive_of, turned
 from beltarm_env.physics.driven.events import Margin, leaves_mode
-from beltarm_env.physics.driven.step import driven_step, fit_of, step_length
+from beltarm_env.physics.driven.step import driven_step, fit_of, needed_rate, step_length
 from beltarm_env.physics.driven.torque import Lag, response, shares_of_two, torques_of_lag, torques_of_two
 from beltarm_env.physics.models import FULL_ARM, LUMPED, Model, acceleration_per_torque, accelerations_at
 from beltarm_env.physics.state import ArmState
@@ -198,3 +198,35 @@ def test_steps_divide_what_remains():
     assert step_length(1.5e-3, 1000.0, 1.0) == (0.75e-3, 2.0)
     assert step_length(0.75e-3, 0.0, 4.0) == (0.375e-3, 2.0)
     assert step_length(1.5e-3, 1000.0, 2.0) == (0.375e-3, 4.0)
+
+
+RIPPLE = {"torque_ripple": 0.0005, "torque_ripple_order": 12}
+STRONG = {"torque_ripple": 0.02, "torque_ripple_order": 12}
+FALLING = {"static_friction_excess": 0.5, "stribeck_speed": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("speed", "effects", "expected"),
+    [
+        (200.0, {"kinematic_error": 1e-4}, 400.0),  # one radian of twice the angle
+        (-200.0, {"kinematic_error": 1e-4}, 400.0),
+        (5.0, {"kinematic_error": 1e-4}, 10.0),
+        (200.0, RIPPLE, 0.3 * 12 * 200),
+        (200.0, {**RIPPLE, "torque_ripple_order": 4}, 400.0),
+        (9.9, RIPPLE, 2 / CONTROL_PERIOD),
+        (10.1, RIPPLE, 0.3 * 12 * 10.1),
+        (-9.9, {**FALLING, "static_friction_excess": 1e-9}, 2 / CONTROL_PERIOD),
+        (39.0, RIPPLE, 0.3 * 12 * 39),
+        (39.0, STRONG, 2 / CONTROL_PERIOD),
+        (41.0, STRONG, 0.3 * 12 * 41),
+        # 1000 rad/s^2, and 0.063 N m on 6.3e-5 kg m^2, are 2000 rad/s^2: in a step a sixth of omega_a + 2 rad/s.
+        (150.0, FALLING, 300.0),
+        (20.0, FALLING, 2000 / (22 / 6)),
+    ],
+)
+def test_steps_resolve_what_turns_and_what_falls(speed: float, effects: dict[str, float], expected: float):
+    arm, x = ArmParams(**effects), ArmState(70.0, speed, 0.01, 0.2)
+    for motor in (-1000.0, 1000.0):
+        needed = needed_rate(x, motor, 0.063, math.copysign(1.0, speed), arm.plant(), drive_of(arm.row()))
+        assert needed == pytest.approx(expected, rel=1e-12)
+    assert needed_rate(x, 1000.0, 0.063, 0.0, arm.plant(), drive_of(arm.row())) == 0.0, "at rest nothing turns"
