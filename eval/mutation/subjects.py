@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 _STEP = "tests/test_driven_step.py"
+_DRIVE = "tests/test_friction.py"
 _LINEAR = ("tests/test_linear_drive.py", "tests/test_python_control.py")
 _EQUATIONS = "tests/test_models.py::TestEquations"
 _MOTION = (
@@ -37,8 +38,8 @@ _BUNDLES = (
 
 SUBJECTS: dict[str, tuple[str, ...]] = {
     "beltarm_env/physics/derivative.py": ("tests/test_python_control.py",),
-    "beltarm_env/physics/drive.py": (*_LINEAR, *_DRIVEN),
-    "beltarm_env/physics/friction.py": (*_MOTION, *_DRIVEN),
+    "beltarm_env/physics/drive.py": (_DRIVE, *_DRIVEN),
+    "beltarm_env/physics/friction.py": (_DRIVE, *_MOTION),
     "beltarm_env/physics/full_arm.py": (*_LINEAR, _EQUATIONS, *_MOTION, *_DRIVEN),
     "beltarm_env/physics/integrator.py": ("tests/test_dynamics.py::TestIntegrator", *_MOTION),
     "beltarm_env/physics/kinematics.py": ("tests/test_kinematics.py",),
