@@ -11,13 +11,14 @@ from outcomes import made, outcome
 from rich.console import Console
 
 import eval.views.verdict
+from eval.comparison.estimates import Estimate, Paired
 from eval.comparison.pairs import LEFT, Failure
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.schema import to_json
 from eval.views.markdown import primary_table, tail_table
 from eval.views.readme import answer, tables, updated
 from eval.views.terminal import print_results
-from eval.views.verdict import duels
+from eval.views.verdict import Duel, duels
 
 
 def verdict(comparison: Comparison) -> tuple[str, ...]:
@@ -118,6 +119,28 @@ def test_better_takes_the_mean_too():
     duel = duels(few_lost)["nominal"]
     assert duel.middle.better and duel.mean.iqm > 0 and duel.result == "open"
     assert "no difference in cost is shown" in verdict(few_lost)[0]
+
+
+@pytest.mark.parametrize(
+    ("middle", "p", "low", "high", "result"),
+    [
+        (-1.0, 0.04, -2.0, -1e-9, "better"),
+        (-1.0, 0.04, -2.0, 0.0, "open"),
+        (-1.0, 0.06, -2.0, -1.0, "open"),
+        (-1.0, 0.04, 1.0, 2.0, "open"),
+        (1.0, 0.04, 1e-9, 2.0, "worse"),
+        (1.0, 0.04, 0.0, 2.0, "open"),
+        (1.0, 0.06, 1.0, 2.0, "open"),
+        (1.0, 0.04, -2.0, -1.0, "open"),
+    ],
+)
+def test_both_averages_decide(middle: float, p: float, low: float, high: float, result: str):
+    nothing = Estimate(0.0, 0.0, 0.0)
+    compared = Paired(Estimate(middle, middle, middle), nothing, p, p_holm=p)
+    net, pid = outcome("net", "learned", 60.0), outcome("pid", "classical", 100.0)
+    duel = Duel(net, pid, "cost", compared, Estimate(0.5 * (low + high), low, high))
+    assert duel.result == result
+    assert duel.relative == pytest.approx(middle / 100)
 
 
 def test_the_correction_is_for_all_splits():

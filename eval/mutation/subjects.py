@@ -5,20 +5,13 @@ from __future__ import annotations
 _STEP = "tests/test_driven_step.py"
 _DRIVE = "tests/test_friction.py"
 _LINEAR = ("tests/test_linear_drive.py", "tests/test_python_control.py")
-_EQUATIONS = "tests/test_models.py::TestEquations"
-_MOTION = (
-    "tests/test_full_arm.py",
-    "tests/test_dynamics.py::TestIntegrator",
-    "tests/test_models.py::TestMotion",
-    "tests/test_dynamics.py::TestAgainstEventLocatedIntegration::test_little_friction",
-)
+_INTEGRATOR = "tests/test_dynamics.py::TestIntegrator"
 _DRIVEN = (
     _STEP,
     "tests/test_drive_motion.py::test_energy_is_conserved_without_losses[more0-lumped]",
+    "tests/test_drive_motion.py::test_energy_is_conserved_without_losses[more1-lagrangian]",
     "tests/test_drive_motion.py::test_breaking_away_while_the_torque_still_rises[0-lumped]",
     "tests/test_drive_motion.py::test_latency_and_lag[0.0002-2.7-lagrangian]",
-    "tests/test_drive_motion.py::test_stick_slip_with_all_effects[0-lumped]",
-    "tests/test_drive_motion.py::test_fast_move_with_all_effects[12-lagrangian]",
 )
 _BUNDLES = (
     "tests/test_bad_policies.py::test_bundles",
@@ -39,12 +32,26 @@ _BUNDLES = (
 SUBJECTS: dict[str, tuple[str, ...]] = {
     "beltarm_env/physics/derivative.py": ("tests/test_python_control.py",),
     "beltarm_env/physics/drive.py": (_DRIVE, *_DRIVEN),
-    "beltarm_env/physics/friction.py": (_DRIVE, *_MOTION),
-    "beltarm_env/physics/full_arm.py": (*_LINEAR, _EQUATIONS, *_MOTION, *_DRIVEN),
-    "beltarm_env/physics/integrator.py": ("tests/test_dynamics.py::TestIntegrator", *_MOTION),
+    "beltarm_env/physics/friction.py": (_DRIVE, _INTEGRATOR, "tests/test_full_arm.py"),
+    "beltarm_env/physics/full_arm.py": (
+        "tests/test_models.py::TestEquations",
+        "tests/test_full_arm.py",
+        "tests/test_python_control.py",
+        *_DRIVEN,
+    ),
+    "beltarm_env/physics/integrator.py": (
+        _INTEGRATOR,
+        "tests/test_dynamics.py::TestAgainstEventLocatedIntegration::test_little_friction",
+        "tests/test_full_arm.py",
+    ),
     "beltarm_env/physics/kinematics.py": ("tests/test_kinematics.py",),
     "beltarm_env/physics/linear.py": (*_LINEAR, "tests/test_bad_input.py::test_joint_angle_of_the_linear_model"),
-    "beltarm_env/physics/lumped.py": (*_LINEAR, _EQUATIONS, *_MOTION, *_DRIVEN),
+    "beltarm_env/physics/lumped.py": (
+        "tests/test_models.py::test_equations_of_the_lumped_arm_follow_from_its_energy",
+        "tests/test_python_control.py",
+        _INTEGRATOR,
+        *_DRIVEN,
+    ),
     "beltarm_env/physics/sampled.py": _LINEAR,
     "beltarm_env/physics/substeps.py": (
         "tests/test_models.py::TestEnvironment::test_limits_by_hand",
@@ -86,7 +93,11 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
         "tests/test_tails.py::test_what_a_tail_is_told_by",
     ),
     "eval/views/verdict.py": (
+        "tests/test_verdict.py::test_both_averages_decide",
         "tests/test_verdict.py::test_a_learned_method_that_is_better_and_worse",
+        "tests/test_verdict.py::test_the_protocol_says_who_is_compared",
+        "tests/test_verdict.py::test_an_added_controller_has_a_sentence_of_its_own",
+        "tests/test_verdict.py::test_an_added_controller_stands_in_where_nothing_was_learned",
         "tests/test_verdict.py::test_costs_of_several_times_as_much",
         "tests/test_verdict.py::test_a_difference_below_three_percent_is_a_practical_tie",
         "tests/test_verdict.py::test_a_tie_is_called_one",
