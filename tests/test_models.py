@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import gymnasium as gym
@@ -301,6 +301,29 @@ class TestEnvironment:
             for row in bounds[0] + shares * (bounds[1] - bounds[0]):
                 assert max(integration_limits(row, model)) <= 1 + 1e-9, ranges
         assert accepted > 100
+
+    @pytest.mark.parametrize("params", UNEVEN)
+    def test_fastest_rate_is_the_largest_eigenvalue(self, params: dict[str, float]):
+        p = ArmParams(**{**params, "belt_damping_ratio": 0.0, "motor_viscous_friction": 0.0})
+        for name, model in (("lumped", LUMPED), ("lagrangian", FULL_ARM)):
+            ends = [np.abs(np.linalg.eigvals(state_space(p, angle, name)[0])).max() for angle in (0.0, DEG_90)]
+            assert fastest_rate(plant(p), model) == pytest.approx(max(ends), rel=1e-9)
+
+    @pytest.mark.parametrize(
+        ("inertia", "swing", "fastest"),
+        [((0.01, 0.02), (0.03, 0.09), (0.01, 0.06)), ((0.01, 0.05), (0.15, 0.2), (0.025, 0.15))],
+    )
+    def test_within_ranges_the_full_arm_is_fastest_where_link_2_is_a_rod(
+        self, inertia: tuple[float, float], swing: tuple[float, float], fastest: tuple[float, float]
+    ):
+        def rate(inertia: float, swing: float) -> float:
+            arm = ArmParams(arm_inertia=inertia, arm_inertia_swing=swing, belt_damping_ratio=0.0)
+            return fastest_rate(plant(arm), FULL_ARM)
+
+        assert rate(*fastest) > 1.001 * max(rate(*corner) for corner in product(inertia, swing))
+        ranges = {"arm_inertia": inertia, "arm_inertia_swing": swing, "belt_damping_ratio": (0.0, 0.0)}
+        checked = [fastest_rate(plant_of(row), FULL_ARM) for row in fastest_arms(range_bounds(ranges))]
+        assert max(checked) == pytest.approx(rate(*fastest), rel=1e-12)
 
     def test_limits_by_hand(self):
         arm = ArmParams(

@@ -8,8 +8,6 @@ _LINEAR = ("tests/test_linear_drive.py", "tests/test_python_control.py")
 _INTEGRATOR = "tests/test_dynamics.py::TestIntegrator"
 _DRIVEN = (
     _STEP,
-    "tests/test_drive_motion.py::test_energy_is_conserved_without_losses[more0-lumped]",
-    "tests/test_drive_motion.py::test_energy_is_conserved_without_losses[more1-lagrangian]",
     "tests/test_drive_motion.py::test_breaking_away_while_the_torque_still_rises[0-lumped]",
     "tests/test_drive_motion.py::test_latency_and_lag[0.0002-2.7-lagrangian]",
 )
@@ -31,13 +29,13 @@ _BUNDLES = (
 
 SUBJECTS: dict[str, tuple[str, ...]] = {
     "beltarm_env/physics/derivative.py": ("tests/test_python_control.py",),
-    "beltarm_env/physics/drive.py": (_DRIVE, *_DRIVEN),
+    "beltarm_env/physics/drive.py": (_DRIVE, _STEP),
     "beltarm_env/physics/friction.py": (_DRIVE, _INTEGRATOR, "tests/test_full_arm.py"),
     "beltarm_env/physics/full_arm.py": (
         "tests/test_models.py::TestEquations",
-        "tests/test_full_arm.py",
         "tests/test_python_control.py",
-        *_DRIVEN,
+        _STEP,
+        "tests/test_full_arm.py",
     ),
     "beltarm_env/physics/integrator.py": (
         _INTEGRATOR,
@@ -49,12 +47,14 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "beltarm_env/physics/lumped.py": (
         "tests/test_models.py::test_equations_of_the_lumped_arm_follow_from_its_energy",
         "tests/test_python_control.py",
+        _STEP,
         _INTEGRATOR,
-        *_DRIVEN,
     ),
     "beltarm_env/physics/sampled.py": _LINEAR,
     "beltarm_env/physics/substeps.py": (
         "tests/test_models.py::TestEnvironment::test_limits_by_hand",
+        "tests/test_models.py::TestEnvironment::test_fastest_rate_is_the_largest_eigenvalue",
+        "tests/test_models.py::TestEnvironment::test_within_ranges_the_full_arm_is_fastest_where_link_2_is_a_rod",
         "tests/test_models.py::TestEnvironment::test_a_motor_in_thick_oil_is_fast_too",
         "tests/test_models.py::TestEnvironment::test_the_largest_kinematic_error_is_the_one_that_the_refusal_names",
         "tests/test_bad_input.py::test_drives_that_cannot_be_integrated",
