@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from driven_arms import driven_arm
+from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
@@ -138,6 +140,28 @@ def test_stages_take_a_linear_arm_where_the_torque_takes_it(arrival: float, lag:
         z = (expm(whole * duration) @ np.array([*z, target]))[:3]
     np.testing.assert_allclose(found, z[:2], atol=1e-8)
     assert taus.end == pytest.approx(z[2] if lag > 0 else (after if arrival < CONTROL_PERIOD else before), abs=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 2e-4, 0.01])
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.8, 1.0])
+def test_half_is_the_double_integral_of_the_torque_to_the_middle(share: float, lag: float):
+    now, before, after = (-1.0 if lag else 2.0), 2.0, -3.0
+    arrival, middle, rate = share * CONTROL_PERIOD, 0.5 * CONTROL_PERIOD, (1 / lag if lag else 0.0)
+
+    def torque(time: float) -> float:
+        old = before + (now - before) * math.exp(-rate * min(time, arrival)) if lag else before
+        if time < arrival:
+            return old
+        return after + (old - after) * math.exp(-rate * (time - arrival)) if lag else after
+
+    found = torques_of_two(now, before, after, *shares_of_two(arrival, lag, rate)).half
+    parts = (0.0, min(arrival, middle), middle)
+    twice = sum(quad(lambda t: (middle - t) * torque(t), *ends, epsabs=1e-16)[0] for ends in pairwise(parts))
+    assert found == pytest.approx(twice / CONTROL_PERIOD**2, abs=1e-9)
+    if share == 1.0:
+        assert torques_of_lag(Lag(before, now - before, lag, rate), CONTROL_PERIOD).half == pytest.approx(
+            found, rel=1e-12
+        )
 
 
 @pytest.mark.parametrize("w", [0.0, 0.1, 0.5, 1.0, 1.6])
