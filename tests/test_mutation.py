@@ -39,10 +39,10 @@ def test_judgements_are_of_lines_that_there_are():
 
 def test_a_mutant_is_killed_and_the_checkout_stays_as_it_is():
     source = (ROOT / SENSORS).read_text(encoding="utf-8")
-    with trials(SENSORS, [COUNTS]) as survives:
-        assert survives(source.replace("3.0 * change", "4.0 * change"), 300), "another test would find it"
-        assert not survives(source.replace("ENCODER_COUNTS = 4000", "ENCODER_COUNTS = 4001"), 300)
-        assert not survives("while True:\n    pass\n", 1)
+    with trials(SENSORS, [COUNTS]) as seconds:
+        assert seconds(source.replace("3.0 * change", "4.0 * change"), 300), "another test would find it"
+        assert seconds(source.replace("ENCODER_COUNTS = 4000", "ENCODER_COUNTS = 4001"), 300) is None
+        assert seconds("while True:\n    pass\n", 1) is None
     assert (ROOT / SENSORS).read_text(encoding="utf-8") == source
 
 
@@ -75,13 +75,14 @@ def test_a_run_goes_on_where_it_was_interrupted(tmp_path: Path, monkeypatch: pyt
     pytest.importorskip("cosmic_ray")
     asked, stopped_after = [], 5
 
-    def survives(source: str, _: float) -> bool:
+    def seconds(source: str, _: float) -> float | None:
         asked.append(source)
         if len(asked) == stopped_after:
             raise KeyboardInterrupt
-        return "ROUNDER) + ROUNDER" in source or source == (ROOT / SENSORS).read_text(encoding="utf-8")
+        sound = source == (ROOT / SENSORS).read_text(encoding="utf-8")
+        return 1.0 if sound or "ROUNDER) + ROUNDER" in source else None
 
-    monkeypatch.setattr(study, "trials", lambda *_: nullcontext(survives))
+    monkeypatch.setattr(study, "trials", lambda *_: nullcontext(seconds))
     with pytest.raises(KeyboardInterrupt):
         study.tried(SENSORS, [COUNTS], 100, tmp_path / "kept.json")
     found = study.tried(SENSORS, [COUNTS], 100, tmp_path / "kept.json")
@@ -94,7 +95,7 @@ def test_a_run_goes_on_where_it_was_interrupted(tmp_path: Path, monkeypatch: pyt
 
 def test_tests_that_fail_without_a_fault_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("cosmic_ray")
-    monkeypatch.setattr(study, "trials", lambda *_: nullcontext(lambda *_: False))
+    monkeypatch.setattr(study, "trials", lambda *_: nullcontext(lambda *_: None))
     with pytest.raises(ValueError, match="fail, or take more than 600 s, without a fault"):
         study.tried(SENSORS, [COUNTS], 1, tmp_path / "kept.json")
 

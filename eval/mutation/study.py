@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from eval.mutation.mutants import Mutant, drawn
 from eval.mutation.trial import trials
 
 _ROOT = Path(__file__).resolve().parents[2]
-_FIRST = 600.0  # what the tests may take without a fault [s]
+_FIRST = 600.0  # CPU time that the tests may take without a fault [s]
 _MORE, _AT_LEAST = 3.0, 5.0  # times as long with one, and [s]
 
 
@@ -46,13 +45,13 @@ def tried(module: str, tests: Sequence[str], count: int, kept: Path) -> Tried:
     digest = hashlib.sha256(source.encode()).hexdigest()
     killed = _killed(kept, digest)
     mutants, survivors = drawn(source, count), []
-    with trials(module, tests) as survives:
+    with trials(module, tests) as seconds:
         limit = 0.0
         for mutant in mutants:
             if mutant.name in killed:
                 continue
-            limit = limit or _limit(survives, module, source)
-            if survives(mutant.source, limit):
+            limit = limit or _limit(seconds, module, source)
+            if seconds(mutant.source, limit) is not None:
                 survivors.append(mutant)
             else:
                 killed.append(mutant.name)
@@ -66,8 +65,8 @@ def _killed(kept: Path, digest: str) -> list[str]:
     return list(found["killed"]) if found.get("source") == digest else []
 
 
-def _limit(survives: Callable[[str, float], bool], module: str, source: str) -> float:
-    began = time.monotonic()
-    if not survives(source, _FIRST):
+def _limit(seconds: Callable[[str, float], float | None], module: str, source: str) -> float:
+    took = seconds(source, _FIRST)
+    if took is None:
         raise ValueError(f"the tests of {module} fail, or take more than {_FIRST:g} s, without a fault: run them first")
-    return max(_MORE * (time.monotonic() - began), _AT_LEAST)
+    return max(_MORE * took, _AT_LEAST)

@@ -10,7 +10,9 @@ from __future__ import annotations
 import builtins
 import contextlib
 import json
+import math
 import os
+import resource
 import signal
 import sys
 import time
@@ -29,6 +31,7 @@ _OPTIONS = (
     *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-profile", "mutants"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # pytest would like to load hypothesis itself
 )
+_PATIENCE = 30.0
 _CAUGHT_INSTEAD = "CosmicRayTestingException"  # of what a mutant no longer catches
 _LOADED = (
     *("numba", "scipy.integrate", "scipy.stats", "sympy", "torch", "gymnasium", "hypothesis", "jsonschema", "pytest"),
@@ -37,7 +40,7 @@ _LOADED = (
 
 
 @contextmanager
-def trials(module: str, tests: Sequence[str]) -> Iterator[Callable[[str, float], bool]]:
+def trials(module: str, tests: Sequence[str]) -> Iterator[Callable[[str, float], float | None]]:
     """Start the process that tries mutants of a module; it ends with the `with`.
 
     Args:
@@ -45,7 +48,8 @@ def trials(module: str, tests: Sequence[str]) -> Iterator[Callable[[str, float],
         tests: What pytest is told to run.
 
     Yields:
-        A function of a source of the module and a time [s]: whether all tests pass with it, and within that time.
+        A function of a source of the module and a limit of CPU time [s]: the CPU time in which all tests pass with it
+        [s]; None if one fails, or they take longer.
     """
     command = [sys.executable, "-c", "from eval.mutation.trial import serve; serve()", module, *tests]
     environment = {**os.environ, **_PLAIN, "PYTHONPATH": str(_ROOT)}
@@ -53,55 +57,59 @@ def trials(module: str, tests: Sequence[str]) -> Iterator[Callable[[str, float],
         assert server.stdin is not None and server.stdout is not None
         ask, answers = server.stdin, server.stdout
 
-        def survives(source: str, limit: float) -> bool:
+        def seconds(source: str, limit: float) -> float | None:
             print(json.dumps({"source": source, "limit": limit}), file=ask, flush=True)
-            return answers.readline().strip() == "survived"
+            return json.loads(answers.readline())
 
         try:
-            yield survives
+            yield seconds
         finally:
             server.kill()
 
 
 def serve() -> None:
-    """Answer what `trials` asks: a line of JSON for each mutant, on stdin, by a word on stdout."""
+    """Answer what `trials` asks: a line of JSON for each mutant, on stdin, by one on stdout."""
     path, tests = Path(sys.argv[1]).resolve(), sys.argv[2:]
     for name in _LOADED:
         if find_spec(name):
             import_module(name)
     for line in sys.stdin:
         asked = json.loads(line)
-        print(_outcome(path, asked["source"], tests, asked["limit"]), flush=True)
+        print(json.dumps(_seconds(path, asked["source"], tests, asked["limit"])), flush=True)
 
 
-def _outcome(path: Path, source: str, tests: list[str], limit: float) -> str:
+def _seconds(path: Path, source: str, tests: list[str], limit: float) -> float | None:
     """Run tests on a mutant, one after the other until one fails.
 
     Args:
         path: Of the module.
         source: Of the mutant.
         tests: What pytest is told to run.
-        limit: Time that they are given [s].
+        limit: CPU time that they are given [s]: a busy machine kills no mutants. Tests that wait for something have
+            `_PATIENCE` times as long.
+
+    Returns:
+        CPU time that they took [s]; None if one failed, or they did not end.
     """
     child = os.fork()
     if child == 0:
-        _test(path, source, tests)
-    ends, status = time.monotonic() + limit, None
-    while status is None and time.monotonic() < ends:
-        done, found = os.waitpid(child, os.WNOHANG)
-        status = found if done else None
+        _test(path, source, tests, limit)
+    ends = time.monotonic() + _PATIENCE * limit
+    done, status, usage = os.wait4(child, os.WNOHANG)
+    while not done and time.monotonic() < ends:
         time.sleep(0.01)
-    if status is None:
+        done, status, usage = os.wait4(child, os.WNOHANG)
+    if not done:
         with contextlib.suppress(ProcessLookupError):  # it may not have its own group yet
             os.killpg(child, signal.SIGKILL)
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-    return "survived" if status == 0 else "killed"
+        os.kill(child, signal.SIGKILL)
+        os.wait4(child, 0)
+    return usage.ru_utime + usage.ru_stime if done and status == 0 else None
 
 
-def _test(path: Path, source: str, tests: list[str]) -> None:
+def _test(path: Path, source: str, tests: list[str], limit: float) -> None:
     os.setsid()
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit), math.ceil(limit) + 1))
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(nowhere, stream)
