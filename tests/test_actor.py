@@ -1,5 +1,6 @@
 """The acting part of a policy: sizes that are allowed, its outputs by NumPy, and weights taken from a library's."""
 
+import re
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +10,8 @@ import pytest
 import torch
 from torch import nn
 
-from agents.policy.actor import Actor, ActorShape, actor_of, standardised
+from agents.policy.actor import Actor, actor_of, standardised
+from agents.policy.weights import ActorShape, Weights
 
 INPUTS = 3
 
@@ -118,3 +120,17 @@ def test_weights_of_an_lstm_are_the_librarys():
 def test_layers_that_the_policy_does_not_have(shape: ActorShape):
     with pytest.raises(ValueError, match="does not have the layers"):
         actor_of(of_ppo(INPUTS, 4, 2), shape)
+
+
+def test_weights_are_the_arrays_of_the_layers_and_no_others():
+    shape = ActorShape(INPUTS, (4,), gru=2)
+    arrays = Actor(shape).weights().arrays
+    assert {name: array.shape for name, array in arrays.items()} == shape.arrays()
+    for wrong, words in (
+        ({name: array for name, array in arrays.items() if name != "gru.bias_hh_l0"}, "no array 'gru.bias_hh_l0'"),
+        (arrays | {"layers.4.weight": np.zeros((1, 1), np.float32)}, "an array 'layers.4.weight', of no layer"),
+        (arrays | {"layers.2.bias": np.zeros(1)}, "layers.2.bias is float64 of shape (1,)"),
+        (arrays | {"layers.2.bias": np.zeros((1, 1), np.float32)}, "must be float32 of shape (1,)"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            Weights(shape, wrong)

@@ -111,6 +111,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     ),
     "agents/policy/actor.py": ("tests/test_actor.py", *_BUNDLES),
     "agents/policy/bundle.py": _BUNDLES,
+    "agents/policy/weights.py": ("tests/test_actor.py", *_BUNDLES),
     "agents/policy/inputs.py": _BUNDLES,
     "agents/policy/manifest.py": _BUNDLES,
     "baselines/tools/schema.py": ("tests/test_schema.py", *_BUNDLES),
