@@ -11,10 +11,11 @@ READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 2
 LOWEST := .venv-lowest
+TOOLS := .venv-tools
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help compare train setup test test-lowest fuzz soak mutants coverage lint format bench dist docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.PHONY: help compare train setup test test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
@@ -30,12 +31,13 @@ train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 
 ##@ Develop
 
-setup: $(READY)  ## Create .venv with pinned versions
+setup: $(READY)  ## Create .venv with pinned versions; HASHES=1 checks their SHA-256 too
 
 $(READY): pyproject.toml $(CONSTRAINTS)
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or make PYTHON=..." >&2; exit 2; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "$(PYTHON) is not Python 3.11 or newer: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
+	$(if $(HASHES),$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement hashes.txt)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
 	@touch $@
 
@@ -75,6 +77,20 @@ bench: $(READY)  ## Measure speed and accuracy, with ratios to a peer in the sam
 
 dist: $(READY)  ## Build the wheel and the source archive in dist: the same commit gives the same bytes
 	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation
+
+sbom: $(READY) $(TOOLS)/.ready  ## List all packages of .venv in dist/sbom.json, in the format CycloneDX
+	mkdir -p dist
+	$(TOOLS)/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/sbom.json $(VENV)
+
+# Not of torch: its builds differ from machine to machine, and so does what they need.
+hashes: $(TOOLS)/.ready  ## Write the hashes of all pinned packages to hashes.txt, after a change of constraints.txt
+	grep -v '^torch==' constraints.txt | $(TOOLS)/bin/uv pip compile --quiet --no-deps --no-annotate --generate-hashes \
+		--python-version 3.11 --custom-compile-command 'make hashes' --output-file hashes.txt -
+
+$(TOOLS)/.ready: constraints.txt
+	$(PYTHON) -m venv $(TOOLS)
+	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt cyclonedx-bom uv
+	@touch $@
 
 docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its tutorials (needs a C compiler): three minutes
 	rm -rf docs/_build docs/gallery

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -38,6 +39,10 @@ def python(code: str, folder: Path, path: Path | str = ROOT, *options: str, **en
     )
     assert result.returncode == 0, result.stderr
     return result.stdout
+
+
+def lines_of(name: str) -> list[str]:
+    return (ROOT / name).read_text(encoding="utf-8").splitlines()
 
 
 def sources(package: str) -> list[Path]:
@@ -110,6 +115,16 @@ def test_every_dependency_states_one_lowest_version():
     stated = {*lowest_versions()}
     assert len(stated) == len({one.partition("==")[0] for one in stated}) > len(DEPENDENCIES)
     assert {one.partition("==")[0] for one in stated} >= DEPENDENCIES
+
+
+def test_hashes_are_of_the_pinned_versions():
+    """Of all but torch, see the Makefile; `make hashes` writes them anew."""
+    pinned = {line.lower().replace("_", "-") for line in lines_of("constraints.txt") if "==" in line}
+    hashed = re.findall(
+        r"^(\S+==\S+) \\\n    --hash=sha256:[0-9a-f]{64}\b", "\n".join(lines_of("hashes.txt")), re.MULTILINE
+    )
+    torch = {one for one in pinned if one.startswith("torch==")}
+    assert torch and set(hashed) == {one.replace(".py=", "-py=") for one in pinned - torch}
 
 
 def test_optional_packages_are_imported_where_they_are_used():
