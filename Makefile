@@ -56,9 +56,9 @@ fuzz: $(READY)  ## Try ten times as many examples in the property tests, at rand
 soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; ARGS="--share 0.1 --seed 1" is a tenth of another
 	$(BIN)/python eval/soak.py $(ARGS)
 
-mutants: $(READY)  ## Put faults into the code, and see which the tests find, in docs/mutation.md: an hour; goes on where interrupted
+mutants: $(READY)  ## Put faults into the code, and see which the tests find, in results/mutation: an hour; goes on where interrupted
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[mutation]'
-	$(BIN)/python eval/mutants.py --out docs $(ARGS)
+	$(BIN)/python eval/mutants.py $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --cov --cov-report term:skip-covered $(ARGS)
