@@ -60,6 +60,7 @@ def meaning_of_training(folder: Path) -> dict[str, Any]:
         origin = content.pop("provenance")
         content.pop("content_hash")
         origin.pop("commit")  # of a checkout that is worked in
+        origin.pop("command")  # which has --resume where it was resumed
         for part in (origin["run"], origin["reached"], origin["config"]):
             part.pop("seconds", None)
             part.pop("resume", None)
