@@ -7,10 +7,12 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
+from scipy.optimize import OptimizeResult
 
 from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.corners import CORNERS, LOOP_FIELDS
+from baselines.optimal import robust
 from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.robust import (
     RobustController,
@@ -100,6 +102,11 @@ class TestGain:
         loops, start = loops_at(DESIGN, 45, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
         gain, other = least_cost_gain(start, loops), least_cost_gain(1.01 * start, loops)
         assert other == pytest.approx(gain, rel=1e-7)
+
+    def test_a_slope_of_zero_where_loops_are_unstable_ends_no_descent(self, monkeypatch: pytest.MonkeyPatch):
+        loops, start = loops_at(DESIGN, 45, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
+        monkeypatch.setattr(robust, "root", lambda *_, **__: OptimizeResult(x=np.full(5, 1e6), success=True))
+        assert np.isfinite(mean_cost(least_cost_gain(start, loops), loops)[0])
 
     def test_is_found_from_one_that_does_not_hold_all_arms(self):
         loops, start = loops_at(DESIGN, 45, WEIGHTS, WRONG, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]

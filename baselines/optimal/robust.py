@@ -229,7 +229,8 @@ def _descended(start: Floats, scale: Floats, loops: Loops, shrunk: float) -> Flo
 
     near = minimize(relative, np.zeros(5), jac=True, method="L-BFGS-B").x
     least = root(lambda change: relative(change)[1], near, tol=_FLAT)
-    return start + scale * (least.x if least.success else near)
+    holds = np.isfinite(mean_cost(start + scale * least.x, loops, shrunk)[0])  # else the slope is none, and zero
+    return start + scale * (least.x if least.success and holds else near)
 
 
 @lru_cache(maxsize=64)
