@@ -54,9 +54,9 @@ class NetworkPolicy:
     def __init__(self, weights: Weights) -> None:
         self.shape = shape = weights.shape
         self.network = _network(weights)
-        self.memory = (2, shape.lstm) if shape.lstm else (shape.gru,)
+        self.memory = shape.memory
         """Shape of a row's memory."""
-        self.widest = max(_GATES[self.network.kind] * self.network.remembered, *self.network.widths.tolist())
+        self.widest = max(shape.gates, *shape.widths)
         """Width of the widest layer, gates side by side."""
 
     def predict(
@@ -86,9 +86,6 @@ class NetworkPolicy:
         return residuals, memory if self.network.kind != _FEEDFORWARD else None
 
 
-_GATES = (0, 3, 4)  # of each kind of memory
-
-
 def begun(state: Singles | None, start: Flags | None, shape: tuple[int, ...]) -> Singles:
     """Memory of a shape, rows first, which is zero where an episode begins: everywhere if there is none yet."""
     memory = np.zeros(shape, np.float32)
@@ -105,7 +102,7 @@ def _network(weights: Weights) -> Network:
         weights=np.concatenate([part for weight, bias in blocks for part in (weight.T.ravel(), bias)]),
         widths=np.array(shape.widths),
         kind=_LSTM if shape.lstm else _GRU if shape.gru else _FEEDFORWARD,
-        remembered=shape.lstm or shape.gru,
+        remembered=shape.remembered,
         activation=ACTIVATIONS.index(shape.activation),
         squashed=shape.squashed,
         standardised=shape.standardised,

@@ -74,10 +74,12 @@ def model_of(weights: Weights, metadata: Mapping[str, str]) -> onnx.ModelProto:
     def described(name: str, *sizes: int) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", *sizes])
 
-    memory = (2, shape.lstm) if shape.lstm else (shape.gru,)
     inputs, outputs = [described("observation", shape.inputs)], [described("residual", 1)]
-    if shape.lstm or shape.gru:
-        inputs, outputs = [*inputs, described("state", *memory)], [*outputs, described("next_state", *memory)]
+    if shape.recurrent:
+        inputs, outputs = (
+            [*inputs, described("state", *shape.memory)],
+            [*outputs, described("next_state", *shape.memory)],
+        )
     model = helper.make_model(
         helper.make_graph(graph.nodes, "residual_policy", inputs, outputs, graph.constants),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -146,7 +148,7 @@ def _remembered(graph: _Graph, weights: Weights, features: str) -> str:
     steps before, and one for the directions beside the rows.
     """
     shape = weights.shape
-    order, width = (1, 0, 2) if shape.gru else (0, 3, 1, 2), shape.gru or shape.lstm
+    order, width = (1, 0, 2) if shape.gru else (0, 3, 1, 2), shape.remembered
     (weight_in, bias_in), (weight_hidden, bias_hidden) = weights.recurrent()
 
     def gates(rows: Singles) -> Singles:

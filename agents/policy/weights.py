@@ -22,7 +22,7 @@ MAX_WIDTH = 1024
 MAX_LAYERS = 8
 FARTHEST = 5.0
 """Bound of a standardised input, in deviations."""
-_GATES = {"lstm": 4, "gru": 3}
+_GATES = {"": 0, "lstm": 4, "gru": 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,21 @@ class ActorShape:
         return "lstm" if self.lstm else "gru" if self.gru else ""
 
     @property
+    def remembered(self) -> int:
+        """Width of the recurrent layer, 0 for none."""
+        return self.lstm or self.gru
+
+    @property
+    def gates(self) -> int:
+        """Width of its gates side by side, 0 for none."""
+        return _GATES[self.recurrent] * self.remembered
+
+    @property
+    def memory(self) -> tuple[int, ...]:
+        """Shape of what it remembers of an arm: of an LSTM hidden and cell state."""
+        return (2, self.lstm) if self.lstm else (self.gru,)
+
+    @property
     def widths(self) -> tuple[int, ...]:
         """Widths of what the layers after the recurrent one take and give, from the first input on."""
         return (self.lstm or self.inputs + self.gru, *self.hidden, 1)
@@ -71,11 +86,9 @@ class ActorShape:
         if self.standardised:
             found |= {"mean": (self.inputs,), "deviation": (self.inputs,)}
         if self.recurrent:
-            width = self.lstm or self.gru
-            for kind, inputs in (("ih", self.inputs), ("hh", width)):
-                rows = _GATES[self.recurrent] * width
-                found |= {f"{self.recurrent}.weight_{kind}_l0": (rows, inputs)}
-                found |= {f"{self.recurrent}.bias_{kind}_l0": (rows,)}
+            for kind, inputs in (("ih", self.inputs), ("hh", self.remembered)):
+                found |= {f"{self.recurrent}.weight_{kind}_l0": (self.gates, inputs)}
+                found |= {f"{self.recurrent}.bias_{kind}_l0": (self.gates,)}
         for k, (before, after) in enumerate(pairwise(self.widths)):
             found |= {f"layers.{2 * k}.weight": (after, before), f"layers.{2 * k}.bias": (after,)}
         return found
