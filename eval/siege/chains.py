@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from eval.siege.report import Siege
-from eval.siege.subjects import meaning_of_training
+from eval.siege.subjects import differences, meaning_of_training
 
 LINKS, CHAINS = 10, 5
 """Kills of a chain, and chains in a whole siege."""
@@ -49,7 +49,9 @@ def besiege(share: float, seed: int) -> Siege:
             shutil.rmtree(out)
             moments = np.random.default_rng([seed, chain]).uniform(_EARLIEST, 1.0, min(LINKS, links - chain * LINKS))
             siege.count += len(moments)
-            words = _killed(out, whole * moments) or _ended(_started(out)) or _differences(out, wanted)
+            words = (
+                _killed(out, whole * moments) or _ended(_started(out)) or differences(meaning_of_training, out, wanted)
+            )
             siege.found += [f"chain {chain} of seed {seed}: {words}"] if words else []
         shutil.rmtree(out)
         siege.found += _two_at_a_time(out, wanted)
@@ -87,22 +89,12 @@ def _killed(out: Path, moments: np.ndarray[Any, np.dtype[np.float64]]) -> str:
     return ""
 
 
-def _differences(out: Path, wanted: dict[str, Any]) -> str:
-    """Words for what is not as in a run that nobody touched."""
-    try:
-        reached = meaning_of_training(out)
-    except Exception as error:  # whatever it is, the files are not what they should be
-        return f"{type(error).__name__}: {error}"
-    differ = sorted(name for name in {*wanted, *reached} if wanted.get(name) != reached.get(name))
-    return f"other files than without kills: {', '.join(differ)}" if differ else ""
-
-
 def _two_at_a_time(out: Path, wanted: dict[str, Any]) -> list[str]:
     """Begin two trainings in one folder. Return lines for what went wrong."""
     both = [_started(out), _started(out)]
     ends = [_ended(one) for one in both]
     refused = [words for words in ends if "exit status 2" in words and str(out) in words]
-    words = _differences(out, wanted)
+    words = differences(meaning_of_training, out, wanted)
     if ends.count("") == 1 and len(refused) == 1 and not words:
         return []
     return [" ".join(f"two trainings at a time in one folder: {json.dumps(ends)} {words}".split())]

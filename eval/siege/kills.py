@@ -28,7 +28,7 @@ import numpy as np
 import torch
 
 from eval.siege.report import Siege
-from eval.siege.subjects import SUBJECTS, Subject
+from eval.siege.subjects import SUBJECTS, Subject, differences
 
 _LONGEST = 120.0  # that a child may take [s]
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.symlink", "os.truncate")
@@ -121,12 +121,7 @@ def _after(subject: Subject, folder: Path, troubles: list[_Trouble], wanted: dic
         return end.words
     if left := [path.name for path in folder.rglob(".*") if path.name != ".lock"]:
         return f"leaves {', '.join(left)}"
-    try:
-        reached = subject.meaning(folder)
-    except Exception as error:  # whatever it is, the files are not what they should be
-        return f"{type(error).__name__}: {error}"
-    differ = sorted(name for name in {*wanted, *reached} if wanted.get(name) != reached.get(name))
-    return f"other files than without trouble: {', '.join(differ)}" if differ else ""
+    return differences(subject.meaning, folder, wanted)
 
 
 def _prepare(subject: Subject, folder: Path) -> None:

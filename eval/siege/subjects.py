@@ -38,6 +38,16 @@ class Subject(NamedTuple):
     given: dict[str, str] = {}  # text of files that are there before  # noqa: RUF012
 
 
+def differences(meaning: Callable[[Path], dict[str, Any]], folder: Path, wanted: dict[str, Any]) -> str:
+    """Words for what is not as in a run that nobody touched; empty if all is."""
+    try:
+        reached = meaning(folder)
+    except Exception as error:  # whatever it is, the files are not what they should be
+        return f"{type(error).__name__}: {error}"
+    differ = sorted(name for name in {*wanted, *reached} if wanted.get(name) != reached.get(name))
+    return f"other files than without trouble: {', '.join(differ)}" if differ else ""
+
+
 def _train(config: RunConfig, folder: Path, resume: bool) -> None:
     for kind in ("best", "last"):
         if resume and (folder / kind / "policy.json").exists():
