@@ -85,7 +85,7 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
         belongs = _belongs_to(observer)
     except FileNotFoundError:
         raise ObserverError(f"no observer at {path}: `python train/observer.py` fits one") from None
-    except (OSError, KeyError, TypeError, ValueError, RecursionError, SafetensorError) as error:
+    except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
         raise ObserverError(f"{path} is no observer of this release ({in_a_line(error)})") from None
     for name, value in belongs.items():
         if content.get(name) != value:

@@ -79,7 +79,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise BundleError(
             f"no policy bundle at {folder}: {MANIFEST} is missing; a bundle is a folder such as runs/ppo/best"
         ) from None
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise BundleError(f"{manifest} cannot be read ({error}); save the policy again") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BundleError(f"{manifest} is not a {FORMAT} bundle")

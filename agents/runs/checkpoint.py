@@ -33,7 +33,7 @@ from filelock import FileLock, Timeout
 from agents.runs.settings import RunConfig
 from baselines.tools.files import Unsealed, read_sealed, require_writable, write_sealed, write_text
 from baselines.tools.provenance import software
-from baselines.tools.schema import in_a_line
+from baselines.tools.schema import in_a_line, loads
 
 VERSION = 4
 """Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
@@ -131,9 +131,9 @@ class RunFolder:
         if not self.checkpoint.exists() and self._holds_a_run():
             raise FileNotFoundError(f"{self.folder} has no {CHECKPOINT} to go on from: choose another --out")
         try:
-            content = json.loads(self.config.read_text(encoding="utf-8"))
+            content = loads(self.config.read_text(encoding="utf-8"))
             before, options = content["identity"], dict(content["identity"]["options"])
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{self.config} is damaged ({in_a_line(repr(error))}): choose another --out") from None
         now = json.loads(json.dumps(config.identity(), default=str))
         for name, value in now["options"].items():
@@ -227,8 +227,8 @@ class RunFolder:
     def _noted(self) -> Any:
         """Software that wrote config.json, or None."""
         try:
-            return json.loads(self.config.read_text(encoding="utf-8"))["written_by"]
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return loads(self.config.read_text(encoding="utf-8"))["written_by"]
+        except (OSError, ValueError, KeyError, TypeError):
             return None
 
 

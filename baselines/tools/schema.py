@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from jsonschema import Draft202012Validator, validators
@@ -49,14 +50,29 @@ def in_a_line(value: object, most: int = 200) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def loads(text: str, **options: Any) -> Any:
+    """Read JSON as `json.loads` does; what is nested too deeply is none, and raises ValueError as well."""
+    with _of_bounded_depth():
+        return json.loads(text, **options)
+
+
+@contextmanager
+def _of_bounded_depth() -> Iterator[None]:
+    try:
+        yield
+    except RecursionError as error:
+        raise ValueError(str(error)) from None
+
+
 def parse(data: bytes) -> Any:
     """Parse JSON in UTF-8.
 
     Raises:
         ValueError: If it is none, or has a number that is not finite or takes more than 64 bits.
     """
-    content = json.loads(data.decode("utf-8"), parse_constant=_number, parse_float=_number, parse_int=_number)
-    json.dumps(content, ensure_ascii=False).encode("utf-8")  # which halves of characters cannot be
+    content = loads(data.decode("utf-8"), parse_constant=_number, parse_float=_number, parse_int=_number)
+    with _of_bounded_depth():
+        json.dumps(content, ensure_ascii=False).encode("utf-8")  # which halves of characters cannot be
     return content
 
 

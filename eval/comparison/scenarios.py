@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from baselines.tools.files import write_text
 from baselines.tools.provenance import last_commit_of
-from baselines.tools.schema import in_a_line
+from baselines.tools.schema import in_a_line, loads
 from beltarm_env.arm import FIELDS, NOMINAL, params_columns
 from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
@@ -167,8 +167,8 @@ def load(path: Path) -> ScenarioSet:
 def _read(path: Path, name: str, remedy: str) -> dict[str, Any]:
     """Content of the file of a set, of this version and as it was written."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        content = loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read ({in_a_line(error)}): {remedy}") from None
     if not isinstance(content, dict) or content.get("format") != FORMATS[name]:
         raise ValueError(f"{path} is no file of {FORMATS[name]}: {remedy}")

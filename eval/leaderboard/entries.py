@@ -17,7 +17,7 @@ from typing import Any
 
 from baselines.tools.files import sha256_of, write_atomically, write_text
 from baselines.tools.provenance import commit, software
-from baselines.tools.schema import check
+from baselines.tools.schema import check, loads
 from eval.comparison.scenarios import choose_set
 from eval.comparison.sets import TEST_NAME
 from eval.comparison.splits import EPISODES
@@ -154,8 +154,8 @@ def read_entries(folder: Path, rules: Rules | None = None) -> list[Entry]:
 
 def _entry(path: Path, rules: Rules) -> Entry:
     try:
-        record = json.loads(path.read_text(encoding="utf-8"), parse_constant=str)
-    except (ValueError, RecursionError) as error:
+        record = loads(path.read_text(encoding="utf-8"), parse_constant=str)
+    except ValueError as error:
         raise ValueError(f"{path} is damaged ({error}): verify its archive again") from None
     check(record, path.name, _SCHEMA)
     archive = path.with_suffix(".zip")

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.tools.files import write_text
-from baselines.tools.schema import check
+from baselines.tools.schema import check, loads
 from beltarm_env.task.seeds import DEVELOPMENT, sealed_arms
 from beltarm_env.task.seeds import SEALED as RANGE
 from eval.comparison.sets import ScenarioSet, draw_set
@@ -84,8 +84,8 @@ def read(path: Path = FILE) -> dict[str, Any]:
         ValueError: If the file is damaged.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        content = loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read ({error}): restore it from the repository") from None
     check(content, str(path), _SCHEMA)
     return content

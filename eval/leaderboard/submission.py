@@ -22,7 +22,7 @@ import numpy as np
 
 from agents.policy.bundle import MANIFEST as POLICY_MANIFEST
 from baselines import CONTROLLERS
-from baselines.tools.schema import check
+from baselines.tools.schema import check, loads
 from eval.comparison import schema, splits
 from eval.comparison.methods import PRIMARY, PRIVILEGED, shipped_policies
 from eval.comparison.results import COMPUTING_TIME
@@ -150,11 +150,11 @@ def opened(files: dict[str, bytes], rules: Rules, where: str) -> Submission:
 
 def _json(files: Mapping[str, bytes], name: str, where: str) -> Any:
     try:
-        content = json.loads(files[name].decode("utf-8"), parse_constant=str)
+        content = loads(files[name].decode("utf-8"), parse_constant=str)
         shown = json.dumps(content, ensure_ascii=False)
     except KeyError:
         raise ValueError(f"{where} has no {name}: it is no submission of eval/submit.py") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ValueError(f"{where}: {name} is damaged ({error}): pack it again") from None
     if not shown.isprintable() or r"\u00" in shown:  # it may end up in a terminal
         raise ValueError(f"{where}: {name} has characters that cannot be shown: pack it again")
