@@ -54,7 +54,8 @@ class ClassicalController(ABC, Generic[Memory]):
         """Torque over its limit, shape (n, 1), for observations of shape (n, size); see `Controller`."""
         reading = read(observation, self.params, self.sensors)
         torque, memory = self.law(reading, beginning(state, episode_start, len(observation)), state)
-        return np.clip(torque / self.params.torque_limit, -1, 1).astype(np.float32)[:, None], memory
+        action = np.minimum(np.maximum(torque / self.params.torque_limit, -1), 1)  # `np.clip` takes four times as long
+        return action.astype(np.float32)[:, None], memory
 
 
 class LawKernel(NamedTuple):

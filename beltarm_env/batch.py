@@ -253,24 +253,24 @@ class ArmBatch:
     @property
     def states(self) -> Floats:
         """Copy of the states, shape (num_arms, 4)."""
-        return at.rows(self.blocks, at.STATE, 4, self.all_arms)
+        return at.rows(self.blocks, at.STATE, 4, self.num_arms)
 
     @property
     def motor_torques(self) -> Floats:
         """Torques of the motors now [N m], shape (num_arms,): what the drives have made of the commands."""
-        rows = at.rows(self.blocks, at.DRIVEN, 1, self.all_arms)[:, 0]
-        commanded = at.rows(self.blocks, at.ACTION, 1, self.all_arms)[:, 0] * self.table[:, COLUMN.torque_limit]
-        return np.where(rows > 0, at.rows(self.blocks, at.TORQUE, 1, self.all_arms)[:, 0], commanded)
+        rows = at.rows(self.blocks, at.DRIVEN, 1, self.num_arms)[:, 0]
+        commanded = at.rows(self.blocks, at.ACTION, 1, self.num_arms)[:, 0] * self.table[:, COLUMN.torque_limit]
+        return np.where(rows > 0, at.rows(self.blocks, at.TORQUE, 1, self.num_arms)[:, 0], commanded)
 
     @property
     def moves(self) -> Floats:
         """Copy of the moves, shape (num_arms, 4), columns as `MOVE_FIELDS`."""
-        return at.rows(self.blocks, at.MOVE, 4, self.all_arms)
+        return at.rows(self.blocks, at.MOVE, 4, self.num_arms)
 
     @property
     def times(self) -> Floats:
         """Time since each episode's start [s], shape (num_arms,)."""
-        return at.rows(self.blocks, at.STEP, 1, self.all_arms)[:, 0] * CONTROL_PERIOD
+        return at.rows(self.blocks, at.STEP, 1, self.num_arms)[:, 0] * CONTROL_PERIOD
 
     def tip_errors(self) -> Floats:
         """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""

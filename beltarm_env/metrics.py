@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.jit import compiled
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 SETTLING_BAND = 0.001
@@ -154,12 +155,20 @@ def torque_reversals(torque: Floats, swing: Floats) -> Floats:
     Returns:
         Shape (n,).
     """
-    high, low, side, count = np.zeros((4, len(swing)))  # largest and smallest torque, and its side, since the last one
-    for now in torque:
-        high, low = np.maximum(high, now), np.minimum(low, now)
-        down = (side >= 0) & (now < 0) & (high > 0) & (high - now > swing)
-        up = (side <= 0) & (now > 0) & (low < 0) & (now - low > swing)
-        count += down | up
-        side = np.where(down, -1.0, np.where(up, 1.0, side))
-        high, low = np.where(down, 0.0, np.where(up, now, high)), np.where(up, 0.0, np.where(down, now, low))
-    return count
+    counts = np.empty(len(swing))
+    _count_reversals(np.ascontiguousarray(torque, np.float64), np.ascontiguousarray(swing, np.float64), counts)
+    return counts
+
+
+@compiled
+def _count_reversals(torque: Floats, swing: Floats, counts: Floats) -> None:
+    for arm in range(len(swing)):
+        high, low, side, count = 0.0, 0.0, 0, 0  # largest and smallest torque, and its side, since the last one
+        for k in range(len(torque)):
+            now = torque[k, arm]
+            high, low = max(high, now), min(low, now)
+            if side >= 0 and now < 0 and high > 0 and high - now > swing[arm]:
+                side, high, low, count = -1, 0.0, now, count + 1
+            elif side <= 0 and now > 0 and low < 0 and now - low > swing[arm]:
+                side, high, low, count = 1, now, 0.0, count + 1
+        counts[arm] = count

@@ -73,6 +73,9 @@ ENTRIES: dict[str, tuple[Entry, ...]] = {
     "accelerometer": (*_ENCODER, *_ACCELERATIONS),
 }
 """The entries of each sensor tier, in the order of the vector."""
+_SCALES: dict[str, Floats] = {
+    sensors: np.array([entry.scale for entry in entries]) for sensors, entries in ENTRIES.items()
+}
 
 
 def size(sensors: str = "encoder") -> int:
@@ -94,7 +97,7 @@ def index(name: str, sensors: str = "encoder") -> int:
 
 def scales(sensors: str = "encoder") -> Floats:
     """Return the physical value of 1.0 in each entry, shape (size,)."""
-    return np.array([entry.scale for entry in ENTRIES[sensors]])
+    return _SCALES[sensors].copy()
 
 
 def bounds(sensors: str = "encoder") -> Singles:
@@ -120,5 +123,5 @@ def decode(observation: Singles, sensors: str = "encoder") -> dict[str, Floats]:
         raise ValueError(
             f"an observation with sensors={sensors!r} has {size(sensors)} entries, got shape {observation.shape}"
         )
-    physical = observation * scales(sensors)
+    physical = observation * _SCALES[sensors]
     return {entry.name: physical[..., k] for k, entry in enumerate(ENTRIES[sensors])}

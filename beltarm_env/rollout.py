@@ -140,23 +140,25 @@ def record(
     check_data_sheet(nominal_params(controller), params, type(controller).__name__)
     states = np.empty((EPISODE_STEPS, num_arms, 4))
     errors = np.empty((EPISODE_STEPS, num_arms, 4))
-    torque = np.zeros((EPISODE_STEPS, num_arms))
-    running, finished = np.ones(num_arms, np.bool_), np.ones(num_arms, np.bool_)
+    torque = np.empty((EPISODE_STEPS, num_arms))
+    steps = np.full(num_arms, EPISODE_STEPS)  # until the arm left the workspace
+    finished = np.ones(num_arms, np.bool_)
     cost = np.zeros(num_arms)
     memory: Any = None
     start = np.ones(num_arms, np.bool_)
     for k in range(EPISODE_STEPS):
         action, memory = controller.predict(observation, memory, start, deterministic=True)
         observation, reward, terminated, truncated, _ = env.step(action)
-        torque[k] = np.where(running, np.clip(action[:, 0].astype(np.float64), -1, 1), 0.0)
-        cost -= np.where(running, reward, 0.0)
-        states[k], errors[k] = env.state, env.tip_errors()
-        if not running.all():
-            states[k, ~running], errors[k, ~running] = states[k - 1, ~running], errors[k - 1, ~running]
-        finished &= ~(terminated & running)
+        torque[k], states[k], errors[k] = action[:, 0], env.state, env.tip_errors()
+        cost -= reward * finished
         start = terminated
-        running = running & ~terminated
-        if terminated.any() and not truncated.any():  # keep the batch going; what these arms do now is not recorded
-            observation, _ = env.reset(options={"reset_mask": terminated})
-    torque *= params[:, COLUMN.torque_limit]
+        if terminated.any():
+            steps[terminated & finished] = k + 1
+            finished &= ~terminated
+            if not truncated.any():  # keep the batch going; what these arms do from now on is not recorded
+                observation, _ = env.reset(options={"reset_mask": terminated})
+    for arm in np.flatnonzero(~finished):
+        end = steps[arm]
+        states[end:, arm], errors[end:, arm], torque[end:, arm] = states[end - 1, arm], errors[end - 1, arm], 0.0
+    torque = np.clip(torque, -1, 1, out=torque) * params[:, COLUMN.torque_limit]
     return Recording(states, torque, errors[:, :, :2], errors[:, :, 2:], cost, finished, params, moves)

@@ -28,15 +28,18 @@ from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
 
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
+_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
+    names: tuple(f"_{name}" for name in names) for names in (TERMS, TOTALS)
+}
 _NONE = np.empty(0, dtype=np.intp)
 
 
-def _masked(names: Sequence[str], values: Floats, mask: Flags) -> dict[str, Any]:
+def _masked(names: tuple[str, ...], values: Floats, mask: Flags) -> dict[str, Any]:
     """Info entries in Gymnasium's form: an array per name, and beside it which arms it holds for."""
-    info: dict[str, Any] = {}
-    masks = np.repeat(mask[np.newaxis], len(names), axis=0)
-    for name, row, of_row in zip(names, values, masks, strict=True):
-        info[name], info[f"_{name}"] = row, of_row
+    masks = np.empty((len(names), len(mask)), np.bool_)
+    masks[:] = mask
+    info: dict[str, Any] = dict(zip(names, values, strict=True))
+    info.update(zip(_MASKS[names], masks, strict=True))
     return info
 
 
@@ -191,7 +194,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             terms[:, restarted] = 0.0
             self._restart(restarted, result)
         over = terminated | truncated
-        self._ended = np.flatnonzero(over)
+        (self._ended,) = over.nonzero()
         info = _masked(TERMS, terms, stepped)
         if len(self._ended):
             info = self._finished(info, result, over, terminated)

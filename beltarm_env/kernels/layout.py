@@ -83,10 +83,10 @@ def empty_blocks(num_arms: int) -> NDArray[np.float64]:
     return aligned_zeros(blocks * ROWS * LANES).reshape(blocks, ROWS * LANES)
 
 
-def rows(blocks: NDArray[np.float64], first: int, count: int, arms: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Copy `count` rows from row `first` on, for some arms: shape (len(arms), count)."""
-    table = blocks.reshape(len(blocks), ROWS, LANES)
-    return table[arms // LANES, first : first + count, arms % LANES]
+def rows(blocks: NDArray[np.float64], first: int, count: int, num_arms: int) -> NDArray[np.float64]:
+    """Copy `count` rows from row `first` on: shape (num_arms, count)."""
+    table = blocks.reshape(len(blocks), ROWS, LANES)[:, first : first + count]
+    return np.array(table.swapaxes(1, 2), order="C").reshape(-1, count)[:num_arms]
 
 
 def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64]) -> None:

@@ -128,7 +128,7 @@ class FaultyArms(BeltArmVectorEnv):
         """Double the payload of some arms, which keep their speeds."""
         for arm in np.flatnonzero(which):
             self._batch.table[arm, COLUMN.payload_mass] *= 2
-        plants = at.rows(self._batch.blocks, at.PLANT, len(Plant._fields), self._batch.all_arms)
+        plants = at.rows(self._batch.blocks, at.PLANT, len(Plant._fields), self._batch.num_arms)
         for arm in np.flatnonzero(which):
             plants[arm] = plant_of(self._batch.table[arm])
         at.put_rows(self._batch.blocks, at.PLANT, plants)

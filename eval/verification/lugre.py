@@ -179,4 +179,4 @@ class LuGreArms:
         """Hold torques over their limits, shape (num_arms,), for one control period; states, shape (num_arms, 4)."""
         constants = self._stiffness, self._damping
         advance_bristles(self._blocks, self._bristles, *constants, actions, self._sample, self._steps)
-        return at.rows(self._blocks, at.STATE, 4, np.arange(self._num_arms))
+        return at.rows(self._blocks, at.STATE, 4, self._num_arms)
