@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +54,7 @@ class Bounds(NamedTuple):
     whole: bool  # whether it is a whole number
 
 
+@cache
 def bounds_of(name: str) -> Bounds:
     """Return what a field of `ArmParams` may be."""
     if name in _BOUNDS:
@@ -60,7 +62,15 @@ def bounds_of(name: str) -> Bounds:
     return Bounds(0.0, _LARGEST, name not in _MAY_BE_ZERO, False)
 
 
-def _check_bounds(name: str, value: float | np.integer | np.floating) -> None:
+def checked_constant(name: str, value: object) -> float:
+    """Return a value of a field of `ArmParams` as a float.
+
+    Raises:
+        ValueError: If it is not finite, or out of its bounds.
+        TypeError: If it is not a real number.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise TypeError(f"ArmParams.{name} must be a number, got {value!r}")
     low, high, above, whole = bounds_of(name)
     if not low <= value <= high or (above and value == low):
         if name in _BOUNDS:
@@ -69,6 +79,7 @@ def _check_bounds(name: str, value: float | np.integer | np.floating) -> None:
         raise ValueError(f"ArmParams.{name} must be finite, {allowed} and at most {high:.0e}, got {value!r}")
     if whole and value != int(value):
         raise ValueError(f"ArmParams.{name} must be a whole number, got {value!r}")
+    return float(value)  # after the check, for no float holds every whole number
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +124,8 @@ class ArmParams:
 
     def __post_init__(self) -> None:
         """Convert every field to float and check it."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-                raise TypeError(f"ArmParams.{field.name} must be a number, got {value!r}")
-            _check_bounds(field.name, value)  # before a whole number that no float can hold is converted
-            object.__setattr__(self, field.name, float(value))
+        for name in self.__slots__:
+            object.__setattr__(self, name, checked_constant(name, getattr(self, name)))
 
     @classmethod
     def from_row(cls, row: Floats) -> ArmParams:
@@ -127,7 +134,7 @@ class ArmParams:
 
     def row(self) -> Floats:
         """Return the constants as an array, in the order of `FIELDS`."""
-        return np.array(astuple(self))
+        return np.array([getattr(self, name) for name in FIELDS])
 
     def plant(self) -> Plant:
         """Derive the coefficients of the equations of motion."""

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from beltarm_env import observation
-from beltarm_env.arm import COLUMN, FIELDS, WHOLE, ArmParams
+from beltarm_env.arm import COLUMN, FIELDS, WHOLE, ArmParams, checked_constant
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
@@ -173,7 +173,7 @@ class ArmBatch:
         for name, value in given_params.items():
             column = _column(f"params[{name!r}]", value, count)
             for given in np.unique(column) if name in WHOLE else (column.min(), column.max()):
-                ArmParams(**{name: float(given)})
+                checked_constant(name, float(given))
             table[:, FIELDS.index(name)] = column
         if given_params:
             check_integrable(table, self.model)

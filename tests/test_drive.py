@@ -12,6 +12,7 @@ from driven_arms import UPPER_ENDS, drawn_arms, driven_arm, push
 from scipy.integrate import quad
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env.arrays import Floats
 from eval.verification.crossing import first_crossing
 from eval.verification.drive import Actuator, belt_energy, belt_spring, ripple, ripple_energy
 from eval.verification.event_located import EventLocatedArm, tip
@@ -165,11 +166,15 @@ def test_friction_drifts_from_sample_to_sample():
     assert levels[-1] == pytest.approx(0.032 * (1 + 0.15 * 1199.5 / 1200), rel=1e-14)
 
 
+def crossing(function: Callable[[float], float], times: Floats) -> float | None:
+    return first_crossing(function, times, [function(t) for t in times.tolist()])
+
+
 @pytest.mark.parametrize(("depth", "crosses"), [(-1e-9, True), (1e-9, False)])
 def test_a_dip_between_two_looks_is_found(depth: float, crosses: bool):
     times = np.linspace(0, 1, 9)
     for lowest in (0.02, 0.31, 0.5, 0.55, 0.97):
-        found = first_crossing(lambda t, at=lowest: (t - at) ** 2 + depth, times)
+        found = crossing(lambda t, at=lowest: (t - at) ** 2 + depth, times)
         assert (found is not None) == crosses
         if found is not None:
             assert found == pytest.approx(lowest - math.sqrt(1e-9), abs=1e-9)
@@ -177,9 +182,9 @@ def test_a_dip_between_two_looks_is_found(depth: float, crosses: bool):
 
 def test_a_function_that_rises_from_zero_crosses_where_it_comes_back():
     times = np.linspace(0, 1, 9)
-    assert first_crossing(lambda t: t, times) is None
-    assert first_crossing(lambda t: t * (0.7 - t), times) == pytest.approx(0.7, rel=1e-12)
-    assert first_crossing(lambda t: t * (1e-9 - t), times) == times[1]
+    assert crossing(lambda t: t, times) is None
+    assert crossing(lambda t: t * (0.7 - t), times) == pytest.approx(0.7, rel=1e-12)
+    assert crossing(lambda t: t * (1e-9 - t), times) == times[1]
 
 
 # What moves

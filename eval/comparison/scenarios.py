@@ -22,6 +22,7 @@ from baselines.tools.provenance import last_commit_of
 from baselines.tools.schema import in_a_line, loads
 from beltarm_env.arm import FIELDS, NOMINAL, params_columns
 from beltarm_env.observation import index
+from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import arms_chosen_by
 from eval.comparison.sets import (
@@ -86,11 +87,8 @@ class _Probe:
 
 def motions(split: Split) -> list[list[float]]:
     """Last state, cost and RMS tip error of a split's first scenarios under a fixed simple controller."""
-    rows = []
-    for scenario in range(_CHECKED):
-        run = split.run(_Probe(), scenario)
-        rows.append([*map(float, run.state[-1, 0]), float(run.cost[0]), float(run.metrics()["tip_rms_mm"][0])])
-    return rows
+    run = rollout(_Probe(), _CHECKED, **split.arguments(slice(_CHECKED)))
+    return np.column_stack([run.state[-1], run.cost, run.metrics()["tip_rms_mm"]]).tolist()
 
 
 def columns_of(split: Split) -> dict[str, NDArray[Any]]:

@@ -40,14 +40,16 @@ def integrate_until(
             continue
         path: Any = solver.dense_output()
         left = lambda t, path=path: margin(t, path(t))  # noqa: E731
-        crossing = first_crossing(left, np.linspace(float(solver.t_old), solver.t, _LOOKS + 1))  # pyright: ignore
+        times = np.linspace(float(solver.t_old), solver.t, _LOOKS + 1)  # pyright: ignore
+        values = [margin(t, y) for t, y in zip(times.tolist(), path(times).T, strict=True)]
+        crossing = first_crossing(left, times, values)
         if crossing is not None:
             return crossing, path(crossing), True
     return end, solver.y, False
 
 
-def first_crossing(function: Callable[[float], float], times: Floats) -> float | None:
-    """Locate the first time at which a function falls below zero; None if it does not.
+def first_crossing(function: Callable[[float], float], times: Floats, values: list[float]) -> float | None:
+    """Locate the first time at which a function, of some values at some times, falls below zero; None if it does not.
 
     Between the times it may also dip below zero and come back: wherever it comes so close to zero that a parabola
     through three neighbours could, its minimum is looked for.
@@ -55,7 +57,6 @@ def first_crossing(function: Callable[[float], float], times: Floats) -> float |
     A function that begins at zero may rise from there. If it is below zero already at the next time, that time is
     returned: it rose less than can be seen.
     """
-    values = [function(t) for t in times.tolist()]
     last = len(values) - 1
     for k in range(last + 1):
         before, after = max(k - 1, 0), min(k + 1, last)
