@@ -15,7 +15,7 @@ TOOLS := .venv-tools
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help compare train setup test test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.PHONY: help compare train setup test test-all test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
@@ -44,8 +44,11 @@ $(READY): pyproject.toml $(CONSTRAINTS)
 test: $(READY)  ## Run the tests
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
+test-all:  ## Run the tests that are marked slow, too
+	$(MAKE) test ARGS="--slow $(ARGS)"
+
 test-lowest: $(LOWEST).txt  ## Run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
-	$(MAKE) test VENV=$(LOWEST) CONSTRAINTS=$(LOWEST).txt EXTRA=test
+	$(MAKE) test-all VENV=$(LOWEST) CONSTRAINTS=$(LOWEST).txt EXTRA=test
 
 $(LOWEST).txt: pyproject.toml tests/lowest.py
 	$(PYTHON) tests/lowest.py > $@
@@ -61,7 +64,7 @@ mutants: $(READY)  ## Put faults into the code, and see which the tests find, in
 	$(BIN)/python eval/mutants.py $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --cov --cov-report term:skip-covered $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --slow --cov --cov-report term:skip-covered $(ARGS)
 
 lint: $(READY)  ## Check style and types
 	$(BIN)/ruff check .

@@ -29,9 +29,19 @@ LONG = tuple(
 )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run the longest files first: a worker that begins one of them last leaves the other without work."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="run the tests that are marked slow, too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is slow, unless it is asked for or named, and run the longest files first.
+
+    A worker that begins a long file last leaves the other one without work.
+    """
     items.sort(key=lambda item: item.path.stem not in LONG)
+    if not config.getoption("--slow") and not any("::" in word for word in config.args):
+        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("slow")])
+        items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
 
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -102,6 +102,7 @@ def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
 # Running
 
 
+@pytest.mark.slow
 def test_what_a_study_leaves(done: Path):
     content = json.loads((done / "out/ablations.json").read_text())
     assert [variant["name"] for variant in content["variants"]] == ["default"]

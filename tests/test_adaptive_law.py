@@ -25,7 +25,7 @@ def spoilt(memory: Any) -> Any:
     return memory
 
 
-@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("apart", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_one_arm_alone_is_bit_for_bit_as_in_a_batch(apart: bool):
     controller = CONTROLLERS["adaptive"]()
     law, design, memory = controller.kernel()

@@ -132,6 +132,7 @@ def test_gains_must_be_finite():
         PaperGains(angle=float("nan"))
 
 
+@pytest.mark.slow
 def test_vibration_feedback_damps_the_nominal_arm_during_the_move():
     ringing = {
         name: rollout(make(), 64, seed=42, randomization="off").metrics()["tip_acc_rms"].mean()

@@ -157,6 +157,7 @@ def test_classical_controllers_keep_the_protocol(name: str):
     assert not [finding for finding in findings(CONTROLLERS[name]) if not finding.passed]
 
 
+@pytest.mark.slow
 def test_the_example_passes_as_a_user_runs_it(tmp_path: Path):
     command = [sys.executable, str(ROOT / "eval/check_controller.py"), f"{EXAMPLE}:MyController"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)

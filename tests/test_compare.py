@@ -188,6 +188,7 @@ def same(first: list[Metrics | Failure], second: list[Metrics | Failure]) -> boo
     )
 
 
+@pytest.mark.slow
 def test_one_process_gives_what_two_gave_and_what_is_done_is_not_done_again(
     compared: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -61,6 +61,7 @@ def test_smooth_motion_stays_within_a_tenth_of_a_millimetre():
         assert distance(motion, 16, **SETTINGS["implicitfast"]) < 1e-4
 
 
+@pytest.mark.slow
 def test_report_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert stopped(crosscheck.main, ("--arms", "1", "--out", "cross"), tmp_path) == (0, "")
     text = (tmp_path / "cross/summary.md").read_text(encoding="utf-8")
@@ -119,6 +120,7 @@ def test_committed_order_is_what_the_command_measures():
     assert result.orders.mean() == pytest.approx(cells[4], abs=0.01) and result.stops == 11
 
 
+@pytest.mark.slow
 def test_convergence_prints_every_model_and_regime(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert stopped(convergence.main, ("--samples", "60"), tmp_path) == (0, "")
     printed = capsys.readouterr().out

@@ -45,6 +45,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_curves_of_runs_and_of_bundles_are_the_same(runs: Path):
     of_all = find_curves([runs])
     assert [curve.method for curve in of_all] == ["ppo on paper"] * 2
@@ -86,6 +87,7 @@ def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     plt.close(figure)
 
 
+@pytest.mark.slow
 def test_the_script_draws(runs: Path, tmp_path: Path):
     result = run("eval/curves.py", "--runs", str(runs), "--out", "out", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
@@ -121,6 +123,7 @@ def test_trials_simulate_the_same_number_of_samples(tmp_path: Path):
     assert trials[0].hidden == (64, 32)
 
 
+@pytest.mark.slow
 def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     config = few(tmp_path)
     options = ("--trials", "2", "--jobs", "1", "--samples", "2560", "--arms", "4", "--validation-arms", "2")

@@ -33,6 +33,7 @@ def compiler() -> tuple[str, ...]:
         pytest.skip(str(error))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(programs("python"))))
 def test_python_on_the_page_runs(number: int, tmp_path: Path):
     program = programs("python")[number]

@@ -74,7 +74,7 @@ def test_each_effect_alone(effect: str, model: str):
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("number", range(len(ARMS)))
+@pytest.mark.parametrize("number", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, len(ARMS)))])
 def test_stick_slip_with_all_effects(number: int, model: str):
     worst, arm = largest_distance(ARMS[number], model, pushed, AT_45, TWO_PERIODS)
     assert stops(arm) >= 4, "sticks"

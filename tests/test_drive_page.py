@@ -50,6 +50,7 @@ class TestEffects:
         assert heading("friction_drift") == "drift of friction ±15 %"
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     arguments = ("paper", "zvd", "--arms", "4", "--sizes", "1", "2", "--jobs", "1", "--out", "out")
     code, errors = stopped(drive.main, arguments, tmp_path)

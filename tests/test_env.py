@@ -233,6 +233,7 @@ def test_seeds_and_episodes_differ():
 SETTINGS: dict[str, Any] = {"sensors": "full", "profile": "scurve", "randomization": "train", "delay": 1}
 
 
+@pytest.mark.slow
 def test_worker_processes_of_gymnasium_give_the_same_episodes():
     makers = [partial(gym.make, "beltarm_env:BeltArm-v0", **SETTINGS)] * 2
     there, here = AsyncVectorEnv(makers, context="spawn"), SyncVectorEnv(makers)
@@ -247,6 +248,7 @@ def test_worker_processes_of_gymnasium_give_the_same_episodes():
         there.close()
 
 
+@pytest.mark.slow
 def test_worker_processes_of_sb3_give_the_same_episodes():
     makers = [partial(gym.make, "beltarm_env:BeltArm-v0", **SETTINGS)] * 2
     there, here = SubprocVecEnv(makers, start_method="spawn"), DummyVecEnv(makers)

@@ -34,6 +34,7 @@ def costs_in(output: str, pattern: str) -> list[float]:
 VALIDATED = r"validation arms: ([\d.]+) of paper alone, ([\d.]+) with the residual"
 
 
+@pytest.mark.slow
 def test_ppo_in_one_file_learns_and_saves_a_policy(tmp_path: Path):
     small = ("--num-envs", "32", "--num-steps", "32", "--minibatch-size", "128", "--total-timesteps", "20000")
     output = output_of("cleanrl_ppo.py", *small, "--validation-arms", "16", cwd=tmp_path)
@@ -49,6 +50,7 @@ def test_ppo_in_one_file_is_short():
     assert len((EXAMPLES / "cleanrl_ppo.py").read_text(encoding="utf-8").splitlines()) <= 250
 
 
+@pytest.mark.slow
 def test_a_loop_of_python_control_beats_the_paper_by_half(tmp_path: Path):
     output = output_of("control_loop.py", cwd=tmp_path)
     loop, paper = costs_in(output, r"this loop: cost (\d+).*\npaper: cost (\d+)")

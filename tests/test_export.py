@@ -32,6 +32,10 @@ ROOT = Path(__file__).resolve().parent.parent
 STUDENT, PPO = (str(ROOT / "agents" / "policies" / name / "seed0") for name in ("student", "ppo"))
 SPLITS = list(development_set().splits)
 NAMES = [name for name in CONTROLLERS if name != "mpc"]
+SOURCES = [
+    source if source in ("paper", "ei", PPO) else pytest.param(source, marks=pytest.mark.slow)
+    for source in (*NAMES, PPO, STUDENT)
+]
 EXACT = {"sqrt", "floor", "ceil", "fmod", "fabs"}
 """Of the maths library, what programs may call: functions that are exact, or correctly rounded, everywhere."""
 
@@ -110,7 +114,7 @@ def assert_equal(
 # Programs
 
 
-@pytest.mark.parametrize("source", [*NAMES, PPO, STUDENT], ids=lambda source: Path(source).parent.name or source)
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: Path(source).parent.name or source)
 def test_program_is_the_controller(exports: Exports, source: str) -> None:
     sources = [*NAMES, PPO, STUDENT]
     guard = source in ("ei", "adaptive", STUDENT)
@@ -130,6 +134,7 @@ def test_program_of_each_compiler(exports: Exports, compiler: str, source: str) 
     assert_equal(exports.of(source, True), source, True, "randomized", Toolchain((found,)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", [("-O0",), ("-O3", "-Wshadow=local")], ids=" ".join)
 def test_program_of_each_optimisation(exports: Exports, flags: tuple[str, ...]) -> None:
     compiler = shutil.which("gcc")
@@ -138,6 +143,7 @@ def test_program_of_each_optimisation(exports: Exports, flags: tuple[str, ...]) 
     assert_equal(exports.of("adaptive", True), "adaptive", True, "payload", Toolchain((compiler,)), flags)
 
 
+@pytest.mark.slow
 def test_program_stays_within_its_memory(exports: Exports) -> None:
     """A program that reads or writes beyond an array, or overflows, stops; a student's holds `adaptive`."""
     assert_equal(exports.of(STUDENT, True), STUDENT, True, "drive", flags=(*SANITISED, "-O1"))
@@ -197,6 +203,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path) -> None:
     try:
         here()

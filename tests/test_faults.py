@@ -18,6 +18,7 @@ from eval.guarding.study import NAN, Outcome
 SEED = 5
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for module in (faults, page, study):
         monkeypatch.setattr(module, "BASES", {"ppo": "paper", "flat": "flat"})

@@ -215,6 +215,7 @@ class TestControllers:
             learned_methods([folder])
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(tmp_path: Path):
     tables = tables_of(sensors.main, ("nominal", "randomized"), "cost.png", tmp_path)
     assert [len(table.splitlines()) for table in tables] == [*(2 + 2 for _ in NAMES), 2 + 2 * len(NAMES)]

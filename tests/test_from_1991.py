@@ -39,6 +39,7 @@ def test_worst_is_the_mean_of_a_twentieth():
     assert worst_mean(np.arange(4.0)) == 3.0
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     code, errors = stopped(from_1991.main, ("--arms", "4", "--out", "out"), tmp_path)
     assert code == 0, errors

@@ -57,6 +57,7 @@ def test_trainings_sort_their_options(command: str, capsys: pytest.CaptureFixtur
     assert {"--jobs", "--validation-arms", "--device"} <= groups["run"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["train/ppo.py", "eval/watch.py"])
 def test_help_may_be_cut_off(command: str):
     """As by `| head`, whose pipe closes before all is written."""

@@ -270,6 +270,7 @@ def test_more_rounds_go_on_from_the_last(whole: Path, tmp_path: Path):
     assert weights(tmp_path / "last") != weights(whole / "last")
 
 
+@pytest.mark.slow
 def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
     """As a user does it: SIGTERM within a round, and the line that is printed."""
     command = [sys.executable, str(ROOT / "train/student.py"), "--out", "run", *TINY]

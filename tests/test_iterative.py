@@ -250,6 +250,7 @@ def test_cost_falls_from_repetition_to_repetition():
     assert (np.diff(costs) < 0.01 * costs[0]).all()
 
 
+@pytest.mark.slow
 def test_runs_are_reproducible():
     one, other = (repeated(IterativeController, 2, 3, seed=SEED, randomization="ideal") for _ in range(2))
     for ours, theirs in zip(one, other, strict=True):
@@ -330,6 +331,7 @@ def test_motors_error_is_that_of_the_joint():
     assert metrics(run)["motor_rms_mrad"][0] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_report_of_a_run(tmp_path: Path):
     assert stopped(main, ("--arms", "4", "--repetitions", "2", "--out", "out"), tmp_path) == (0, "")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cost.png", "results.json", "summary.md"]

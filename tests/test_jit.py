@@ -143,6 +143,7 @@ print(torque(2.0), sum(torque.stats.cache_misses.values()))
 """
 
 
+@pytest.mark.slow
 def test_of_processes_that_want_a_kernel_one_compiles_it(toy: Path, monkeypatch: pytest.MonkeyPatch):
     """The others wait and load it, whatever any of them failed to compile before."""
     monkeypatch.chdir(toy.parent)

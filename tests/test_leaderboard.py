@@ -139,6 +139,7 @@ def test_nothing_is_executed_by_packing_and_reading(there: Made, tmp_path: Path)
     assert not there.marker.exists()
 
 
+@pytest.mark.slow
 def test_a_policy_is_packed_as_data_and_verified_without_trust(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(POLICIES / "ppo" / "seed0", "best")
@@ -374,6 +375,7 @@ def test_a_controller_is_a_strangers_code(submission: Submission):
     require_trust(submission, True, "mine.zip")
 
 
+@pytest.mark.slow
 def test_what_is_run_again_scores_the_same(submission: Submission, found: dict[str, Any], made: Made):
     assert found == submission.scores
     assert made.marker.exists()  # run again, it is executed

@@ -173,6 +173,7 @@ class TestBudgets:
         assert found["ppo"].steps == ModelSteps(2 + arm_ekf.DIFFERENCED, 0)
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     shown = ("paper", "ei", "adaptive")
     code, errors = stopped(baselines.main, (*shown, "--arms", "8", "--batch", "2", "--out", "out"), tmp_path)

@@ -128,6 +128,7 @@ class TestCorners:
             for mine, theirs in zip(reference, other, strict=True):
                 np.testing.assert_array_equal(mine, theirs)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", ["ei", "disturbance", "preview"])
     def test_they_hold_nearly_the_worst_of_all_2048_corners(self, name: str):
         angles = (0, 12, 24, 36, 45)
@@ -239,6 +240,7 @@ class Watched(RetunedController):
 
 
 class TestTuner:
+    @pytest.mark.slow
     def test_nothing_that_falls_short_is_simulated(self, tmp_path: Path):
         Watched.simulated.clear()
         told: list[SearchProgress] = []

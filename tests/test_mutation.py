@@ -37,6 +37,7 @@ def test_judgements_are_of_lines_that_there_are():
             assert judgement.after != judgement.before and judgement.why.endswith(".")
 
 
+@pytest.mark.slow
 def test_a_mutant_is_killed_and_the_checkout_stays_as_it_is():
     source = (ROOT / SENSORS).read_text(encoding="utf-8")
     with trials(SENSORS, [COUNTS]) as seconds:

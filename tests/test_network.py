@@ -119,6 +119,7 @@ found = {name: answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(S
 """
 
 
+@pytest.mark.slow
 def test_without_compiler_the_very_same_numbers(tmp_path: Path):
     names = ("elu", "tanh", "recurrent")
     code = f"NAMES = {names!r}\n{PLAIN}\nnp.savez({str(tmp_path / 'plain.npz')!r}, **found)"
@@ -141,6 +142,7 @@ assert "torch" not in sys.modules
 """
 
 
+@pytest.mark.slow
 def test_shipped_policies_act_and_are_compared_without_pytorch():
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller, _ = load_controller(POLICIES / "ppo" / "seed0")

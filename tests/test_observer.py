@@ -317,6 +317,7 @@ class TestRun:
         _, content = load_observer(config.file)
         assert content["provenance"]["run"]["episodes"] == 6
 
+    @pytest.mark.slow
     def test_processes_and_blocks_change_nothing(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(running, "_BLOCK", 6)
         found = []

@@ -69,6 +69,7 @@ def test_what_is_compared_sees_what_it_says():
     assert isinstance(alone, Observer) and not [name for name in inputs_of(alone.knowledge) if "believed" in name]
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(tmp_path: Path):
     tables = tables_of(observers.main, ("nominal", "sensing"), "torsion.png", tmp_path)
     assert [len(table.splitlines()) for table in tables] == [2 + 2, 2 + len(NAMES), 2 + 2, 2 + 2]

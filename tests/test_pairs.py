@@ -188,6 +188,7 @@ def test_outdated_pairs_are_taken_away(tmp_path: Path):
     assert names == sorted(found.file(tmp_path).name for found in (pair(), pair(episodes=5), fresh))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
     methods, splits = ("paper", "rigid", "zvd", "ei"), ("nominal", "payload", "friction", "structural")
@@ -222,6 +223,7 @@ class Mine:
 """
 
 
+@pytest.mark.slow
 def test_new_weights_and_fresh_runs_are_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -266,6 +268,7 @@ class Clock:
         return self.times[method.name]
 
 
+@pytest.mark.slow
 def test_computing_time_makes_commands_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -299,6 +302,7 @@ def test_computing_time_makes_commands_later(
     assert TIMED_NOTE in tables(results) and TIMED_NOTE in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_computing_times_are_measured_once_and_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     clock = Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0))
@@ -373,6 +377,7 @@ class Alone:
 """
 
 
+@pytest.mark.slow
 def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path):
     """On the scenarios, by an exception or a torque that is none, or where an arm is recorded alone."""
     (tmp_path / "mine.py").write_text(FAILING)
@@ -419,7 +424,7 @@ class AtOnce(Sound):
 """
 
 
-@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("many", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_controllers_that_end_their_process_do_not_end_the_comparison(many: bool, tmp_path: Path):
     """Also where many scenarios are run in shards, and where importing the controller is enough."""
     names = ("Exits", "AtOnce") if many else ("Sound", "Exits", "AtOnce")
@@ -451,6 +456,7 @@ def hang() -> None:
     time.sleep(600)
 
 
+@pytest.mark.slow
 def test_an_added_controller_has_a_limit_of_time(tmp_path: Path):
     (tmp_path / "mine.py").write_text(ENDING)
     (usual,) = choose_methods(("Sound",), added=(f"{tmp_path}/mine.py:Sound",))
@@ -476,6 +482,7 @@ def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
 # Which methods
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_all_methods_run_on_a_split_by_default_but_those_that_are_dominated(tmp_path: Path):
     arguments = ("--splits", "structural", "--episodes", "4", "--jobs", "1", "--out", "out")
@@ -515,6 +522,7 @@ def test_policies_of_other_sensors_are_refused(tmp_path: Path):
         learned_methods([bundle(tmp_path / "a", sensors="tip")])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_policies_of_ones_own_stand_beside_the_shipped_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """By a name of their own, or that of their algorithm; and a run that has less says what it replaces."""

@@ -220,6 +220,7 @@ def test_a_comparison_is_the_same_on_ray(tmp_path: Path):
     assert len(list((tmp_path / "there/pairs").iterdir())) == 2, "kept by this process"
 
 
+@pytest.mark.slow
 def test_the_command_runs_on_a_cluster_that_is_there(tmp_path: Path):
     """Whose workers know the command's folder, where a file has the name of a package."""
     address = ray.get_runtime_context().gcs_address
@@ -286,6 +287,7 @@ def die_once(config: Any) -> Any:
     return learner
 
 
+@pytest.mark.slow
 def test_a_training_whose_worker_is_killed_goes_on_and_is_the_local_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -332,6 +334,7 @@ def test_options_that_do_not_fit_are_refused(options: dict[str, Any], message: s
         WithStorage(**options).check_engine()
 
 
+@pytest.mark.slow
 def test_a_search_for_hyper_parameters_runs_on_ray(tmp_path: Path):
     few: dict[str, Any] = {"trials": 2, "jobs": 2, "samples": 7680, "arms": 4, "validation_arms": 2}
     study = tune(TuningConfig("ppo", out=tmp_path, engine="ray", **few))

@@ -18,6 +18,7 @@ def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_controller(tmp_path: Path):
     follow("Add a controller", tmp_path)
     code = """
@@ -70,6 +71,7 @@ print(kept == {name: one.digest for name, one in splits.items() if name != "heav
     assert run(tmp_path, "-c", code, compiled=False).split() == ["True"] * 4
 
 
+@pytest.mark.slow
 def test_an_algorithm(tmp_path: Path):
     follow("Add an algorithm", tmp_path)
     code = """

@@ -446,6 +446,7 @@ def test_the_torque_is_shown_at_the_start_and_at_rest():
     assert "pid 0.01." in said["torque after the move"]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_whole_comparison_stays_small():
     names = [f"method{k}" for k in range(13)]
     outcomes = [outcome(name, "classical", 100.0 + k, split) for split in SPLITS for k, name in enumerate(names)]

@@ -134,6 +134,7 @@ def test_the_untrained_policy_is_its_base(tmp_path: Path):
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 
+@pytest.mark.slow
 def test_a_memory_learns_what_it_can_see(tmp_path: Path):
     """Of two numbers, one is in the first hold of an episode; the other cannot be known, and is guessed as its mean."""
     learner = Rma(tiny(tmp_path, rounds=3, epochs=150, batch_size=32, latent=2, learning_rate=0.02, gru_width=8))
@@ -158,6 +159,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):
     """Bit for bit, in both phases."""
     config = tiny(tmp_path)

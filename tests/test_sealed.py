@@ -88,6 +88,7 @@ def test_a_secret_is_drawn_once_and_never_into_the_repository(published: Path, t
     assert not (tmp_path / "again.txt").exists()
 
 
+@pytest.mark.slow
 def test_the_comparison_runs_the_sealed_set_only_when_it_is_revealed(published: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(compare_command, "sealed_set", lambda: sealed.sealed_set(published))
     said = mistake(compare_command.main, ("--scenarios", "sealed"), published.parent)

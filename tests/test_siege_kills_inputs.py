@@ -16,6 +16,7 @@ from eval.siege import chains, inputs, kills
 from eval.siege.damage import exploit
 
 
+@pytest.mark.slow
 def test_a_search_for_gains_survives_kills():
     (subject,) = [one for one in kills.SUBJECTS if one.name == "a search for gains"]
     count, found = kills.attack(subject, 0.05, 0)

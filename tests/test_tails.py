@@ -104,6 +104,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert len(merged(few(), tmp_path, "cost")) == 10
 
 
+@pytest.mark.slow
 def test_damaged_shards_are_run_again(tmp_path: Path):
     run_shards(few(4), tmp_path, 1)
     paths = [shard.file(tmp_path) for shard in few(4)]
@@ -221,6 +222,7 @@ def test_results_that_cannot_be_kept_are_refused(tmp_path: Path):
         study.study([unknown], [SPLIT], 1, 600, tmp_path, 1)
 
 
+@pytest.mark.slow
 def test_a_comparison_of_many_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

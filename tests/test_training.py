@@ -177,6 +177,7 @@ def test_another_seed_is_another_run(tmp_path: Path):
     assert not same_weights(first, second)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
     process = start("--out", "run", *TINY, cwd=tmp_path)
@@ -547,6 +548,7 @@ def test_arms_are_seeded_as_documented(tmp_path: Path):
 # Several seeds side by side
 
 
+@pytest.mark.slow
 def test_several_seeds_give_the_runs_that_they_give_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
@@ -579,6 +581,7 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path,
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 
 
+@pytest.mark.slow
 def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
     """And the one that was waiting begins when the others go on."""
     process = start("--out", "many", "--seeds", "3", *SHORT, "--validation-every", "256", cwd=tmp_path)

@@ -274,6 +274,7 @@ def test_gains_without_a_range_are_refused(arguments: tuple[Any, ...]):
 # The command
 
 
+@pytest.mark.slow
 def test_command_writes_gains_with_their_provenance(tmp_path: Path):
     other = {"gains": {"x": 1.0}, "provenance": {"seed": 4}}
     (tmp_path / "gains.json").write_text(json.dumps({"another": other}))
@@ -328,7 +329,7 @@ def test_margins_need_not_be_asked_for(tmp_path: Path, command: list[str], capsy
     assert "started with another seed, other margins or other ranges of gains: tune anew" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_command_leaves_the_file_and_goes_on(
     interrupt: signal.Signals, tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]
 ):

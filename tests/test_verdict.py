@@ -198,6 +198,7 @@ def many() -> Comparison:
     return made(*found)
 
 
+@pytest.mark.slow
 def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
     lines = printed(many())
     assert len(lines) <= 40 and max(map(len, lines)) <= 80
@@ -244,6 +245,7 @@ def test_the_summary_has_mean_and_tail():
 # In the README
 
 
+@pytest.mark.slow
 def test_the_answer_of_the_readme():
     """Two sentences, and five methods best first: the four best, and the controller that all began with."""
     comparison = many()

@@ -33,6 +33,7 @@ def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedP
     )
 
 
+@pytest.mark.slow
 def test_a_gif_of_two_arms(tmp_path: Path):
     policy = next((ROOT / "agents/policies/ppo").glob("*/policy.json")).parent
     chosen = ("--controller", "paper", "--policy", str(policy), "--speed", "2", "--scenario", "3")
@@ -70,6 +71,7 @@ def test_what_an_mp4_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         require_writer(tmp_path / "m.mp4")
 
 
+@pytest.mark.slow
 def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
     environment = {**os.environ, "SDL_VIDEODRIVER": "dummy", "PYTHONUNBUFFERED": "1"}
     command = [*COMMAND, "--controller", "paper", "--controller", "zvd", "--speed", "10"]

@@ -28,7 +28,7 @@ from types import CodeType
 _ROOT = Path(__file__).resolve().parents[2]
 _PLAIN = {"NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _OPTIONS = (
-    *("-x", "-q", "-p", "no:cacheprovider", "--hypothesis-profile", "mutants"),
+    *("-x", "-q", "--slow", "-p", "no:cacheprovider", "--hypothesis-profile", "mutants"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # pytest would like to load hypothesis itself
 )
 _PATIENCE = 30.0
