@@ -9,7 +9,7 @@ EXTRA ?= dev
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
-WORKERS ?= 2
+WORKERS ?= 3
 LOWEST := .venv-lowest
 TOOLS := .venv-tools
 

@@ -115,6 +115,7 @@ def test_what_a_study_leaves(done: Path):
     assert not list((done / "out").glob(".*"))
 
 
+@pytest.mark.slow
 def test_finished_runs_are_not_repeated(done: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(ablation_runs, "train", None)
     config = AblationConfig(runs=done / "runs/ablations", only=("default",), quick=True, seeds=1, arms=4)
@@ -125,6 +126,7 @@ def test_finished_runs_are_not_repeated(done: Path, monkeypatch: pytest.MonkeyPa
     assert [result.runs for result in results] == [variant["runs"] for variant in stored]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on(done: Path, tmp_path: Path):
     """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
     runs = tmp_path / "runs"
@@ -145,6 +147,7 @@ def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
         run_all(config, lambda _: None, stop)
 
 
+@pytest.mark.slow
 def test_a_folder_with_another_run_is_refused(done: Path):
     run = AblationRun(DEFAULT, 0, 10_000, done / "runs/ablations", quick=True)
     with pytest.raises(ValueError, match=r"holds `python train/student.py --arms 2 .*choose another --runs"):

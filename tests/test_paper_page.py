@@ -79,6 +79,7 @@ def regenerated(tmp_path_factory: pytest.TempPathFactory) -> Regenerated:
 
 
 class TestTables:
+    @pytest.mark.slow
     def test_everything_is_written(self, regenerated: Regenerated):
         folder = regenerated.folder
         assert {path.name for path in folder.iterdir()} == {"tables.md", "drive.md", *PICTURES, *DRIVE_PICTURES}
@@ -86,6 +87,7 @@ class TestTables:
             picture = (folder / name).read_bytes()
             assert picture.startswith(b"\x89PNG") and len(picture) < 150_000
 
+    @pytest.mark.slow
     def test_the_terminal_shows_the_answers(self, regenerated: Regenerated):
         assert regenerated.output.startswith("Does K4 = 0.15 remove the tip's ringing?\n")
         assert "| as analysed | yes |" in regenerated.output
@@ -93,6 +95,7 @@ class TestTables:
         table = regenerated.output.split("\n\n")[1].split("\nwritten to")[0]
         assert table in (regenerated.folder / "tables.md").read_text(encoding="utf-8")
 
+    @pytest.mark.slow
     def test_tables_are_well_formed(self, regenerated: Regenerated):
         text = (regenerated.folder / "tables.md").read_text(encoding="utf-8")
         assert set(re.findall(r"!\[[^]]*\]\(([^)]*)\)", text)) == PICTURES
@@ -101,6 +104,7 @@ class TestTables:
             if block.startswith("|"):
                 assert len({line.count("|") for line in block.splitlines()}) == 1, block
 
+    @pytest.mark.slow
     def test_the_page_of_the_drive_is_well_formed(self, regenerated: Regenerated):
         text = (regenerated.folder / "drive.md").read_text(encoding="utf-8")
         assert set(re.findall(r"!\[[^]]*\]\(([^)]*)\)", text)) == DRIVE_PICTURES
@@ -110,6 +114,7 @@ class TestTables:
                 assert len({line.count("|") for line in block.splitlines()}) == 1, block
 
     @pytest.mark.parametrize("page", ["tables.md", "drive.md"])
+    @pytest.mark.slow
     def test_committed_tables_show_the_same_numbers(self, page: str, regenerated: Regenerated):
         """All but the provenance; another processor may round a last digit differently."""
         number = re.compile(r"\d+(?:\.\d+)?")
@@ -296,6 +301,7 @@ NAMES = "|".join(
 
 
 class TestPage:
+    @pytest.mark.slow
     def test_every_number_is_what_is_computed(self, regenerated: Regenerated):
         text = prose()
         for claim in (*claims_of_the_moves(regenerated.study), *claims_of_the_loop()):
@@ -311,6 +317,7 @@ class TestPage:
             with pytest.raises(AssertionError):
                 check(claim, text)
 
+    @pytest.mark.slow
     def test_words_are_those_of_the_numbers(self, regenerated: Regenerated):
         study = regenerated.study
         assert [study.standard(view).answer for view in (AS_ANALYSED, FRICTION)] == ["yes", "in part"]
@@ -330,6 +337,7 @@ class TestPage:
             assert dominant_damping(with_k4) < damping(angle, 0.0, model="lagrangian") + 5e-4
             assert np.count_nonzero(with_k4.imag > 1e-6) == 2, "two oscillating pairs"
 
+    @pytest.mark.slow
     def test_table_of_assumptions(self, regenerated: Regenerated):
         lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")][1:]
         rows = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
