@@ -124,7 +124,7 @@ class ArmParams:
 
     def __post_init__(self) -> None:
         """Convert every field to float and check it."""
-        for name in self.__slots__:
+        for name in FIELDS:
             object.__setattr__(self, name, checked_constant(name, getattr(self, name)))
 
     @classmethod
