@@ -67,8 +67,7 @@ def sample_of(reading: Reading, arm: int) -> Sample:
     )
 
 
-_SCALES_OF = {sensors: observation.scales(sensors) for sensors in observation.SENSORS}
-_SCALES = _SCALES_OF["encoder"]
+_SCALES = observation.scales()
 _ENCODER_SIZE = len(_SCALES)  # other tiers have their own entries after it
 _AT = {name: observation.index(name) for name in (entry.name for entry in observation.ENTRIES["encoder"])}
 _MEASURED = _AT["motor_angle_error"]  # and after it errors of speed, the speed and the angle
@@ -118,7 +117,7 @@ def read(observations: Singles, params: ArmParams, sensors: str = "encoder") -> 
         remedy = "" if sensors == "encoder" else f": use an environment with sensors={sensors!r}"
         raise ValueError(f"observations must have shape (n, {size}) or wider, got {observations.shape}{remedy}")
     # Each entry of all arms in a row: laws read it faster.
-    seen = np.multiply(observations[:, :size].T, _SCALES_OF[sensors][:, np.newaxis], order="C")
+    seen = np.multiply(observations[:, :size].T, observation.scales(sensors)[:, np.newaxis], order="C")
     extra = np.ascontiguousarray(seen[_ENCODER_SIZE:].T)
     return Reading(
         angle_error=seen[_MEASURED],

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -34,11 +33,6 @@ def validate(controller: Controller, arms: int, sensors: Any = "encoder") -> dic
     """Compute mean scores over arms drawn from the training ranges with the validation seed."""
     metrics = rollout(controller, arms, seed=VALIDATION.first, randomization="train", sensors=sensors).metrics()
     return {name: float(np.mean(metrics[name])) for name in SCORES}
-
-
-@cache
-def _scores_of_base(base: str, sensors: str, arms: int) -> dict[str, float]:
-    return validate(make_base(base, sensors), arms, sensors)
 
 
 class News(NamedTuple):
@@ -126,7 +120,7 @@ class TrainingMonitor:
         self.channel = channel
         self.progress: dict[str, Any] = progress or {"seconds": 0.0, "best_cost": np.inf, "scores": "", "curve": []}
         channel.report(News(learner.steps, self.progress["scores"] or "validating the base and the untrained policy"))
-        self.base_scores = _scores_of_base(config.base, config.sensors, config.validation_arms)
+        self.base_scores = validate(make_base(config.base, config.sensors), config.validation_arms, config.sensors)
         self._before = self.progress["seconds"]
         self._began = self._told = time.perf_counter()
 
