@@ -1,5 +1,6 @@
 """A sample of the siege, which finds nothing; and faults that are planted, which it finds."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +8,11 @@ import numpy as np
 import pytest
 from commands import mistake
 
+from baselines import CONTROLLERS
 from beltarm_env import BeltArmVectorEnv
 from eval import soak
-from eval.siege import determinism, environment, hostile
+from eval.comparison.sets import development_set
+from eval.siege import determinism, encoders, environment, guard, hostile
 from eval.siege.report import Siege, markdown
 
 
@@ -60,6 +63,58 @@ class OfItsSize(BeltArmVectorEnv):
     def step(self, actions: Any) -> Any:
         observations, *rest = super().step(actions)
         return observations + np.float32(self.num_envs < 137), *rest
+
+
+def test_guards_that_are_told_nonsense():
+    siege = guard.besiege(0.005, 1)
+    assert siege.found == []
+    assert siege.count >= 4e5
+
+
+@pytest.mark.parametrize(
+    ("planted", "told"),
+    [
+        (lambda torques: torques.fill(np.nan), "a command of nan N m"),
+        (lambda torques: torques.__imul__(1.5), "a command of"),
+        (lambda torques: torques.__imul__(-1.0), "a command that changes by"),
+        (lambda torques: torques.__imul__(1 - 1e-15 * (len(torques) > 1)), "a guard does something else alone"),
+    ],
+)
+def test_guards_that_fail_are_found(planted: Any, told: str, monkeypatch: pytest.MonkeyPatch):
+    sound = guard.guard_arms
+
+    def faulty(design: Any, inputs: Any, begins: Any, memory: Any, torques: Any) -> None:
+        sound(design, inputs, begins, memory, torques)
+        planted(torques)
+
+    monkeypatch.setattr(guard, "guard_arms", faulty)
+    assert f": {told}" in guard.besiege(0.001, 1).found[0]
+
+
+def test_encoders_lie_from_some_sample_on():
+    length, arms = 300, 40 * len(encoders.FAULTS)
+    made = encoders.LyingEncoders(np.zeros(arms, np.intp), length, np.random.default_rng(1))
+    true = np.cumsum(np.random.default_rng(2).integers(1, 30, size=(length, arms)), axis=0)
+    shown = np.array([made.shown(counts) for counts in true])
+    lied = shown != true
+    onset = np.where(lied.any(axis=0), lied.argmax(axis=0), length)
+    assert np.abs(shown).max() <= 2**31
+    for fault in encoders.FAULTS:
+        whose = made.faults == fault
+        assert lied[:, whose].any() == (fault != "none"), fault
+        assert onset[whose].max() > 20, "samples before it are shown as they are"
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_programs_of_controllers_whose_encoders_lie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    split = next(iter(development_set().splits.values()))
+
+    def found(folder: str) -> list[str]:
+        return encoders.attack("paper", True, split, 20, 80, np.random.default_rng(3), tmp_path / folder)
+
+    assert found("sound") == []
+    monkeypatch.setattr(encoders, "controller_of", lambda source, guard: CONTROLLERS["ei"]())
+    assert " N m in Python, " in found("planted")[0]
 
 
 def test_there_are_twenty_kinds_of_mischief():

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from baselines.tools.files import write_text
-from eval.siege import chains, inputs, kills
-from eval.siege.damage import exploit
+from eval.siege import chains, kills
+from eval.siege.files import inputs
+from eval.siege.files.damage import exploit
 
 
 @pytest.mark.slow
@@ -86,7 +87,7 @@ def test_inputs_find_a_reader_with_a_fault(fault: str, monkeypatch: pytest.Monke
     monkeypatch.setitem(inputs.READERS, "faulty", reader)
     siege = inputs.again("faulty", 0, 7)
     assert siege.count == 1 and len(siege.found) == 1
-    assert siege.found[0].startswith("eval.siege.inputs.again('faulty', 0, 7): ") and fault in siege.found[0]
+    assert siege.found[0].startswith("eval.siege.files.inputs.again('faulty', 0, 7): ") and fault in siege.found[0]
 
 
 COUNTING = """

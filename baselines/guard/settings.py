@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -36,12 +35,16 @@ class GuardDesign(NamedTuple):
     per_torque: float  # change of the speed in a sample by a torque [rad/s per N m]
 
 
+LARGEST = 1e6
+"""Largest setting, so that samples can be counted."""
+
+
 @dataclass(frozen=True)
 class GuardSettings:
     """What the guard allows, and how long.
 
     Raises:
-        ValueError: If a setting is not a finite positive number.
+        ValueError: If a setting is not a positive number of at most `LARGEST`.
     """
 
     slew: float = 1.0  # most that the command changes by in a sample, of the torque limit
@@ -62,8 +65,9 @@ class GuardSettings:
         """Check the ranges."""
         for setting in fields(self):
             value = getattr(self, setting.name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise ValueError(f"GuardSettings.{setting.name} must be a finite positive number, got {value!r}")
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= LARGEST:
+                bounds = f"a positive number of at most {LARGEST:g}"
+                raise ValueError(f"GuardSettings.{setting.name} must be {bounds}, got {value!r}")
 
     def design(self, params: ArmParams, residual: float = 0.0) -> GuardDesign:
         """Numbers for the kernels.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.observation import index, scales
 from eval.deploy.building import Toolchain
 
@@ -74,12 +74,16 @@ class InTheLoop:
         angles = observation[:, _ANGLE] * _ANGLE_SCALE
         counts = np.rint(angles / self._quantum).astype(int)
         begins = np.ones(len(counts), np.bool_) if state is None else episode_start
+        torques = self.torques(counts, begins)
+        return (torques / self._limit).astype(np.float32)[:, None], True
+
+    def torques(self, counts: Integers, begins: Flags | None = None) -> Floats:
+        """Torques [N m] for the counts of the encoders, shape (n,); of arms that begin a move it is the first."""
         for arm in [] if begins is None else np.flatnonzero(begins):
             move = " ".join(f"{number:.17g}" for number in self._moves[arm])
             self._say(f"reset {arm} {move} {counts[arm]}")
         self._say(f"step {' '.join(map(str, counts))}")
-        torques = np.array(self._answer(), np.float64)
-        return (torques / self._limit).astype(np.float32)[:, None], True
+        return np.array(self._answer(), np.float64)
 
     def times(self) -> StepTimes:
         """Times of all samples so far."""

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable
 
 from baselines.engines.parallel import Channel
-from eval.siege import chains, controllers, determinism, environment, inputs, kills, properties, translation
+from eval.siege import chains, controllers, determinism, environment, guard, kills, properties, translation
+from eval.siege.files import inputs
 from eval.siege.report import Siege
 
 PARTS: dict[str, Callable[[float, int], Siege]] = {
@@ -17,6 +18,7 @@ PARTS: dict[str, Callable[[float, int], Siege]] = {
     "translation": translation.besiege,
     "controllers": controllers.besiege,
     "chains": chains.besiege,
+    "guard": guard.besiege,
     "determinism": determinism.besiege,
 }
 """By name, the longest first."""

@@ -40,14 +40,14 @@ from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
 from eval.leaderboard.archive import archived, read_archive
-from eval.siege import damage
+from eval.siege.files import damage
 from eval.siege.report import Siege
 
 INPUTS = 100_000
 """Of a whole siege."""
 _LONGEST_MESSAGE = 300
 _LONGEST = 2.0  # that an input may take of the processor's time [s]
-_RESULTS = Path(__file__).resolve().parents[2] / "docs" / "comparison" / "results.json"
+_RESULTS = Path(__file__).resolve().parents[3] / "docs" / "comparison" / "results.json"
 _SCENARIOS = 3
 
 Damaged = tuple[dict[str, bytes], bool]
@@ -115,7 +115,7 @@ def attack(siege: Siege, name: str, seed: int, numbers: range) -> None:
             words = ", and ".join(filter(None, wrong))
             siege.count += 1
             if words:
-                siege.found.append(f"eval.siege.inputs.again({name!r}, {seed}, {number}): {words}")
+                siege.found.append(f"eval.siege.files.inputs.again({name!r}, {seed}, {number}): {words}")
             if _files(folder) != sound:
                 shutil.rmtree(folder)
                 folder.mkdir()
