@@ -45,6 +45,11 @@ def test_sizes_that_are(change: dict[str, Any]):
     ActorShape(INPUTS, **{"hidden": (4,), **change})
 
 
+@pytest.mark.parametrize(("recurrent", "shape"), [({}, (0,)), ({"gru": 7}, (7,)), ({"lstm": 7}, (2, 7))])
+def test_what_is_remembered_of_an_arm(recurrent: dict[str, Any], shape: tuple[int, ...]):
+    assert ActorShape(INPUTS, (4,), **recurrent).memory == shape
+
+
 def test_inputs_are_standardised_and_cut_at_five_deviations():
     inputs = torch.tensor([[1.0, -1.0, 40.0], [3.0, 0.0, -40.0]])
     found = standardised(inputs, torch.tensor([1.0, 1.0, 0.0]), torch.tensor([0.5, 4.0, 2.0]))

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from beltarm_env.physics.drive import (
     drive_of,
     turned,
 )
-from beltarm_env.physics.driven.events import Margin, leaves_mode
+from beltarm_env.physics.driven.events import Margin, dips, leaves_mode, lowest_point
 from beltarm_env.physics.driven.step import driven_step, fit_of, needed_rate, step_length
 from beltarm_env.physics.driven.torque import Lag, response, shares_of_two, torques_of_lag, torques_of_two
 from beltarm_env.physics.friction import friction_torque
@@ -174,6 +175,23 @@ def test_a_fitted_step_has_the_first_two_moments_of_a_sine(w: float):
     assert abs((first + 2 * middle) / 6 - np.trapezoid((1 - s) * sine, s)) < 3e-4 * w**10 + 1e-8
 
 
+def test_a_fit_is_the_series_of_its_closed_form():
+    """Coefficients of a series by Cauchy's integral, around the unit circle."""
+    circle = np.exp(2j * np.pi * np.arange(64) / 64)
+
+    def closed_form(w: complex) -> tuple[complex, complex, complex]:
+        s = np.sin(w) / w
+        a = 3 * (np.sin(w) - w * np.cos(w)) / (w * w * np.sin(w))
+        m = (3 * s - a * np.cos(w)) / 2
+        d = (6 * (s * s / 4 - (a * np.cos(2 * w) + 2 * m * np.cos(w)) / 12) / (w * a * m * np.sin(w)) - 1 / 2) / 2
+        return a, m, (d - 1 / 4) / 2
+
+    found = np.fft.fft(np.array([fit_of(w) for w in circle]), axis=0)[:11] / 64
+    expected = np.fft.fft(np.array([closed_form(w) for w in circle]), axis=0)[:11] / 64
+    expected[9:, 2] = 0  # where the series of the lead ends
+    assert np.abs(found - expected).max() < 1e-13
+
+
 def test_ripple_neither_drives_nor_brakes_in_the_mean_over_its_phase():
     ripple = ArmParams(torque_ripple=0.006, torque_ripple_order=12, coulomb_friction=0.0, motor_viscous_friction=0.0)
     ripple = replace(ripple, belt_stiffness=1e-6, belt_damping_ratio=0.0)
@@ -192,6 +210,22 @@ def test_ripple_neither_drives_nor_brakes_in_the_mean_over_its_phase():
     assert abs(np.mean(gained)) < 1e-11
 
 
+@pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
+def test_the_vibration_of_an_arm_whose_motor_rests_is_right_to_the_fifth_order(model: Model):
+    params = ArmParams(payload_mass=0.3)
+    plant, drive = params.plant(), drive_of(params.row())
+    start = ArmState(88 * 0.7, 0.0, 1e-4, 0.01)
+
+    def torsion(steps: int) -> float:
+        x, dt = start, 0.004 / steps
+        for _ in range(steps):
+            torques = torques_of_lag(Lag(0.0, 0.0, 0.0, 0.0), dt)
+            x = driven_step(x, angles_of(x, plant, drive), torques, 0.0, dt, plant, drive, model).state
+        return x.torsion - start.torsion
+
+    assert torsion(1) == pytest.approx(torsion(64), rel=2e-9)
+
+
 def exits_of(margins: list[Margin]) -> np.ndarray:
     work = np.zeros(EXIT_ROWS * LANES)
     for lane, margin in enumerate(margins):
@@ -208,6 +242,35 @@ def test_where_margins_fall_below_zero():
     assert leaves_mode(falls, math.exp(-4))
     expected = [0.5 - math.sqrt(3) / 6, 1.0, math.log(2) / 4]
     assert exits_of([dips, stays, falls]) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_margin_whose_tangents_stay_above_zero_is_not_left():
+    falls_and_rises = Margin(0.0, 1.0, 0.0, 0.0, 2.0, 6.0)  # u + 2 e^(-6 u), lowest 0.58
+    assert not leaves_mode(falls_and_rises, math.exp(-6))
+
+
+def test_where_convex_margins_are_lowest():
+    rng = np.random.default_rng(1)
+    found = 0
+    for _ in range(500):
+        amplitude, exponent = float(rng.uniform(0, 2)), float(rng.uniform(0.1, 6))
+        m = Margin(float(rng.normal()), float(rng.normal(-1, 2)), float(rng.uniform(0, 4)), 0.0, amplitude, exponent)
+
+        def slope(u: float, m: Margin = m) -> float:
+            return m.c1 + 2 * m.c2 * u - m.exponent * m.amplitude * math.exp(-m.exponent * u)
+
+        def value(u: float, m: Margin = m) -> float:
+            return m.c0 + u * (m.c1 + u * m.c2) + m.amplitude * math.exp(-m.exponent * u)
+
+        if not slope(0) < 0 < slope(1):
+            continue
+        lowest: Any = brentq(slope, 0, 1, xtol=1e-14)
+        found += 1
+        assert dips(m) == (value(1) >= 0)
+        assert value(lowest_point(m)) == pytest.approx(value(lowest), abs=1e-6)
+        if value(lowest) < -1e-9:
+            assert leaves_mode(m, math.exp(-exponent))
+    assert found > 100
 
 
 def test_exits_of_many_margins_are_those_that_scipy_finds():

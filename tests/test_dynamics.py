@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from properties import examples
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
 from beltarm_env.arm import Plant, plant_of
@@ -20,7 +23,7 @@ from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_state, store_plant, store_state
 from beltarm_env.kernels.runge_kutta import DIRECTION, DT, NEXT, RK4_ROWS, TORQUE, rk4_steps
 from beltarm_env.observation import decode
-from beltarm_env.physics.integrator import mode_change, mode_margin
+from beltarm_env.physics.integrator import hermite_root, mode_change, mode_margin
 from beltarm_env.physics.models import (
     FULL_ARM,
     LUMPED,
@@ -220,6 +223,25 @@ class TestIntegrator:
     def test_step_of_no_length_changes_nothing(self):
         x = ArmState(70.0, 3.0, 0.01, -0.2)
         assert rk4_step(x, 0.2, 1.0, 0.0, plant(), LUMPED) == x
+
+    def test_where_cubics_that_are_nearly_straight_turn_negative(self):
+        rng = np.random.default_rng(0)
+        for size in 1000 * [1.0, 1e-3]:
+            start, end = size * rng.uniform(0.1, 1), -size * rng.uniform(0.1, 1)
+            slopes = (end - start) * rng.uniform(0.7, 1.3, size=2)
+            exact = brentq(CubicHermiteSpline([0, 1], [start, end], slopes), 0, 1, xtol=1e-15)
+            assert hermite_root(start, slopes[0], end, slopes[1]) == pytest.approx(exact, abs=1e-12)
+
+    def test_where_cubics_that_begin_at_zero_turn_negative(self):
+        rng = np.random.default_rng(0)
+        for rise, fall, bent in rng.uniform([0.5, 0.5, -0.1], [1.0, 1.0, 0.1], size=(1000, 3)):
+            cubic = Polynomial([0.0, rise, -rise - fall, bent])  # once more 0 near u = rise / (rise + fall)
+            end, end_slope = float(cubic(1)), float(cubic.deriv()(1))
+            exact = brentq(cubic, 0.05, 1, xtol=1e-15)
+            assert hermite_root(0.0, rise, end, end_slope) == pytest.approx(exact, abs=1e-12)
+
+    def test_a_cubic_whose_slope_is_zero_where_its_root_is_looked_for(self):
+        assert hermite_root(0.125, -0.75, -0.125, -0.75) == pytest.approx(0.5)  # (1/2 - u)^3
 
     @pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
     @pytest.mark.parametrize("coulomb_friction", [3e-4, 0.032])

@@ -13,7 +13,7 @@ import pytest
 
 from baselines.tools.files import write_text
 from eval.siege import chains, kills
-from eval.siege.files import inputs
+from eval.siege.files import guided, inputs, readers
 from eval.siege.files.damage import exploit
 
 
@@ -76,18 +76,16 @@ def refuse(message: str) -> None:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_inputs_find_a_reader_with_a_fault(fault: str, monkeypatch: pytest.MonkeyPatch):
-    def reader(folder: Path) -> inputs.Reader:
+    def reader(folder: Path) -> readers.Reader:
         path, sound = folder / "sound.json", b'{"size": 3}'
         path.write_bytes(sound)
         bad = exploit(folder) if "pickle" in fault else b'{ "other": 3}'
-        return inputs.Reader(
+        return readers.Reader(
             lambda: 3 if path.read_bytes() == sound else FAULTS[fault](path) or 0, lambda _: ({path.name: bad}, False)
         )
 
-    monkeypatch.setitem(inputs.READERS, "faulty", reader)
-    siege = inputs.again("faulty", 0, 7)
-    assert siege.count == 1 and len(siege.found) == 1
-    assert siege.found[0].startswith("eval.siege.files.inputs.again('faulty', 0, 7): ") and fault in siege.found[0]
+    monkeypatch.setitem(readers.READERS, "faulty", reader)
+    assert fault in inputs.again("faulty", 0, 7)
 
 
 COUNTING = """
@@ -129,3 +127,35 @@ def test_chains_find_what_does_not_survive_kills_from_outside(how: str, monkeypa
     assert [line.split(":")[0] for line in siege.found] == (
         [] if how == "careful" else ["chain 0 of seed 0", "two trainings at a time in one folder"]
     )
+
+
+@pytest.mark.parametrize(("reader", "number"), [("checkpoint", 6500)])
+def test_inputs_that_broke_a_promise_once(reader: str, number: int):
+    assert inputs.again(reader, 0, number) == ""
+
+
+def test_guided_choices_are_those_of_the_bytes():
+    assert guided.Choices(b"\x00\x80").random() == 0 and guided.Choices(b"\xff").random() == 255 / 256
+    assert guided.Choices(b"\x05\x01").getrandbits(16) == 0x105
+    assert [guided.Choices(bytes([k])).randrange(4) for k in range(4)] == [0, 1, 2, 3]
+    assert guided.Choices(b"").random() == guided.Choices(b"").random(), "the same for ever after their end"
+    assert inputs.again_by("gains", "00ff07") == ""
+
+
+FAULTY = """
+from eval.siege.files import guided, readers
+
+def reader(folder):
+    (folder / "sound").write_bytes(b"sound")
+    return readers.Reader((folder / "sound").read_bytes, lambda rng: ({"sound": rng.randbytes(2)}, False))
+
+readers.READERS["faulty"] = reader
+guided.look("faulty", 1, 50)
+"""
+
+
+def test_guided_damage_finds_a_reader_with_a_fault(tmp_path: Path):
+    pytest.importorskip("atheris")
+    done = subprocess.run([sys.executable, "-c", FAULTY], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "found eval.siege.files.inputs.again_by('faulty', '" in done.stdout
+    assert done.stdout.count("is accepted with another meaning") == 1

@@ -196,7 +196,7 @@ def read_weights(folder: Path | str) -> tuple[Weights, BundleSpec, dict[str, Any
     data = _read_file(path, content)
     try:
         weights = Weights(spec.shape(), load_arrays(data))
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
         words = in_a_line(error)
         raise BundleError(f"{path} does not hold the weights that {MANIFEST} describes: {words}") from None
     require_finite(weights, str(path))

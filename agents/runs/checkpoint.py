@@ -234,7 +234,7 @@ class RunFolder:
 
 def _words(error: Exception) -> str:
     """Kind and first line of an error."""
-    return in_a_line(f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}", 120)
+    return in_a_line(f"{type(error).__name__}: {(str(error).splitlines() or ['no message'])[0]}", 80)
 
 
 def _remedy(origin: Any) -> str:

@@ -68,7 +68,7 @@ def _exit_rate(x: ArmState, torque: float, direction: float, exit_side: float, p
 
 
 @inlined
-def _hermite_root(start: float, start_slope: float, end: float, end_slope: float) -> float:
+def hermite_root(start: float, start_slope: float, end: float, end_slope: float) -> float:
     """Find where on (0, 1) the cubic through both ends turns from positive to negative: bracketed Newton iteration.
 
     The number of iterations is fixed, without an early exit, so that many roots are found side by side.
@@ -106,7 +106,7 @@ def mode_change(
         Share of `dt` that is then over, and the side to which a motor at rest breaks away, -1 or +1.
     """
     exit_side = 1.0 if driving_torque(y, torque, plant, model) > 0.0 else -1.0
-    fraction = _hermite_root(
+    fraction = hermite_root(
         _exit_margin(x, torque, direction, exit_side, plant, model),
         dt * _exit_rate(x, torque, direction, exit_side, plant, model),
         _exit_margin(y, torque, direction, exit_side, plant, model),

@@ -1,65 +1,24 @@
 """Damaged and hostile files for what reads them: each is taken for what it is, or refused in one line.
 
-Half of what carries a hash gets a fitting one, as from a foreign program, so that what is behind the hash is reached.
-`again` makes one of the inputs once more.
+`again` and `again_by` read one of the inputs once more.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import pickle
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from random import Random
-from typing import Any, NamedTuple
 
-import numpy as np
-
-from agents.learners.ppo import PpoConfig
-from agents.observer.files import SHIPPED, load_observer
-from agents.policy.actor import Actor
-from agents.policy.bundle import BundleSpec, read_spec, read_weights, save_bundle
-from agents.policy.card import MANIFEST
-from agents.policy.manifest import content_hash
-from agents.residual.controller import ResidualSettings
-from agents.runs.checkpoint import RunFolder
-from baselines.gains import FILE as GAINS
-from baselines.gains import tuned
-from baselines.registry import TUNABLE
-from baselines.tools.files import sealed
-from beltarm_env.task.seeds import arms_chosen_by
-from eval.comparison import scenarios
-from eval.comparison.methods import classical_methods
-from eval.comparison.pairs import Pair, keep, read_kept
-from eval.comparison.schema import read_results
-from eval.comparison.sets import TEST_NAME, make_set
-from eval.comparison.splits import digest_of, draw_arms, first_seed
-from eval.leaderboard.archive import archived, read_archive
-from eval.siege.files import damage
+from eval.siege.files import damage, guided
+from eval.siege.files.readers import READERS, Reader
 from eval.siege.report import Siege
 
-INPUTS = 100_000
-"""Of a whole siege."""
+INPUTS, GUIDED = 100_000, 20_000
+"""Of a whole siege: drawn at random, and guided by the coverage that they reach."""
 _LONGEST_MESSAGE = 300
 _LONGEST = 2.0  # that an input may take of the processor's time [s]
-_RESULTS = Path(__file__).resolve().parents[3] / "docs" / "comparison" / "results.json"
-_SCENARIOS = 3
-
-Damaged = tuple[dict[str, bytes], bool]
-"""Files by name, and whether they may mean something else than the sound ones: their hashes fit, or they have none."""
-
-
-class Reader(NamedTuple):
-    """Something that reads files, of which sound ones are in a folder."""
-
-    read: Callable[[], object]  # what the files mean; None where they are refused without an error
-    damaged: Callable[[Random], Damaged]
-    removes: bool = False  # whether a damaged file is removed
 
 
 def besiege(share: float, seed: int) -> Siege:
@@ -76,52 +35,65 @@ def besiege(share: float, seed: int) -> Siege:
     blind = "inputs that never come to an end, and what a learner makes of a damaged checkpoint whose hash fits"
     siege = Siege("inputs", "inputs", blind)
     for name in READERS:
-        attack(siege, name, seed, range(round(share * INPUTS / len(READERS)) + 1))
+        with tempfile.TemporaryDirectory() as folder:
+            target = Target(name, Path(folder))
+            for number in range(round(share * INPUTS / len(READERS)) + 1):
+                siege.count += 1
+                if words := target.broken(_drawn(name, seed, number)):
+                    siege.found.append(f"eval.siege.files.inputs.again({name!r}, {seed}, {number}): {words}")
+        guided.add(siege, name, seed, round(share * GUIDED / len(READERS)) + 1)
     return siege
 
 
-def again(name: str, seed: int, number: int) -> Siege:
-    """Read one input of a siege again.
+def again(name: str, seed: int, number: int) -> str:
+    """Read one input of a siege again: words for what is wrong, empty if nothing is.
 
     Args:
         name: Of what reads it, see `READERS`.
         seed: Of the siege.
         number: Of the input.
     """
-    siege = Siege("inputs", "inputs", "")
-    attack(siege, name, seed, range(number, number + 1))
-    return siege
+    with tempfile.TemporaryDirectory() as folder:
+        return Target(name, Path(folder)).broken(_drawn(name, seed, number))
 
 
-def attack(siege: Siege, name: str, seed: int, numbers: range) -> None:
-    """Read some of the damaged inputs of one reader, and add what is found to a siege.
+def again_by(name: str, choices: str) -> str:
+    """Read one guided input again, see `again`, by its choices in hexadecimal digits."""
+    with tempfile.TemporaryDirectory() as folder:
+        return Target(name, Path(folder)).broken(guided.Choices(bytes.fromhex(choices)))
+
+
+def _drawn(name: str, seed: int, number: int) -> Random:
+    return Random(f"{seed}/{name}/{number}")
+
+
+class Target:
+    """Something that reads files, with sound ones.
 
     Args:
-        siege: Gets the number of inputs, and a line for each that breaks a promise.
         name: Of the reader.
-        seed: Of the damage.
-        numbers: Of the inputs.
+        folder: Empty one for its files.
     """
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        reader = READERS[name](folder)
-        sound, meaning = _files(folder), reader.read()
-        for number in numbers:
-            files, fits = reader.damaged(Random(f"{seed}/{name}/{number}"))
-            given = sound | files
-            for path, content in given.items():
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self._reader, self._folder = READERS[name](folder), folder
+        self._sound, self._meaning = _files(folder), self._reader.read()
+
+    def broken(self, rng: Random) -> str:
+        """Read files with damage that is drawn: words for what is wrong, empty if nothing is."""
+        reader, folder, sound = self._reader, self._folder, self._sound
+        files, fits = reader.damaged(rng)
+        given = sound | files
+        for path, content in given.items():
+            (folder / path).write_bytes(content)
+        wrong = _misread(reader, self._meaning, fits, str(folder)), _changed(folder, given, reader.removes)
+        if _files(folder) != sound:
+            shutil.rmtree(folder)
+            folder.mkdir()
+            for path, content in sound.items():
+                (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_bytes(content)
-            wrong = _misread(reader, meaning, fits, str(folder)), _changed(folder, given, reader.removes)
-            words = ", and ".join(filter(None, wrong))
-            siege.count += 1
-            if words:
-                siege.found.append(f"eval.siege.files.inputs.again({name!r}, {seed}, {number}): {words}")
-            if _files(folder) != sound:
-                shutil.rmtree(folder)
-                folder.mkdir()
-                for path, content in sound.items():
-                    (folder / path).parent.mkdir(parents=True, exist_ok=True)
-                    (folder / path).write_bytes(content)
+        return ", and ".join(filter(None, wrong))
 
 
 def _misread(reader: Reader, meaning: object, fits: bool, folder: str) -> str:
@@ -153,178 +125,3 @@ def _changed(folder: Path, given: dict[str, bytes], removes: bool) -> str:
 
 def _files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def _json(
-    rng: Random, content: Any, folder: Path, seal: Callable[[dict[str, Any]], object] | None = None
-) -> tuple[bytes, bool]:
-    """Damaged text of JSON, and whether its hash fits, by `seal`, or it has none."""
-    fits = seal is None
-    if rng.random() < 0.75:
-        content = damage.damaged_content(rng, content)
-        if seal is not None and rng.random() < 0.7 and isinstance(content, dict):
-            seal(content)
-            fits = True
-    text = json.dumps(content).encode()
-    return (text, fits) if rng.random() < 0.7 else (damage.damaged_text(rng, text, folder), fits)
-
-
-# Readers
-
-
-def _of_json(
-    read: Callable[[], object], path: Path, content: Any, seal: Callable[[Any], object] | None = None
-) -> Reader:
-    """Reader of a file of JSON, whose hash `seal` makes fit, if it has one."""
-    path.write_text(json.dumps(content))
-
-    def damaged(rng: Random) -> Damaged:
-        text, fits = _json(rng, content, path.parent, seal)
-        return {path.name: text}, fits
-
-    return Reader(read, damaged)
-
-
-def _seal_manifest(content: dict[str, Any]) -> None:
-    content["content_hash"] = content_hash(content)
-
-
-def _bundle(folder: Path) -> dict[str, Any]:
-    """Save a small bundle, and return its manifest."""
-    origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
-    spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
-    save_bundle(folder, spec, Actor(spec.shape()).weights())
-    return json.loads((folder / MANIFEST).read_text())
-
-
-def _manifest(folder: Path) -> Reader:
-    content = _bundle(folder)
-    return _of_json(lambda: read_spec(folder)[1], folder / MANIFEST, content, _seal_manifest)
-
-
-def _weights(folder: Path) -> Reader:
-    content = _bundle(folder)
-    name = content["weights"]["file"]
-    data = (folder / name).read_bytes()
-
-    def damaged(rng: Random) -> Damaged:
-        files, fits = {name: damage.damaged_weights(rng, data, folder)}, rng.random() < 0.7
-        if fits:
-            told = {**content, "weights": {"file": name, "sha256": hashlib.sha256(files[name]).hexdigest()}}
-            _seal_manifest(told)
-            files[MANIFEST] = json.dumps(told).encode()
-        return files, fits
-
-    return Reader(lambda: {key: one.tolist() for key, one in read_weights(folder)[0].arrays.items()}, damaged)
-
-
-def _run(folder: Path) -> tuple[RunFolder, PpoConfig]:
-    """Folder of a run that has only begun, and options to resume it."""
-    config, run = PpoConfig(out=folder, resume=True), RunFolder(folder)
-    run.note(config)
-    run.save({"weights": np.arange(100.0)}, {"curve": [{"steps": 0, "cost": 1.0}], "scores": "", "best_cost": 1.0})
-    return run, config
-
-
-def _options(folder: Path) -> Reader:
-    run, config = _run(folder)
-    content = json.loads(run.config.read_text())
-    return _of_json(partial(run.check, config), run.config, content)
-
-
-def _checkpoint(folder: Path) -> Reader:
-    run, _ = _run(folder)
-    data = run.checkpoint.read_bytes()
-
-    def damaged(rng: Random) -> Damaged:
-        if rng.random() < 0.5:
-            return {run.checkpoint.name: damage.damaged_bytes(rng, data, folder)}, False
-        content = damage.damaged_content(rng, pickle.loads(data))
-        return {run.checkpoint.name: sealed(pickle.dumps(content))}, True
-
-    return Reader(lambda: run.load(lambda state: state["weights"].sum()), damaged)
-
-
-def _pair(folder: Path) -> Reader:
-    (method,) = [known for known in classical_methods() if known.name == "paper"]
-    pair = Pair(method, draw_arms("nominal", "seed 0", range(4)), 4)
-    keep(pair, folder, {name: np.arange(4.0)[None] for name in pair.tables})
-    path = pair.file(folder)
-    data, name = path.read_bytes(), str(path.relative_to(folder))
-
-    def damaged(rng: Random) -> Damaged:
-        changed, fits = damage.damaged_archive(rng, data, folder, damage.damaged_array)
-        return {name: changed}, fits
-
-    def read() -> dict[str, bytes] | None:
-        kept = read_kept(pair, folder)
-        if kept is None:
-            return None
-        if wrong := {str(table.dtype) for table in kept.values()} - {"float64"}:
-            raise TypeError(f"tables of {wrong} are taken for numbers")
-        return {key: table.tobytes() for key, table in kept.items()}
-
-    return Reader(read, damaged, removes=True)
-
-
-def _scenarios(folder: Path) -> Reader:
-    protocol = json.loads(scenarios.FILE.read_text())["protocol"]
-    first = first_seed("nominal", arms_chosen_by(protocol))
-    split = draw_arms("nominal", TEST_NAME, range(first, first + _SCENARIOS))
-    content, path = scenarios.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
-
-    def seal(content: dict[str, Any]) -> None:
-        content["sha256"] = digest_of({key: value for key, value in content.items() if key != "sha256"})
-
-    return _of_json(lambda: scenarios.load(path).label, path, content, seal)
-
-
-def _results(folder: Path) -> Reader:
-    content, path = json.loads(_RESULTS.read_text()), folder / "results.json"
-    for part in ("rows", "paired", "profiles", "primary"):
-        content[part] = content[part][:2]
-    return _of_json(partial(read_results, path), path, content)
-
-
-def _gains(folder: Path) -> Reader:
-    content, path = json.loads(GAINS.read_text()), folder / "gains.json"
-    content = {name: content[name] for name in ("zv", "zvd")}
-    return _of_json(partial(tuned, "zv", TUNABLE["zv"].gains, path), path, content)
-
-
-def _archive(folder: Path) -> Reader:
-    path, files = folder / "mine.zip", {"submission.json": b"{}" * 50, "policies/0/policy.json": b"[1]" * 50}
-    data = archived(files, path.name)
-    path.write_bytes(data)
-
-    def damaged(rng: Random) -> Damaged:
-        return {path.name: damage.damaged_archive(rng, data, folder, damage.damaged_bytes)[0]}, True
-
-    return Reader(lambda: read_archive(path), damaged)
-
-
-def _observer(folder: Path) -> Reader:
-    path = folder / "none.safetensors"
-    data = (SHIPPED / path.name).read_bytes()
-    path.write_bytes(data)
-
-    def read() -> object:
-        observer, content = load_observer(path)
-        return {name: one.tolist() for name, one in observer.state_dict().items()}, content
-
-    return Reader(read, lambda rng: ({path.name: damage.damaged_weights(rng, data, folder)}, False))
-
-
-READERS: dict[str, Callable[[Path], Reader]] = {
-    "manifest": _manifest,
-    "weights": _weights,
-    "options": _options,
-    "checkpoint": _checkpoint,
-    "pair": _pair,
-    "scenarios": _scenarios,
-    "results": _results,
-    "gains": _gains,
-    "archive": _archive,
-    "observer": _observer,
-}
-"""Makes sound files in an empty folder, and what reads them."""
