@@ -60,9 +60,9 @@ soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; ARG
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[siege]'
 	$(BIN)/python eval/soak.py $(ARGS)
 
-mutants: $(READY)  ## Put faults into the code, and see which the tests find, in results/mutation: an hour; goes on where interrupted
+mutants: $(READY)  ## Put faults into the code, and see which the tests find, in docs/mutation.md: an hour; goes on where interrupted
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[mutation]'
-	$(BIN)/python eval/mutants.py $(ARGS)
+	$(BIN)/python eval/mutants.py --out docs $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --slow --cov --cov-report term:skip-covered $(ARGS)

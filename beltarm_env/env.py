@@ -98,8 +98,8 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
 
     ## Information
 
-    Every step: `tip_error` [m], `cost_position`, `cost_velocity`, `cost_torque_rate`. At the end also `total_cost` with
-    its terms, `tip_error_rms` and `tip_error_max` [m].
+    Every step: `tip_error` [m], at most 1e6, `cost_position`, `cost_velocity`, `cost_torque_rate`. At the end also
+    `total_cost` with its terms, `tip_error_rms` and `tip_error_max` [m].
 
     ## Arguments
 

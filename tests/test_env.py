@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
-from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.cost import LARGEST_ERROR, MAX_COST
 from eval.verification.event_located import tip
 
 SENSORS = ("encoder", "tip", "full", "accelerometer")
@@ -424,6 +424,22 @@ def test_terms_saturate():
     assert reward == pytest.approx(-20.1)
     _, reward, *_ = env.step(OUTWARD)
     assert reward == pytest.approx(-MAX_COST)
+
+
+@pytest.mark.parametrize(
+    ("model", "torque_limit"),
+    [("lumped", 1e6), ("lumped", 1e7), ("lagrangian", 1e5), ("lumped", 1e9), ("lagrangian", 1e9)],
+)
+def test_an_arm_that_a_torque_tears_apart_has_a_finite_tip_error(model: str, torque_limit: float):
+    env = make(model=model)
+    env.reset(seed=0, options={"params": {"torque_limit": torque_limit, "belt_stiffness": 40.0}, "move": LONG_MOVE})
+    _, reward, terminated, _, info = env.step(OUTWARD)
+    assert terminated and math.isfinite(reward)
+    for name in ("tip_error", "tip_error_max", "tip_error_rms"):
+        assert 0 < info[name] <= LARGEST_ERROR
+    assert info["tip_error"] == LARGEST_ERROR or torque_limit == 1e9, (
+        "a state that is no number is that of an arm at rest"
+    )
 
 
 @pytest.mark.parametrize("hold", [5, 200], ids=["truncated", "terminated"])

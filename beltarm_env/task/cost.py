@@ -18,12 +18,13 @@ from beltarm_env.physics.kinematics import TipMotion, tip_error
 POSITION_SCALE = 0.010  # [m]
 VELOCITY_SCALE = 0.200  # [m/s]
 MAX_TERM = 10.0  # of the position and of the velocity term
+LARGEST_ERROR = 1e6  # [m]: reported of arms that huge torques have torn apart, whose tips are anywhere
 TORQUE_RATE_WEIGHT = 0.1
 MAX_COST = 2 * MAX_TERM + 2 * TORQUE_RATE_WEIGHT  # torque can change by twice its limit
 
 
 class StepCost(NamedTuple):
-    """Tip error [m] and the three terms of the cost."""
+    """Tip error [m], at most `LARGEST_ERROR`, and the three terms of the cost."""
 
     tip_error: float
     position: float
@@ -49,7 +50,7 @@ def step_cost(tip: TipMotion, angle: float, speed: float, action: float, last_ac
     position = error * (1 / POSITION_SCALE)
     velocity = velocity_error * (1 / VELOCITY_SCALE)
     return StepCost(
-        error,
+        error if error < LARGEST_ERROR else LARGEST_ERROR,
         position if position < MAX_TERM else MAX_TERM,
         velocity if velocity < MAX_TERM else MAX_TERM,
         TORQUE_RATE_WEIGHT * abs(action - last_action),
