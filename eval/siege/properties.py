@@ -10,7 +10,7 @@ import numpy as np
 
 from eval.siege.report import Siege
 
-SEEDS = 5
+SEEDS = 3
 """In a whole siege; each is ten times the examples of `make test`."""
 _ROOT = Path(__file__).resolve().parents[2]
 _PATIENCE = 3600  # [s]

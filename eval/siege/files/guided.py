@@ -48,6 +48,11 @@ class Choices(Random):
         return self.getrandbits(8) / 256
 
 
+def installed() -> bool:
+    """Whether atheris is there: the extra `siege` brings it where it runs."""
+    return find_spec("atheris") is not None
+
+
 def add(siege: Siege, name: str, seed: int, inputs: int) -> None:
     """Read files whose damage is guided, in a process of its own; none where atheris is not installed.
 
@@ -57,9 +62,9 @@ def add(siege: Siege, name: str, seed: int, inputs: int) -> None:
         seed: Of atheris.
         inputs: How many.
     """
-    if find_spec("atheris") is None:
+    if not installed():
         return
-    code = f"from {__name__} import look; look({name!r}, {seed + 1}, {inputs})"
+    code = f"from {__name__} import look; look({name!r}, {seed % 2**31 + 1}, {inputs})"
     command = [sys.executable, "-c", code]
     with tempfile.TemporaryDirectory() as folder:  # atheris leaves what crashed it in the current one
         done = subprocess.run(

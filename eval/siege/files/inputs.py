@@ -33,6 +33,7 @@ def besiege(share: float, seed: int) -> Siege:
         seed: Of all damage.
     """
     blind = "inputs that never come to an end, and what a learner makes of a damaged checkpoint whose hash fits"
+    blind += "" if guided.installed() else "; and, for want of atheris, what coverage would have led to"
     siege = Siege("inputs", "inputs", blind)
     for name in READERS:
         with tempfile.TemporaryDirectory() as folder:
