@@ -10,7 +10,7 @@ from beltarm_env import design_model
 from beltarm_env.arrays import Flags, Floats
 from eval.siege.report import Siege
 
-SAMPLES = 1e8
+SAMPLES = 3e7
 """Of guards, in a whole siege."""
 _ARMS, _LENGTH = 256, 400
 _RESTARTS = 0.002  # share of guards that begin a move, per sample
