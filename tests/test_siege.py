@@ -66,7 +66,7 @@ class OfItsSize(BeltArmVectorEnv):
 
 
 def test_guards_that_are_told_nonsense():
-    siege = guard.besiege(0.005, 1)
+    siege = guard.besiege(0.02, 1)
     assert siege.found == []
     assert siege.count >= 4e5
 

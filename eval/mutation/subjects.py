@@ -73,6 +73,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "beltarm_env/task/cost.py": (
         "tests/test_env.py::test_reward_is_the_documented_cost",
         "tests/test_env.py::test_terms_saturate",
+        "tests/test_env.py::test_an_arm_that_a_torque_tears_apart_has_a_finite_tip_error",
         "tests/test_env.py::test_leaving_is_charged_the_bound_for_every_remaining_step",
     ),
     "beltarm_env/task/reference.py": (
