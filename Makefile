@@ -57,7 +57,7 @@ fuzz: $(READY)  ## Try ten times as many examples in the property tests, at rand
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
 
 soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; ARGS="--share 0.1 --seed 1" is a tenth of another
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[siege]'
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[siege]'
 	$(BIN)/python eval/soak.py $(ARGS)
 
 mutants: $(READY)  ## Put faults into the code, and see which the tests find, in docs/mutation.md: an hour; goes on where interrupted
