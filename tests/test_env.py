@@ -430,6 +430,7 @@ def test_terms_saturate():
     ("model", "torque_limit"),
     [("lumped", 1e6), ("lumped", 1e7), ("lagrangian", 1e5), ("lumped", 1e9), ("lagrangian", 1e9)],
 )
+@pytest.mark.filterwarnings("ignore:.* encountered in:RuntimeWarning")  # of NumPy, where kernels run as plain Python
 def test_an_arm_that_a_torque_tears_apart_has_a_finite_tip_error(model: str, torque_limit: float):
     env = make(model=model)
     env.reset(seed=0, options={"params": {"torque_limit": torque_limit, "belt_stiffness": 40.0}, "move": LONG_MOVE})
