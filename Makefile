@@ -56,6 +56,7 @@ $(LOWEST).txt: pyproject.toml tests/lowest.py
 fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
 
+# atheris does not install everywhere; without it the siege guides no damage by coverage, and says so.
 soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; ARGS="--share 0.1 --seed 1" is a tenth of another
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[siege]'
 	$(BIN)/python eval/soak.py $(ARGS)

@@ -84,8 +84,12 @@ def test_inputs_find_a_reader_with_a_fault(fault: str, monkeypatch: pytest.Monke
             lambda: 3 if path.read_bytes() == sound else FAULTS[fault](path) or 0, lambda _: ({path.name: bad}, False)
         )
 
-    monkeypatch.setitem(readers.READERS, "faulty", reader)
+    monkeypatch.setattr(inputs, "READERS", {"faulty": reader})
+    monkeypatch.setattr(guided, "installed", lambda: False)
     assert fault in inputs.again("faulty", 0, 7)
+    siege = inputs.besiege(1e-6, 0)
+    assert siege.count == 1 and len(siege.found) == 1
+    assert siege.found[0].startswith("eval.siege.files.inputs.again('faulty', 0, 0): ") and fault in siege.found[0]
 
 
 COUNTING = """

@@ -18,6 +18,11 @@ _ANGLE = index("motor_angle")
 _ANGLE_SCALE = scales()[_ANGLE]
 
 
+def counts_of(observation: Singles, resolution: float) -> Integers:
+    """Counts of the encoders that observations are of, shape (n,); resolution in rad per count."""
+    return np.rint(observation[:, _ANGLE] * _ANGLE_SCALE / resolution).astype(np.intp)
+
+
 class StepTimes(NamedTuple):
     """Time per sample of one arm [us]."""
 
@@ -71,8 +76,7 @@ class InTheLoop:
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
     ) -> tuple[Singles, Any]:
         """Torque over its limit, shape (n, 1), see `Controller`; the memory is in the program."""
-        angles = observation[:, _ANGLE] * _ANGLE_SCALE
-        counts = np.rint(angles / self._quantum).astype(int)
+        counts = counts_of(observation, self._quantum)
         begins = np.ones(len(counts), np.bool_) if state is None else episode_start
         torques = self.torques(counts, begins)
         return (torques / self._limit).astype(np.float32)[:, None], True

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from beltarm_env import BeltArmVectorEnv, observation
-from beltarm_env.arrays import Floats, Integers, Singles
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.comparison.splits import Split
 from eval.deploy.building import SANITISED, here
 from eval.deploy.controllers import controller_of, loop_of
-from eval.deploy.in_the_loop import InTheLoop
+from eval.deploy.in_the_loop import InTheLoop, counts_of
 from eval.deploy.loop import Device, begin, commanded, empty_device, observe
 from eval.deploy.package import write
 
@@ -95,20 +95,21 @@ def attack(
     Raises:
         ValueError: If the program does not compile, or ends.
     """
-    chosen = split.arguments(slice(arms))
-    env = BeltArmVectorEnv(arms, **{key: value for key, value in chosen.items() if key not in ("seed", "options")})
-    seen, _ = env.reset(seed=split.seed, options=chosen["options"])
+    settings = split.arguments(slice(arms))
+    seed, options = settings.pop("seed"), settings.pop("options")
+    env = BeltArmVectorEnv(arms, **settings)
+    seen, _ = env.reset(seed=seed, options=options)
     per_turn = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
     quantum, loop = 2 * np.pi / per_turn, loop_of(source, guard)
     limit, slew = loop.params.torque_limit, loop.design.guard.slew if guard else np.inf
-    encoders = LyingEncoders(_counts(seen, quantum), length, rng)
+    encoders = LyingEncoders(counts_of(seen, quantum), length, rng)
     controller, devices = controller_of(source, guard), [empty_device() for _ in range(arms)]
     write(folder, loop)
     program = InTheLoop(folder, loop.name, split.moves[:arms], limit, here(), per_turn, (*SANITISED, "-O1"))
     found, state, last = [], None, np.zeros(arms)
     with program:
         for sample in range(length):
-            begins, counts = np.full(arms, sample == 0), encoders.shown(_counts(seen, quantum))
+            begins, counts = np.full(arms, sample == 0), encoders.shown(counts_of(seen, quantum))
             for arm, device in enumerate(devices):
                 if sample == 0:
                     begin(device, loop.params.plant(), quantum, MoveShape(*split.moves[arm]), int(counts[arm]))
@@ -124,11 +125,6 @@ def attack(
             last = torques
             seen = env.step(np.nan_to_num(np.clip(action, -1, 1)).astype(np.float32))[0]
     return found
-
-
-def _counts(seen: Singles, quantum: float) -> Integers:
-    column = observation.index("motor_angle")
-    return np.rint(seen[:, column] * observation.scales()[column] / quantum).astype(np.intp)
 
 
 def _held(devices: list[Device], action: Any, limit: float) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 
 from baselines.guard.guard import GUARD_SIZE, LEVEL, PASSIVE_LEVEL, GuardInputs, guard_arms
@@ -42,8 +44,8 @@ def besiege(share: float, seed: int) -> Siege:
 
 def _any_settings(rng: np.random.Generator) -> GuardSettings:
     """Settings that nobody would choose, of those that are allowed."""
-    names = GuardSettings.__dataclass_fields__
-    return GuardSettings(**{name: float(10 ** rng.uniform(-300, np.log10(LARGEST))) for name in names})
+    highest = np.log10(LARGEST)
+    return GuardSettings(**{one.name: float(10 ** rng.uniform(-300, highest)) for one in fields(GuardSettings)})
 
 
 def _attack(design: GuardDesign, rng: np.random.Generator) -> str:
@@ -82,8 +84,9 @@ def _inputs(design: GuardDesign, rng: np.random.Generator, wild: Floats, last: F
 
 def _broken(design: GuardDesign, last: Floats, begins: Flags, torques: Floats) -> str:
     """Which limit commands are beyond; "" for none."""
-    if not np.all(np.abs(torques) <= design.limit):
-        return f"a command of {torques[~(np.abs(torques) <= design.limit)][0]:g} N m"
+    beyond = ~(np.abs(torques) <= design.limit)
+    if beyond.any():
+        return f"a command of {torques[beyond][0]:g} N m"
     known = np.abs(last) <= design.limit  # not that of a foreign motor
     change = np.abs(torques - np.where(begins, 0.0, last))[known | begins]
     if np.any(change > design.slew + _ROUNDING * design.limit):
