@@ -14,7 +14,7 @@ from baselines.estimation.believed_arm import IDENTIFIED, LOGS, nominal_row
 from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.estimation.identify import common_count
 from baselines.estimation.uncertainty import Uncertainty
-from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, tuned_identifier
 from baselines.reading import Reading, read
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN, FIELDS
@@ -164,6 +164,24 @@ class TestTrust:
         untold = rollout(controller, n, seed=SEED, randomization=nominal)
         assert told.finished.all()
         assert told.cost.mean() < 1.35 * untold.cost.mean()
+
+    @pytest.mark.parametrize(("torsion", "variance"), [(2.0, 1e-4), (0.0, 1e300)], ids=["torsion", "variance"])
+    def test_begins_anew_at_rest_where_its_state_is_beyond_bounds_behind_a_dead_encoder(
+        self, torsion: float, variance: float
+    ):
+        controller = AdaptiveController()
+        env = batch(8)
+        belief, observations = followed(controller, env, 60), env.reset(seed=SEED)[0]
+        reading, identifier = read(observations, controller.params), tuned_identifier(controller.params)
+        dead, none, going = np.zeros(8), np.zeros(8), np.zeros(8, np.bool_)
+        belief.tracks.mean[:, 2:4] = [torsion, 100 * torsion]  # as after a jump of the encoder by a hundred radians
+        belief.covariance[:, 2, 2] = variance
+        for _ in range(EPISODE_STEPS):
+            belief = identifier.update(belief, reading._replace(motor_angle=dead, last_command=none), going)
+            assert np.isfinite(belief.tracks.mean).all()
+            assert (belief.variance[:, 2] <= 4).all()
+        assert (np.sqrt(belief.variance[:, 2]) < 0.02).all()
+        assert (abs(belief.state[:, 2]) < 0.02).all()
 
     def test_is_nowhere_much_worse_than_the_design_model_alone(self):
         @dataclass(frozen=True)

@@ -26,6 +26,10 @@ its arm less. Where w > 8, nothing that it has identified explains the encoder: 
 constants, and with it the plans that rely on it. See L. Ljung: Asymptotic behavior of the extended Kalman filter as a
 parameter estimator, IEEE TAC 24, 1979; R. K. Mehra: Approaches to adaptive filtering, IEEE TAC 17, 1972.
 
+Where the motor sticks, as behind a dead encoder, innovations say nothing of the torsion, and w stays. So where an entry
+of x leaves its bounds, or its standard deviation exceeds them, x is not known any more, and the filter begins anew with
+an arm at rest at the measured angle.
+
 What an accelerometer feels depends on x at both ends of the sample (`baselines.estimation.felt`). So it is predicted
 with x, as two more entries that last for one sample: their rows of F and Q follow from the same simulations, and
 correct what stood before by their covariance with it. These innovations are watched too: the readings count as W times
@@ -212,19 +216,24 @@ def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resoluti
 
 
 @compiled
-def _watch(design: Design, tracks: Tracks, arm: int, unrest: float) -> None:
+def _watch(design: Design, tracks: Tracks, arm: int, unrest: float, measured: float) -> None:
     """Keep z within its bounds; where a filter is lost, let it begin with the nominal constants again, less sure."""
-    z = tracks.mean[arm]
+    z, covariance = tracks.mean[arm], tracks.covariance[arm]
+    known = True
+    for i in range(4):
+        known = known and abs(z[i]) <= HIGHEST[i] and covariance[i, i] <= HIGHEST[i] * HIGHEST[i]
+    if not known:
+        z[0], z[1], z[2], z[3] = measured, 0.0, 0.0, 0.0
     for i in range(len(design.mean)):
         z[i] = min(max(z[i], LOWEST[i]), HIGHEST[i])
     unrest = _DEAF if tracks.unrest[arm] >= _DEAF else max(unrest, 1.0)
     mistrusted = _MISTRUSTED < unrest < _DEAF
-    if mistrusted or tracks.surprise[arm] > _LOST:
+    if mistrusted or not known or tracks.surprise[arm] > _LOST:
         angle, speed, torsion, torsion_speed = z[0], z[1], z[2], z[3]
         begin_track(design, tracks, arm, angle, 0.0)
         z[1], z[2], z[3] = speed, torsion, torsion_speed
         for i in range(4):
-            tracks.covariance[arm, i, i] = _LESS_SURE[i]
+            covariance[i, i] = _LESS_SURE[i]
     tracks.unrest[arm] = _DEAF if mistrusted else unrest
 
 
@@ -259,7 +268,7 @@ def _correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, resolution:
         _learn(z, covariance, size + axis, innovation, variance, room)
     if holds:
         z[1] = 0.0
-    _watch(design, tracks, arm, unrest)
+    _watch(design, tracks, arm, unrest, measured)
 
 
 @compiled
