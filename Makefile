@@ -87,9 +87,9 @@ sbom: $(READY) $(TOOLS)/.ready  ## List all packages of .venv in dist/sbom.json,
 	mkdir -p dist
 	$(TOOLS)/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/sbom.json $(VENV)
 
-# Not of torch: its builds differ from machine to machine, and so does what they need.
+# Not of peers of the benchmark, nor of torch: its builds differ from machine to machine, and so does what they need.
 hashes: $(TOOLS)/.ready  ## Write the hashes of all pinned packages to hashes.txt, after a change of constraints.txt
-	grep -v '^torch==' constraints.txt | $(TOOLS)/bin/uv pip compile --quiet --no-deps --no-annotate --generate-hashes \
+	sed '/^torch==/d; /^# Of the extra `bench`/,$$d' constraints.txt | $(TOOLS)/bin/uv pip compile --quiet --no-deps --no-annotate --generate-hashes \
 		--python-version 3.11 --custom-compile-command 'make hashes' --output-file hashes.txt -
 
 $(TOOLS)/.ready: constraints.txt

@@ -113,6 +113,9 @@ def _delays(given: object, count: int) -> Floats:
     return delays
 
 
+_AT_ONCE = 4096  # arms whose draws take little memory
+
+
 class ArmBatch:
     """State and settings of `num_arms` arms; see `BeltArmEnv` for the arguments."""
 
@@ -207,11 +210,12 @@ class ArmBatch:
             streams: Random streams of all arms, of which theirs move on.
             observations: Shape (num_arms, size), of which theirs are written.
         """
-        sensing = self.resolution, self.delays
+        to_draw, sensing = (streams, self._bounds, self.table), (self.resolution, self.delays)
+        of_model = self._built, self.profile, self.model
         with wrapping():
-            self._num_built += restart_episodes(
-                self.blocks, arms, streams, self._bounds, self.table, *sensing, self._built, self.profile, self.model
-            )
+            for low in range(0, len(arms), _AT_ONCE):
+                some = arms[low : low + _AT_ONCE]
+                self._num_built += restart_episodes(self.blocks, some, *to_draw, *sensing, *of_model)
         if self.engine is not None:
             self.engine.begin(arms, self.table[arms], self.states[arms])
         observe_some(self.blocks, self.tile, observations, arms, self.profile, self.tier, self.driven)

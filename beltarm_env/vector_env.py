@@ -140,14 +140,17 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             if not self._ready:
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
         streams = self._seeded(seed, arms)
-        draws = np.empty((len(arms), DRAWS))
-        with wrapping():
-            draw(streams, arms, draws)
-        self._batch.reset(arms, draws, options)
+        result = np.empty((self.num_envs, self._size), np.float32)
+        if options:
+            draws = np.empty((len(arms), DRAWS))
+            with wrapping():
+                draw(streams, arms, draws)
+            self._batch.reset(arms, draws, options)
+        else:
+            self._batch.restart(arms, streams, result)  # the same, and needs no memory for the draws
         self._streams = streams
         self._ready = True
         self._ended = np.setdiff1d(self._ended, arms)
-        result = np.empty((self.num_envs, self._size), np.float32)
         self._batch.observe(result)
         return result, {}
 

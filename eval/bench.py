@@ -1,7 +1,7 @@
 """Measure speed and accuracy: `python eval/bench.py`.
 
-Each number stands beside a peer that is measured in the same run. Times are the best of several repetitions: what the
-code can do when nothing else runs. Between machines, compare the ratios to the peer.
+Each number stands beside a peer that is measured in the same run, in turns. Times and ratios are medians over the
+repetitions; half of these have ratios within the last column. Between machines, compare the ratios to the peer.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from rich.table import Table
 from baselines.tools.command import run_command
 from eval.speed.accuracy import accuracy_row
 from eval.speed.parts import parts_table
-from eval.speed.start_up import start_up_rows
-from eval.speed.stepping import batch_rows, single_row, threads_row
+from eval.speed.start_up import memory_rows, start_up_rows
+from eval.speed.stepping import batch_rows, rollout_rows, single_row, threads_row
 from eval.speed.training import training_rows
 
 
@@ -31,7 +31,7 @@ class Config:
     arms: int = 4096
     """Arms of the batch."""
     repetitions: int = 25
-    """Repetitions of each measurement. The best one counts."""
+    """Repetitions of each measurement."""
     steps: int = 100
     """Steps per repetition of a batch. Single arms take a hundred times as many."""
     parts: bool = False
@@ -41,15 +41,27 @@ class Config:
     minutes."""
     training_loop: bool = False
     """Also measure where PPO spends its time, and its speed beside PPO on single arms. Takes a minute."""
+    sizes: bool = False
+    """Measure steps per second over the size of the batch instead, beside all peers that are installed (extra
+    `bench`). Takes a minute or two."""
+    out: Path = Path("results/bench")
+    """Folder for sizes.md and sizes.png."""
 
 
 def run(config: Config) -> None:
     """Measure and print."""
     console = Console()
+    if config.sizes:
+        from eval.speed.sizes import save_sizes  # loads matplotlib, which the other measurements do without
+
+        save_sizes(config.out, config.repetitions, console)
+        console.print(f"{config.out / 'sizes.md'}")
+        return
     rows = batch_rows(config.arms, config.steps, config.repetitions)
     rows.append(threads_row(4 * config.arms, config.steps, config.repetitions, "ideal"))
     rows.append(threads_row(config.arms, config.steps, config.repetitions, "train"))
-    rows += [single_row(config.steps, config.repetitions), accuracy_row(), *start_up_rows(config.repetitions)]
+    rows += [*rollout_rows(config.repetitions), single_row(config.steps, config.repetitions), accuracy_row()]
+    rows += [*start_up_rows(config.repetitions), *memory_rows()]
     if config.parts:
         console.print(parts_table(config.arms, config.steps, config.repetitions))
     if config.training:
@@ -58,7 +70,9 @@ def run(config: Config) -> None:
         from eval.speed.training_loop import loop_row  # loads torch, which the other measurements do without
 
         rows.append(loop_row(console))
-    table = Table("what", "measured", "peer", "ratio", title=f"{os.cpu_count()} cores", title_justify="left")
+    table = Table(
+        "what", "measured", "peer", "ratio", "middle half", title=f"{os.cpu_count()} cores", title_justify="left"
+    )
     for row in rows:
         table.add_row(*row)
     console.print(table)

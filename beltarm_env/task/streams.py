@@ -25,6 +25,7 @@ Streams = NDArray[np.uint64]
 _Words = NDArray[np.uint32]
 
 _POOL = 4  # words that a SeedSequence mixes a seed into
+_AT_ONCE = 4096  # seeds whose words take little memory
 _LARGEST = 2**128  # from here on, a seed has more words than that
 _FIRST_HASH, _HASH_FACTOR = 0x43B0D7E5, 0x931E8875
 _FIRST_OUTPUT_HASH, _OUTPUT_HASH_FACTOR = 0x8B51F9DD, 0x58F38DED
@@ -89,15 +90,15 @@ def checked_seed(seed: object) -> int:
 
 def seeded(seeds: Sequence[int]) -> Streams:
     """Return the streams of some seeds, whole numbers that are not negative, shape (n, 4)."""
-    if not seeds:
-        return np.empty((0, 4), np.uint64)
-    if max(seeds) >= _LARGEST:
-        states = np.array([np.random.SeedSequence(seed).generate_state(4, np.uint64) for seed in seeds], np.uint64)
-    else:
-        states = _states(seeds)
     streams = np.empty((len(seeds), 4), np.uint64)
-    with wrapping():
-        _begin(states, streams)
+    for low in range(0, len(seeds), _AT_ONCE):
+        some = seeds[low : low + _AT_ONCE]
+        if max(some) >= _LARGEST:
+            states = np.array([np.random.SeedSequence(seed).generate_state(4, np.uint64) for seed in some], np.uint64)
+        else:
+            states = _states(some)
+        with wrapping():
+            _begin(states, streams[low : low + _AT_ONCE])
     return streams
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 import beltarm_env
 from baselines import PaperController
-from eval.speed.stepping import Row
+from eval.speed.timing import Row
 from eval.verification.event_located import EventLocatedArm, tip
 
 _EPISODES = 5
@@ -33,4 +33,4 @@ def accuracy_row() -> Row:
             worst = max(worst, float(distance))
         changes += len(reference.mode_changes)
     what = f"tip error of {_EPISODES} stick-slip episodes, {changes} mode changes"
-    return what, f"{1e6 * worst:.4f} um", "event-located DOP853", "-"
+    return Row(what, f"{1e6 * worst:.4f} um", "event-located DOP853")

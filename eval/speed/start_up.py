@@ -1,17 +1,14 @@
-"""Seconds until the first step, in a process of its own, beside numba's own start-up."""
+"""Seconds until the first step and memory of a large batch, each in a process of its own."""
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import tempfile
-from pathlib import Path
 
-from eval.speed.stepping import Row
+from eval.speed.timing import Row, numbers
 
-ROOT = Path(__file__).resolve().parents[2]
 _MOST_STARTS = 3
+_MANY = 100_000
 _FIRST_STEP = """
 import time
 began = time.perf_counter()
@@ -22,6 +19,25 @@ env = gymnasium.make("BeltArm-v0")
 env.reset(seed=0)
 env.step(numpy.zeros(1, numpy.float32))
 print(imported - began, time.perf_counter() - imported)
+"""
+_MEMORY = """
+import sys, gymnasium, beltarm_env
+
+def most():
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1000
+
+def stepped(arms):
+    env = gymnasium.make_vec(sys.argv[1], num_envs=arms, vectorization_mode="vector_entry_point")
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+
+stepped(100)
+before = most()
+stepped(int(sys.argv[2]))
+print(most() - before)
 """
 _EMPTY_FUNCTION = """
 import time
@@ -41,27 +57,22 @@ def start_up_rows(repetitions: int) -> list[Row]:
     """Time of the import, and of the first step with a warm and a cold cache of kernels."""
     starts = min(repetitions, _MOST_STARTS)
     with tempfile.TemporaryDirectory() as folder:
-        _, cold = _start_up(Path(folder))
-        warm = [_start_up(Path(folder)) for _ in range(starts)]
+        _, cold = numbers(_FIRST_STEP, NUMBA_CACHE_DIR=folder)
+        warm = [numbers(_FIRST_STEP, NUMBA_CACHE_DIR=folder) for _ in range(starts)]
     imported, first = (min(times) for times in zip(*warm, strict=True))
-    numba = min(_numbers(_EMPTY_FUNCTION)[0] for _ in range(starts))
+    numba = min(numbers(_EMPTY_FUNCTION)[0] for _ in range(starts))
     peer = f"numba, empty function: {numba:.2f} s"
     return [
-        ("import beltarm_env", f"{imported:.2f} s", "-", "-"),
-        ("make, reset, first step: warm cache", f"{first:.2f} s", peer, f"{numba / first:.2f}x"),
-        ("make, reset, first step: cold cache", f"{cold:.1f} s", peer, f"{numba / cold:.2f}x"),
+        Row("import beltarm_env", f"{imported:.2f} s"),
+        Row("make, reset, first step: warm cache", f"{first:.2f} s", peer, f"{numba / first:.2f}x"),
+        Row("make, reset, first step: cold cache", f"{cold:.1f} s", peer, f"{numba / cold:.2f}x"),
     ]
 
 
-def _start_up(cache: Path) -> tuple[float, float]:
-    """Seconds of `import beltarm_env`, and from there to the end of the first step."""
-    imported, stepped = _numbers(_FIRST_STEP, NUMBA_CACHE_DIR=str(cache), PYTHONPATH=str(ROOT))
-    return imported, stepped
-
-
-def _numbers(code: str, **environment: str) -> list[float]:
-    """Numbers that a Python process of its own prints."""
-    result = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, **environment}, capture_output=True, text=True, check=True
-    )
-    return [float(word) for word in result.stdout.split()]
+def memory_rows() -> list[Row]:
+    """Most memory that a batch of arms ever has, made, reset and stepped, beside as many CartPoles; on Linux."""
+    if sys.platform != "linux":
+        return []
+    arms, carts = (max(numbers(_MEMORY, name, str(_MANY))) for name in ("BeltArm-v0", "CartPole-v1"))
+    peer = f"CartPole-v1: {carts:.0f} MB"
+    return [Row(f"memory of a batch, N = {_MANY}", f"{arms:.0f} MB", peer, f"{carts / arms:.2f}x")]

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from joblib import cpu_count
 
+from agents.policy.bundle import POLICIES, load_controller
+from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
+from beltarm_env.arrays import Floats
+from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import Randomization
+from eval.speed.timing import Row, ratios, times_in_turns
 
-Row = tuple[str, str, str, str]
-"""What was measured, the result, the peer's, their ratio."""
 _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
-
-
-def best_times(runs: Sequence[Callable[[], object]], repetitions: int) -> list[float]:
-    """Shortest wall-clock of each call [s]; they take turns, so that a busy machine slows all of them."""
-    times = []
-    for repetition in range(repetitions + 1):
-        for run in runs:
-            began = time.perf_counter()
-            run()
-            if repetition > 0:  # the first warms up
-                times.append(time.perf_counter() - began)
-    return [min(times[k :: len(runs)]) for k in range(len(runs))]
+_ROLLED_OUT = 1024  # arms
 
 
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
@@ -37,9 +30,9 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
     drives are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
     stepped = {
-        "vector step": _batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
-        "vector step, all effects of the drive": _batch_steps("BeltArm-v0", arms, steps, randomization="train"),
-        "vector step of the full arm": _batch_steps(
+        "vector step": batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
+        "vector step, all effects of the drive": batch_steps("BeltArm-v0", arms, steps, randomization="train"),
+        "vector step of the full arm": batch_steps(
             "BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"
         ),
     }
@@ -47,13 +40,25 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
         "episodes of the paper's controller": _episodes(arms, "ideal"),
         "episodes of the paper's controller, all effects of the drive": _episodes(arms, "train"),
     }
-    took = best_times([*stepped.values(), _batch_steps("CartPole-v1", arms, steps)], repetitions)
-    *times, cart = (seconds / steps for seconds in took)
-    times += [seconds / EPISODE_STEPS for seconds in best_times(list(episodes.values()), max(repetitions // 5, 1))]
-    peer = f"CartPole-v1: {_rate(arms, cart)}"
+    cart = batch_steps("CartPole-v1", arms, steps)
+    times = times_in_turns([*stepped.values(), cart], repetitions) / steps
+    rows = [_row(name, arms, of_name, times[:, -1]) for name, of_name in zip(stepped, times.T, strict=False)]
+    longer = times_in_turns([*episodes.values(), cart], max(repetitions // 5, 1)) / EPISODE_STEPS
+    carts = longer[:, -1] * EPISODE_STEPS / steps
+    return rows + [_row(name, arms, of_name, carts) for name, of_name in zip(episodes, longer.T, strict=False)]
+
+
+def rollout_rows(repetitions: int) -> list[Row]:
+    """Speed of whole episodes by `rollout`, controllers included, beside those of the paper's controller."""
+    student, _ = load_controller(POLICIES / "student" / "seed0")
+    controllers = {"adaptive": AdaptiveController(), "student, seed 0": student, "paper": PaperController()}
+    settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
+    runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in controllers.values()]
+    *times, paper = times_in_turns(runs, max(repetitions // 5, 1)).T / EPISODE_STEPS
+    peer, names = f"paper: {_rate(_ROLLED_OUT, paper)}", [f"rollout, {name}, N = {_ROLLED_OUT}" for name in controllers]
     return [
-        (f"{name}, N = {arms}", _rate(arms, seconds), peer, f"{cart / seconds:.2f}x")
-        for name, seconds in zip([*stepped, *episodes], times, strict=True)
+        Row(name, _rate(_ROLLED_OUT, of_name), peer, *ratios(of_name, paper))
+        for name, of_name in zip(names, times, strict=False)
     ]
 
 
@@ -61,26 +66,32 @@ def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomiz
     """Speed of the vector environment with as many threads as cores, beside one thread."""
     cores = cpu_count()
     settings = {"randomization": randomization}
-    runs = [_batch_steps("BeltArm-v0", arms, steps, num_threads=threads, **settings) for threads in (1, cores)]
-    alone, together = (seconds / steps for seconds in best_times(runs, repetitions))
+    runs = [batch_steps("BeltArm-v0", arms, steps, num_threads=threads, **settings) for threads in (1, cores)]
+    alone, together = times_in_turns(runs, repetitions).T / steps
     drives = "" if randomization == "ideal" else ", all effects of the drive"
     name = f"vector step{drives}, {cores} threads, N = {arms}"
-    return name, _rate(arms, together), f"1 thread: {_rate(arms, alone)}", f"{alone / together:.2f}x"
+    return Row(name, _rate(arms, together), f"1 thread: {_rate(arms, alone)}", *ratios(together, alone))
 
 
-def _rate(arms: int, seconds: float) -> str:
-    return f"{arms / seconds / 1e6:.1f} M steps/s"
+def _row(name: str, arms: int, times: Floats, cart: Floats) -> Row:
+    return Row(f"{name}, N = {arms}", _rate(arms, times), f"CartPole-v1: {_rate(arms, cart)}", *ratios(times, cart))
+
+
+def _rate(arms: int, times: Floats) -> str:
+    rate = arms / np.median(times)
+    return f"{rate / 1e6:.1f} M steps/s" if rate > 1e6 else f"{rate / 1e3:.0f} k steps/s"
 
 
 def single_row(steps: int, repetitions: int) -> Row:
     """Time of a step of a single environment through `make`."""
     count = _PER_SINGLE_ARM * steps
     runs = [_single_steps(name, count) for name in ("BeltArm-v0", "CartPole-v1")]
-    arm, cart = (took / count for took in best_times(runs, repetitions))
-    return "single step through make", f"{1e6 * arm:.2f} us", f"CartPole-v1: {1e6 * cart:.2f} us", f"{cart / arm:.2f}x"
+    arm, cart = times_in_turns(runs, repetitions).T / count
+    of_arm, of_cart = (f"{1e6 * np.median(times):.2f} us" for times in (arm, cart))
+    return Row("single step through make", of_arm, f"CartPole-v1: {of_cart}", *ratios(arm, cart))
 
 
-def _batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
+def batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
     """Steps of a vector environment under random actions."""
     env = gym.make_vec(name, num_envs=arms, vectorization_mode="vector_entry_point", **settings)
     env.action_space.seed(0)

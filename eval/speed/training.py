@@ -9,9 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from eval.speed.stepping import Row
-
-ROOT = Path(__file__).resolve().parents[2]
+from eval.speed.timing import ROOT, Row
 
 
 def training_rows() -> list[Row]:
@@ -29,6 +27,6 @@ def training_rows() -> list[Row]:
     until = "never" if halved is None else f"{halved:.0f} s"
     peer = "the paper's controller"
     return [
-        ("training until cost, tip RMS and residual are halved", until, peer, "0.50x"),
-        ("training, whole run", f"{rows[-1]['seconds']:.0f} s", peer, ratios),
+        Row("training until cost, tip RMS and residual are halved", until, peer, "0.50x"),
+        Row("training, whole run", f"{rows[-1]['seconds']:.0f} s", peer, ratios),
     ]

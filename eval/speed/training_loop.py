@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch
 from rich.console import Console
 from rich.table import Table
@@ -25,7 +26,7 @@ from agents.learners.reinforcement import make_env
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualEnv
 from beltarm_env.task.seeds import training_arms
-from eval.speed.stepping import Row, best_times
+from eval.speed.timing import Row, ratios, times_in_turns
 
 ARMS, INFORMED, ADAPTER = "arms", "base controller and identification", "rest of the environment's step"
 POLICY, BUFFER, REST, OPTIMISER = "policy network", "rollout buffer", "rest of the rollout", "optimiser"
@@ -150,10 +151,11 @@ def loop_row(console: Console) -> Row:
     config = PpoConfig()
     console.print(shares_table(config, _ITERATIONS))
     loops = [iteration_on_batch(config), iteration_on_single_arms(config)]
-    batch, single = (config.arms * config.rollout_steps * config.hold / took for took in best_times(loops, 3))
-    return (
+    times = times_in_turns(loops, 3).T
+    batch, single = config.arms * config.rollout_steps * config.hold / np.median(times, axis=1)
+    return Row(
         f"PPO, rollout and update, {config.arms} arms",
         f"{batch / 1e3:.0f} k steps/s",
         f"PPO on {SINGLE_ARMS} single arms in a DummyVecEnv: {single / 1e3:.1f} k steps/s",
-        f"{batch / single:.1f}x",
+        *ratios(*times),
     )
