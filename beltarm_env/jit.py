@@ -51,6 +51,7 @@ except ImportError:  # Windows, where all of them compile
 
 ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
 _OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
+_WIDEST = '"prefer-vector-width"="512"'
 _PLAIN = bool(getattr(config, "DISABLE_JIT", 0))
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -136,14 +137,24 @@ class _Part(CPUDispatcher):
         self.overloads[tuple(cres.signature.args)] = cres
 
 
-class _PartLibrary(JITCodeLibrary):
+class _WideLibrary(JITCodeLibrary):
+    """Code that uses the widest vectors: LLVM prefers 256 bits on processors of Intel's that have 512."""
+
+    def add_ir_module(self, ir_module: Any) -> None:
+        for function in ir_module.functions:
+            if not function.is_declaration:
+                set.add(function.attributes, _WIDEST)  # not among those that llvmlite knows
+        super().add_ir_module(ir_module)
+
+
+class _PartLibrary(_WideLibrary):
     """Code of a part, neither linked nor optimised."""
 
     def finalize(self) -> None:
         self._finalized = True
 
 
-class _WholeLibrary(JITCodeLibrary):
+class _WholeLibrary(_WideLibrary):
     """Code of a kernel, linked from its parts."""
 
     def finalize(self) -> None:
