@@ -169,3 +169,11 @@ def test_a_kernel_of_another_signature_is_not_taken_for_ones_own(tmp_path: Path)
 def test_equations_and_kernels_are_sent_to_other_processes(toy: Path):
     code = "import pickle; from toy.kernel import torque, friction; print(*[pickle.loads(pickle.dumps(f))(2.0) for f in (torque, friction)])"  # noqa: E501
     assert done(toy, code).stdout == "2.0 2.0\n"
+
+
+def test_kernels_ask_for_the_widest_vectors(toy: Path):
+    """LLVM would use half of those that some processors have."""
+    code = "from toy.kernel import torque; torque(2.0); print(*torque.inspect_llvm().values())"
+    llvm = done(toy, code).stdout
+    asked = [line for line in llvm.splitlines() if line.startswith("attributes #") and "prefer-vector-width" in line]
+    assert asked and all('"prefer-vector-width"="512"' in line for line in asked)
