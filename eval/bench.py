@@ -1,7 +1,8 @@
 """Measure speed and accuracy: `python eval/bench.py`.
 
 Each number stands beside a peer that is measured in the same run, in turns. Times and ratios are medians over the
-repetitions; half of these have ratios within the last column. Between machines, compare the ratios to the peer.
+repetitions, half of which have ratios within the last column; start-ups, and the parts of a step, are the best of
+theirs. Between machines, compare the ratios to the peer.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Config:
     """Also measure where PPO spends its time, and its speed beside PPO on single arms. Takes a minute."""
     sizes: bool = False
     """Measure steps per second over the size of the batch instead, beside all peers that are installed (extra
-    `bench`). Takes a minute or two."""
+    `bench`). Takes several minutes."""
     out: Path = Path("results/bench")
     """Folder for sizes.md and sizes.png."""
 

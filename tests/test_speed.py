@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from beltarm_env import BeltArmVectorEnv
 from eval.speed import peers, sizes
 from eval.speed.timing import ratios, times_in_turns
 
@@ -35,13 +34,3 @@ def test_a_page_shows_every_peer_that_is_installed(tmp_path: Path, monkeypatch: 
     assert "CartPole-v1, gymnax" in head and "EnvPool" not in head
     assert "\n| 1 | " in page and "\n| 20 | " in page
     assert (tmp_path / "sizes.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_large_batch_begins_as_arms_alone_do():
-    """More arms than draw at once."""
-    batch = BeltArmVectorEnv(5000, randomization="train")
-    observations, _ = batch.reset(seed=7)
-    for arm in (0, 4095, 4096, 4999):
-        alone = BeltArmVectorEnv(1, randomization="train")
-        assert (alone.reset(seed=7 + arm)[0][0] == observations[arm]).all()
-        assert (alone.params_table[0] == batch.params_table[arm]).all()

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from beltarm_env import BeltArmVectorEnv
 from beltarm_env.task.streams import checked_seed, draw, seeded, wrapping
 
 
@@ -33,3 +34,13 @@ def test_streams_that_are_not_chosen_stay():
 def test_seeds_that_are_none(seed: object):
     with pytest.raises(ValueError, match="seed must be a whole number of at least 0, got"):
         checked_seed(seed)
+
+
+def test_a_large_batch_begins_as_arms_alone_do():
+    """More arms than draw at once."""
+    batch = BeltArmVectorEnv(5000, randomization="train")
+    observations, _ = batch.reset(seed=7)
+    for arm in (0, 4095, 4096, 4999):
+        alone = BeltArmVectorEnv(1, randomization="train")
+        assert (alone.reset(seed=7 + arm)[0][0] == observations[arm]).all()
+        assert (alone.params_table[0] == batch.params_table[arm]).all()

@@ -41,24 +41,27 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
         "episodes of the paper's controller, all effects of the drive": _episodes(arms, "train"),
     }
     cart = batch_steps("CartPole-v1", arms, steps)
-    times = times_in_turns([*stepped.values(), cart], repetitions) / steps
-    rows = [_row(name, arms, of_name, times[:, -1]) for name, of_name in zip(stepped, times.T, strict=False)]
-    longer = times_in_turns([*episodes.values(), cart], max(repetitions // 5, 1)) / EPISODE_STEPS
-    carts = longer[:, -1] * EPISODE_STEPS / steps
-    return rows + [_row(name, arms, of_name, carts) for name, of_name in zip(episodes, longer.T, strict=False)]
+    *times, carts = times_in_turns([*stepped.values(), cart], repetitions).T / steps
+    rows = [_row(name, arms, of_name, carts) for name, of_name in zip(stepped, times, strict=True)]
+    *longer, cart_times = times_in_turns([*episodes.values(), cart], max(repetitions // 5, 1)).T
+    carts = cart_times / steps
+    return rows + [
+        _row(name, arms, of_name / EPISODE_STEPS, carts) for name, of_name in zip(episodes, longer, strict=True)
+    ]
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
     """Speed of whole episodes by `rollout`, controllers included, beside those of the paper's controller."""
     student, _ = load_controller(POLICIES / "student" / "seed0")
-    controllers = {"adaptive": AdaptiveController(), "student, seed 0": student, "paper": PaperController()}
+    controllers = {"adaptive": AdaptiveController(), "student, seed 0": student}
     settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
-    runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in controllers.values()]
+    all_of_them = [*controllers.values(), PaperController()]
+    runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in all_of_them]
     *times, paper = times_in_turns(runs, max(repetitions // 5, 1)).T / EPISODE_STEPS
-    peer, names = f"paper: {_rate(_ROLLED_OUT, paper)}", [f"rollout, {name}, N = {_ROLLED_OUT}" for name in controllers]
+    peer = f"paper: {_rate(_ROLLED_OUT, paper)}"
     return [
-        Row(name, _rate(_ROLLED_OUT, of_name), peer, *ratios(of_name, paper))
-        for name, of_name in zip(names, times, strict=False)
+        Row(f"rollout, {name}, N = {_ROLLED_OUT}", _rate(_ROLLED_OUT, of_name), peer, *ratios(of_name, paper))
+        for name, of_name in zip(controllers, times, strict=True)
     ]
 
 
