@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
 
+_AT_ONCE = 4096  # arms whose draws take little memory
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -111,9 +112,6 @@ def _delays(given: object, count: int) -> Floats:
         of_arm = f" for arm {arm}" if array.ndim else ""
         raise ValueError(f"delay must be a number of samples {bound}, got {delays[arm]:g}{of_arm}")
     return delays
-
-
-_AT_ONCE = 4096  # arms whose draws take little memory
 
 
 class ArmBatch:
@@ -202,13 +200,12 @@ class ArmBatch:
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 
-    def restart(self, arms: Integers, streams: Streams, observations: Singles) -> None:
-        """Begin new random episodes for some arms, without options, and write their first observations.
+    def restart(self, arms: Integers, streams: Streams) -> None:
+        """Begin new random episodes for some arms, without options.
 
         Args:
             arms: Integers of the arms.
             streams: Random streams of all arms, of which theirs move on.
-            observations: Shape (num_arms, size), of which theirs are written.
         """
         to_draw, sensing = (streams, self._bounds, self.table), (self.resolution, self.delays)
         of_model = self._built, self.profile, self.model
@@ -218,7 +215,6 @@ class ArmBatch:
                 self._num_built += restart_episodes(self.blocks, some, *to_draw, *sensing, *of_model)
         if self.engine is not None:
             self.engine.begin(arms, self.table[arms], self.states[arms])
-        observe_some(self.blocks, self.tile, observations, arms, self.profile, self.tier, self.driven)
 
     def advance_in_engine(self, actions: Floats) -> None:
         """Move all arms by one control period in `engine`, where it is not the kernels that do.
@@ -240,9 +236,13 @@ class ArmBatch:
         count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
         at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
 
-    def observe(self, observations: Singles) -> None:
-        """Write the observations of all arms into `observations`, shape (num_arms, size)."""
-        observe_arms(self.blocks, self.tile, observations, self.profile, self.tier, self.driven)
+    def observe(self, observations: Singles, arms: Integers | None = None) -> None:
+        """Write the observations of all arms, or of some, into `observations`, shape (num_arms, size)."""
+        settings = self.profile, self.tier, self.driven
+        if arms is None:
+            observe_arms(self.blocks, self.tile, observations, *settings)
+        else:
+            observe_some(self.blocks, self.tile, observations, arms, *settings)
 
     @property
     def driven(self) -> at.Driven:

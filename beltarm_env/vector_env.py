@@ -51,6 +51,8 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
     `final_info` in the info), or disabled (`reset(options={"reset_mask": mask})`).
     """
 
+    _renderers: list[Any] | None = None  # known to one whose arguments are refused, too: Gymnasium closes it
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -115,7 +117,6 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         self._streams: Streams | None = None  # of random numbers, one per arm, from the first reset on
         self._ready = False  # all arms reset at least once
         self._ended = _NONE  # arms whose episode ended in the last step
-        self._renderers = None
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -140,17 +141,17 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             if not self._ready:
                 raise ResetNeeded("reset_mask needs all arms to have been reset once: call reset() first")
         streams = self._seeded(seed, arms)
-        result = np.empty((self.num_envs, self._size), np.float32)
         if options:
             draws = np.empty((len(arms), DRAWS))
             with wrapping():
                 draw(streams, arms, draws)
             self._batch.reset(arms, draws, options)
         else:
-            self._batch.restart(arms, streams, result)  # the same, and needs no memory for the draws
+            self._batch.restart(arms, streams)  # the same, and needs no memory for the draws
         self._streams = streams
         self._ready = True
         self._ended = np.setdiff1d(self._ended, arms)
+        result = np.empty((self.num_envs, self._size), np.float32)
         self._batch.observe(result)
         return result, {}
 
@@ -225,7 +226,8 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
     def _restart(self, arms: Integers, result: Singles) -> None:
         """Begin new random episodes and put their first observations into `result`."""
         assert self._streams is not None, "there was a reset"
-        self._batch.restart(arms, self._streams, result)
+        self._batch.restart(arms, self._streams)
+        self._batch.observe(result, arms)
 
     def _seeded(self, seed: int | Sequence[int | None] | None, arms: Integers) -> Streams:
         """Return the streams of all arms, with those of some seeded."""
