@@ -328,10 +328,11 @@ def test_spaces():
 
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
 def test_autoreset_mode_in_the_metadata(mode: AutoresetMode):
+    of_the_class = dict(BeltArmEnv.metadata)
     envs, other = make(2, autoreset_mode=mode.value), make(2)
     assert envs.metadata["autoreset_mode"] is mode
     assert other.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    assert "autoreset_mode" not in BeltArmEnv.metadata
+    assert BeltArmEnv.metadata == of_the_class
     assert (envs.num_envs, envs.render_mode) == (2, None)
 
 
@@ -391,6 +392,8 @@ def test_spec_makes_the_batch_again():
 
 @pytest.mark.parametrize("mode", MODES[:2], ids=lambda mode: mode.value)
 def test_gymnasium_wrapper_counts_the_same_returns(mode: AutoresetMode):
+    if mode is AutoresetMode.SAME_STEP and tuple(map(int, gym.__version__.split(".")[:2])) < (1, 4):
+        pytest.skip("before 1.4, Gymnasium's wrapper takes each first step of an episode for a reset")
     envs = RecordEpisodeStatistics(make(3, autoreset_mode=mode))
     envs.reset(seed=0)
     episodes = 0
