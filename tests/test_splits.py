@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
@@ -318,6 +319,21 @@ def test_damaged_files_are_refused(damage: str, frozen: Path, tmp_path: Path):
         load(path)
     assert "restore scenarios.json from the repository" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_long_word_among_numbers_takes_no_memory(frozen: Path, tmp_path: Path):
+    content = json.loads(frozen.read_text())
+    word = 100_000 * "x"
+    content["splits"]["nominal"]["columns"]["goal"][0] = word
+    path = tmp_path / "scenarios.json"
+    path.write_text(json.dumps(rehashed(content)))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="goal has entries that are no numbers"):
+            load(path)
+        assert tracemalloc.get_traced_memory()[1] < 20 * path.stat().st_size
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("length", [0, 1000])

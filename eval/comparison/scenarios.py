@@ -179,13 +179,20 @@ def _read(path: Path, name: str, remedy: str) -> dict[str, Any]:
 
 
 def _split_of(name: str, entry: dict[str, Any]) -> Split:
-    columns = {key: np.array(values) for key, values in entry["columns"].items()}
+    columns = {key: _numbers(key, values) for key, values in entry["columns"].items()}
     moves = np.column_stack([columns[key] for key in MOVE_FIELDS])
     table = np.column_stack([columns.get(key, np.full(len(moves), getattr(NOMINAL, key))) for key in FIELDS])
     split = make_split(name, TEST_NAME, entry["seed"], entry["settings"], table, moves, columns["delay"])
     if split.digest != entry["sha256"]:
         raise ValueError(f"the SHA-256 of {name} does not match")
     return split
+
+
+def _numbers(key: str, values: list[Any]) -> NDArray[np.float64]:
+    # Of words, NumPy would make an array in which each takes as much memory as the longest.
+    if not {type(value) for value in values} <= {float, int}:
+        raise TypeError(f"{key} has entries that are no numbers")
+    return np.array(values, np.float64)
 
 
 def require_same_physics(scenarios: ScenarioSet) -> None:
