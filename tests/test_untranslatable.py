@@ -302,5 +302,5 @@ def test_refused(name: str) -> None:
 
 def test_function_without_source() -> None:
     made: dict[str, Any] = {}
-    exec("def made(x): return x", made)
+    exec(compile("def made(x): return x", "<made>", "exec"), made)  # Python 3.13 knows a text of "<string>": that of -c
     refused(TranslationError, ("made has no source text",), lambda: translate(made["made"], (1.0,), Program()))

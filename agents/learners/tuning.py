@@ -27,6 +27,7 @@ from typing import Any, ClassVar
 import optuna
 import tyro
 from optuna.trial import FrozenTrial, Trial, TrialState
+from sqlalchemy.pool import NullPool
 
 from agents.learners.registry import ALGORITHMS
 from agents.learners.reinforcement import ReinforcementConfig
@@ -198,8 +199,9 @@ def _fail_running(study: optuna.Study, worker: int | None = None) -> None:
             study.tell(trial.number, state=TrialState.FAIL)
 
 
-def _sqlite(config: TuningConfig) -> str:
-    return f"sqlite:///{config.file.resolve()}"
+def _sqlite(config: TuningConfig) -> optuna.storages.RDBStorage:
+    """Open the SQLite file; its connections are closed after each use, since nobody tells a storage that it is done."""
+    return optuna.storages.RDBStorage(f"sqlite:///{config.file.resolve()}", engine_kwargs={"poolclass": NullPool})
 
 
 def _served(config: TuningConfig) -> tuple[str, int]:

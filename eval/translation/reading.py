@@ -73,10 +73,14 @@ def _is_read_beyond(tree: ast.FunctionDef, loops: list[Any], name: str) -> bool:
     return bool(reads(tree.body) - set().union(*within))
 
 
+def _module_file(function: Callable[..., Any]) -> str:
+    return (function.__module__ or "?").replace(".", "/") + ".py"  # None: made by exec
+
+
 def place(function: Callable[..., Any]) -> str:
     """Name file, line and function."""
     path = Path(inspect.getsourcefile(function) or "?")
-    module = function.__module__.replace(".", "/") + ".py"
+    module = _module_file(function)
     return f"{module if path.name != '<string>' else path.name}:{function.__code__.co_firstlineno} {function.__name__}"
 
 
@@ -85,5 +89,4 @@ def placed(error: TranslationError, function: Callable[..., Any], line: int) -> 
     if " (in " in str(error):
         return error
     at = function.__code__.co_firstlineno + line - 1
-    module = function.__module__.replace(".", "/") + ".py"
-    return type(error)(f"{error} (in {function.__name__}, {module}, line {at})")
+    return type(error)(f"{error} (in {function.__name__}, {_module_file(function)}, line {at})")
