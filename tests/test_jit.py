@@ -117,6 +117,7 @@ for called in (torque, friction):
 
 def test_what_a_part_raises_arrives_compiled_and_from_the_cache(toy: Path):
     (toy / "laws" / "law.py").write_text(REFUSING)
+    (toy / "kernel.py").write_text(KERNEL.replace("compiled", "allocating"))  # an exception with values needs memory
     assert [done(toy, TRIED).stdout for _ in range(2)] == ["backwards -2.0\n" * 2] * 2
 
 
@@ -177,3 +178,50 @@ def test_kernels_ask_for_the_widest_vectors(toy: Path):
     llvm = done(toy, code).stdout
     asked = [line for line in llvm.splitlines() if line.startswith("attributes #") and "prefer-vector-width" in line]
     assert asked and all('"prefer-vector-width"="512"' in line for line in asked)
+
+
+VIEWS = """
+import numpy as np
+from toy.jit import allocating, compiled
+
+@compiled
+def total(rows):
+    result = 0.0
+    for k in range(len(rows)):
+        row = rows[k]
+        for i in range(len(row)):
+            result += row[i]
+    return result
+
+@compiled
+def mean(rows):
+    return total(rows) / len(rows)
+
+@allocating
+def doubled(rows):
+    both = np.empty((2 * len(rows), rows.shape[1]))
+    for k in range(len(both)):
+        for i in range(rows.shape[1]):
+            both[k, i] = rows[k % len(rows), i]
+    return both, total(both)
+
+@compiled
+def forgetful(rows):
+    return total(np.empty(rows.shape))
+"""
+
+
+def test_kernels_that_make_no_arrays_do_not_count_who_refers_to_one(toy: Path):
+    (toy / "kernel.py").write_text(VIEWS)
+    code = "import numpy as np; from toy.kernel import mean, doubled; a = np.ones((3, 2)); both, total = doubled(a)"
+    code += (
+        "; print(mean(a), both.shape, total, *['NRT_' in ''.join(f.inspect_asm().values()) for f in (mean, doubled)])"
+    )
+    assert done(toy, code).stdout == "2.0 (6, 2) 12.0 False True\n"
+
+
+def test_a_kernel_that_makes_arrays_without_saying_so_is_refused(toy: Path):
+    (toy / "kernel.py").write_text(VIEWS)
+    with pytest.raises(subprocess.CalledProcessError) as raised:
+        done(toy, "import numpy as np; from toy.kernel import forgetful; forgetful(np.ones((3, 2)))")
+    assert "makes arrays, or raises exceptions with values, is marked `allocating`." in raised.value.stderr

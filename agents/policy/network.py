@@ -21,7 +21,7 @@ from agents.policy.weights import ACTIVATIONS, FARTHEST, Weights
 from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.jit import allocating, compiled, inlined
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LANES = 16  # numbers that a processor takes at once at most: rows begin at multiples of them, to be read faster
@@ -247,7 +247,7 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
         residuals[r, 0] = _tanh(output) if net.squashed else cut(output, 1.0)
 
 
-@compiled
+@allocating
 def _evaluate_tiles(net: Network, inputs: Singles, memory: Singles, widest: int, residuals: Singles) -> None:
     """Evaluate any number of rows, see `evaluate`; some at a time share the weights."""
     count = len(inputs)

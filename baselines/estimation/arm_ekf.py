@@ -55,13 +55,12 @@ from baselines.estimation.believed_arm import (
     SIZE,
     STEPS,
 )
-from baselines.estimation.believed_motion import simulate
 from baselines.estimation.felt import AXES
 from baselines.estimation.filter_design import Design, Inputs, Room, Tracks
 from baselines.models.linear import between, place
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels.layout import LANES
 
 _SLIDES = 2  # counts that a motor at rest cannot move by
@@ -108,32 +107,48 @@ def _write_jacobian(predicted: Floats, shapes: Floats, arm: int, jacobian: Float
 def _learn(mean: Floats, covariance: Floats, entry: int, innovation: float, variance: float, room: Room) -> None:
     """Correct mean and covariance by the innovation of one entry and its variance."""
     row, gain = room.row, room.gain
+    width = covariance.shape[1]
+    for j in range(width):
+        row[j] = covariance[entry, j]
     for i in range(len(mean)):
-        row[i] = covariance[entry, i]
         gain[i] = covariance[i, entry] / variance
         mean[i] += gain[i] * innovation
     for i in range(len(mean)):
         share = gain[i]
-        for j in range(len(mean)):
+        for j in range(width):
             covariance[i, j] -= share * row[j]
 
 
 @compiled
-def _times_covariance(factors: Floats, covariance: Floats, product: Floats) -> None:
-    """Write some rows times the covariance, of which they may be shorter; sums are in the order of their terms."""
-    size = len(factors)
-    for j in range(size):
-        product[j] = 0.0
-    whole = size - size % _AT_ONCE
-    for m in range(0, whole, _AT_ONCE):  # several rows at once, since a sum is read and written for each
-        f0, f1, f2, f3, f4 = factors[m], factors[m + 1], factors[m + 2], factors[m + 3], factors[m + 4]
-        for j in range(size):
-            total = product[j] + f0 * covariance[m, j] + f1 * covariance[m + 1, j] + f2 * covariance[m + 2, j]
-            product[j] = total + f3 * covariance[m + 3, j] + f4 * covariance[m + 4, j]
+def _write_half(jacobian: Floats, covariance: Floats, half: Floats) -> None:
+    """Write the product of Jacobian and covariance; its sums are in the order of their terms.
+
+    Several terms of two rows at once, since a sum is read and written for each, and an entry of the covariance too.
+    """
+    rows, size = jacobian.shape
+    width, whole = half.shape[1], size - size % _AT_ONCE
+    for i in range(rows):
+        for j in range(width):
+            half[i, j] = 0.0
+    for m in range(0, whole, _AT_ONCE):
+        for i in range(0, rows, 2):
+            f0, f1, f2, f3, f4 = _five(jacobian[i], m)
+            g0, g1, g2, g3, g4 = _five(jacobian[i + 1], m)
+            for j in range(width):
+                c0, c1, c2 = covariance[m, j], covariance[m + 1, j], covariance[m + 2, j]
+                c3, c4 = covariance[m + 3, j], covariance[m + 4, j]
+                half[i, j] = half[i, j] + f0 * c0 + f1 * c1 + f2 * c2 + f3 * c3 + f4 * c4
+                half[i + 1, j] = half[i + 1, j] + g0 * c0 + g1 * c1 + g2 * c2 + g3 * c3 + g4 * c4
     for m in range(whole, size):
-        f0 = factors[m]
-        for j in range(size):
-            product[j] += f0 * covariance[m, j]
+        for i in range(rows):
+            f0 = jacobian[i, m]
+            for j in range(width):
+                half[i, j] += f0 * covariance[m, j]
+
+
+@inlined
+def _five(row: Floats, m: int) -> tuple[float, float, float, float, float]:
+    return row[m], row[m + 1], row[m + 2], row[m + 3], row[m + 4]
 
 
 @compiled
@@ -150,20 +165,23 @@ def _propagate(covariance: Floats, kept: float, room: Room) -> None:
     """
     jacobian, half, noise = room.jacobian, room.half, room.noise
     rows, size = jacobian.shape
-    for i in range(rows):
-        _times_covariance(jacobian[i], covariance, half[i])
+    _write_half(jacobian, covariance, half)
     for i in range(rows):
         to = i if i < 4 else size + i - 4
-        for j in range(rows):
-            total = noise[0, i] * noise[0, j] + noise[1, i] * noise[1, j]
+        for j in range(0, rows, 2):  # two at once, since each sum waits for itself
+            first = noise[0, i] * noise[0, j] + noise[1, i] * noise[1, j]
+            second = noise[0, i] * noise[0, j + 1] + noise[1, i] * noise[1, j + 1]
             for m in range(size):
-                total += half[i, m] * jacobian[j, m]
-            covariance[to, j if j < 4 else size + j - 4] = total
+                first += half[i, m] * jacobian[j, m]
+                second += half[i, m] * jacobian[j + 1, m]
+            covariance[to, j if j < 4 else size + j - 4] = first
+            covariance[to, j + 1 if j < 3 else size + j - 3] = second
         for j in range(4, size):
             covariance[to, j] = covariance[j, to] = half[i, j]
-    for i in range(len(covariance)):
+    for i in range(size + rows - 4):
         covariance[i, DISTURBANCE] *= kept
-        covariance[DISTURBANCE, i] *= kept
+    for j in range(size + rows - 4):
+        covariance[DISTURBANCE, j] *= kept
 
 
 @compiled
@@ -202,9 +220,18 @@ def _write_noise(
 
 
 @compiled
-def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resolution: float) -> None:
-    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad]."""
-    z, covariance, size = tracks.mean[arm], tracks.covariance[arm], len(design.mean)
+def begin_track(design: Design, tracks: Tracks, arm: int, covariance: Floats, angle: float, resolution: float) -> None:
+    """Write the filter of a nominal arm at rest at a motor angle, measured with a resolution [rad].
+
+    Args:
+        design: Of the filter.
+        tracks: Changed, but for the covariances.
+        arm: Which of them.
+        covariance: Of its z, written.
+        angle: [rad]
+        resolution: [rad]
+    """
+    z, size = tracks.mean[arm], len(design.mean)
     for i in range(size):
         z[i] = design.mean[i]
         for j in range(size):
@@ -216,9 +243,9 @@ def begin_track(design: Design, tracks: Tracks, arm: int, angle: float, resoluti
 
 
 @compiled
-def _watch(design: Design, tracks: Tracks, arm: int, unrest: float, measured: float) -> None:
+def _watch(design: Design, tracks: Tracks, arm: int, covariance: Floats, unrest: float, measured: float) -> None:
     """Keep z within its bounds; where a filter is lost, let it begin with the nominal constants again, less sure."""
-    z, covariance = tracks.mean[arm], tracks.covariance[arm]
+    z = tracks.mean[arm]
     known = True
     for i in range(4):
         known = known and abs(z[i]) <= HIGHEST[i] and covariance[i, i] <= HIGHEST[i] * HIGHEST[i]
@@ -230,7 +257,7 @@ def _watch(design: Design, tracks: Tracks, arm: int, unrest: float, measured: fl
     mistrusted = _MISTRUSTED < unrest < _DEAF
     if mistrusted or not known or tracks.surprise[arm] > _LOST:
         angle, speed, torsion, torsion_speed = z[0], z[1], z[2], z[3]
-        begin_track(design, tracks, arm, angle, 0.0)
+        begin_track(design, tracks, arm, covariance, angle, 0.0)
         z[1], z[2], z[3] = speed, torsion, torsion_speed
         for i in range(4):
             covariance[i, i] = _LESS_SURE[i]
@@ -238,9 +265,22 @@ def _watch(design: Design, tracks: Tracks, arm: int, unrest: float, measured: fl
 
 
 @compiled
-def _correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, resolution: float, room: Room) -> None:
-    """Correct one filter by its measurement, once its arm has been simulated."""
-    z, covariance, predicted = tracks.mean[arm], tracks.covariance[arm], room.predicted[arm]
+def correct(
+    design: Design, tracks: Tracks, arm: int, covariance: Floats, seen: Inputs, resolution: float, room: Room
+) -> None:
+    """Correct one filter by its measurement, once its arm has been simulated.
+
+    Args:
+        design: Of the filters.
+        tracks: Changed, but for the covariances.
+        arm: Which of them.
+        covariance: Of its z, with room for AXES more rows and columns with an accelerometer; changed. There may be more
+            columns than that, which are not used: so all rows are whole vectors.
+        seen: Measurements.
+        resolution: Of the encoder [rad].
+        room: With the simulations, see `believed_motion.simulate`; changed.
+    """
+    z, predicted = tracks.mean[arm], room.predicted[arm]
     measured, size, axes = seen.angle[arm], len(design.mean), len(z) - len(design.mean)
     _write_jacobian(predicted, room.simulation.shapes, arm, room.jacobian)
     holds = _write_noise(design, tracks.surprise[arm], predicted, measured, resolution, room.noise)
@@ -268,22 +308,4 @@ def _correct(design: Design, tracks: Tracks, arm: int, seen: Inputs, resolution:
         _learn(z, covariance, size + axis, innovation, variance, room)
     if holds:
         z[1] = 0.0
-    _watch(design, tracks, arm, unrest, measured)
-
-
-@compiled
-def step(design: Design, tracks: Tracks, commands: Floats, seen: Inputs, resolution: Floats, room: Room) -> None:
-    """Predict over one sample and correct by its measurement.
-
-    Args:
-        design: Of the filters.
-        tracks: The filters of up to `ARMS` arms; changed. With an accelerometer, z and its covariance have room for
-            AXES more entries.
-        commands: Up to this sample, latest first [N m], shape (arms, HISTORY).
-        seen: Measurements.
-        resolution: Of the encoder [rad], shape (arms,).
-        room: Changed.
-    """
-    simulate(tracks.mean, design.nominal, commands, room.simulation, room.predicted)
-    for arm in range(len(tracks.surprise)):
-        _correct(design, tracks, arm, seen, resolution[arm], room)
+    _watch(design, tracks, arm, covariance, unrest, measured)

@@ -31,7 +31,7 @@ from baselines.estimation.believed_arm import (
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled
+from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, begin_friction, begin_lag
 from beltarm_env.kernels.layout import LANES, store_drive, store_plant
@@ -77,63 +77,62 @@ def simulation_room(size: int) -> Simulation:
 
 
 @compiled
-def _load_coefficients(block: Floats, first: int, arms: int, constants: Floats) -> None:
-    """Put what follows from constants, but delay and lag, into lanes from a first one on."""
+def _load_coefficients(block: Floats, arms: int, constants: Floats) -> None:
+    """Put what follows from constants, but delay and lag, into lanes."""
     for lane in range(arms):
         row = constants_of(constants, lane)
         plant = plant_of(row)
-        store_plant(block, first + lane, plant)
-        store_drive(block, first + lane, drive_of(row))
-        begin_friction(block, first + lane, row)
-        block[at.SUBSTEPS * LANES + first + lane] = integration_substeps(plant, LUMPED)
+        store_plant(block, lane, plant)
+        store_drive(block, lane, drive_of(row))
+        begin_friction(block, lane, row)
+        block[at.SUBSTEPS * LANES + lane] = integration_substeps(plant, LUMPED)
 
 
 @compiled
-def _load_delays(block: Floats, first: int, arms: int, constants: Floats) -> None:
-    """Put what follows from delay and lag into lanes from a first one on."""
+def _load_delays(block: Floats, arms: int, constants: Floats) -> None:
+    """Put what follows from delay and lag into lanes."""
     for lane in range(arms):
         row = constants_of(constants, lane)
         samples = row.command_latency / CONTROL_PERIOD
         lag = row.current_loop_time_constant / CONTROL_PERIOD
         late = np.floor(samples)
         # Whole samples are in the choice of commands.
-        begin_lag(block, first + lane, row.current_loop_time_constant, (samples - late) * CONTROL_PERIOD)
-        block[_WHOLE * LANES + first + lane] = late
-        block[_STAYS * LANES + first + lane] = exponential(-1 / lag)
-        block[_LEFT * LANES + first + lane] = exponential((samples - late - 1) / lag)
+        begin_lag(block, lane, row.current_loop_time_constant, (samples - late) * CONTROL_PERIOD)
+        block[_WHOLE * LANES + lane] = late
+        block[_STAYS * LANES + lane] = exponential(-1 / lag)
+        block[_LEFT * LANES + lane] = exponential((samples - late - 1) / lag)
 
 
 @compiled
-def load_commands(block: Floats, first: int, commands: Floats, held: int) -> None:
-    """Put commands, and the motor's torque by those of the past, into lanes from a first one on.
+def load_commands(block: Floats, commands: Floats, held: int) -> None:
+    """Put commands, and the motor's torque by those of the past, into lanes.
 
     Args:
         block: Written.
-        first: Lane of the first arm.
         commands: Of the arms, latest first [N m], shape (arms, HISTORY).
         held: Samples for which the last command has been held since.
     """
     for lane in range(len(commands)):
-        to, late = first + lane, int(block[_WHOLE * LANES + first + lane]) - held
-        torque, stays = commands[lane, max(late + 1 + REACH, 0)], block[_STAYS * LANES + to]
+        late = int(block[_WHOLE * LANES + lane]) - held
+        torque, stays = commands[lane, max(late + 1 + REACH, 0)], block[_STAYS * LANES + lane]
         for k in range(REACH, 1, -1):
             command = commands[lane, max(late + k, 0)]
             torque = command + stays * (torque - command)
         command = commands[lane, max(late + 1, 0)]
-        block[_PAST * LANES + to] = command + block[_LEFT * LANES + to] * (torque - command)
-        block[_BEFORE * LANES + to] = command
-        block[_COMMAND * LANES + to] = commands[lane, max(late, 0)]
+        block[_PAST * LANES + lane] = command + block[_LEFT * LANES + lane] * (torque - command)
+        block[_BEFORE * LANES + lane] = command
+        block[_COMMAND * LANES + lane] = commands[lane, max(late, 0)]
 
 
 @compiled
-def load_torques(block: Floats, first: int, arms: int, z: Floats, ripple: Floats, actions: Floats) -> None:
-    """Add d and ripple to the torques of lanes from a first one on, and write their actions."""
+def load_torques(block: Floats, arms: int, z: Floats, ripple: Floats, actions: Floats) -> None:
+    """Add d and ripple to the torques of lanes, and write their actions."""
     for lane in range(arms):
         unexplained = z[DISTURBANCE * LANES + lane] + ripple[lane]
-        block[at.TORQUE * LANES + first + lane] = block[_PAST * LANES + first + lane] + unexplained
-        block[at.TARGETS * LANES + first + lane] = block[_BEFORE * LANES + first + lane] + unexplained
-        command = block[_COMMAND * LANES + first + lane] + unexplained
-        actions[first + lane] = command / block[_LIMIT * LANES + first + lane]
+        block[at.TORQUE * LANES + lane] = block[_PAST * LANES + lane] + unexplained
+        block[at.TARGETS * LANES + lane] = block[_BEFORE * LANES + lane] + unexplained
+        command = block[_COMMAND * LANES + lane] + unexplained
+        actions[lane] = command / block[_LIMIT * LANES + lane]
 
 
 @compiled
@@ -153,44 +152,56 @@ def load(beliefs: Floats, nominal: Floats, room: Simulation) -> None:
         room.loaded[at.STEP * LANES + lane] = 0.0
         for i in range(4):
             room.loaded[(at.STATE + i) * LANES + lane] = room.z[i * LANES + lane]
-    _load_coefficients(room.loaded, 0, arms, room.constants)
-    _load_delays(room.loaded, 0, arms, room.constants)
+    _load_coefficients(room.loaded, arms, room.constants)
+    _load_delays(room.loaded, arms, room.constants)
 
 
-@compiled
-def _copy(source: Floats, target: Floats, first: int, arms: int, begin: int, end: int) -> None:
-    """Copy rows of the first lanes to lanes from a first one on."""
+@inlined  # with rows that are constants: only then LLVM sees that no index is below zero, and vectorises
+def _copy(source: Floats, target: Floats, arms: int, begin: int, end: int) -> None:
+    """Copy rows of lanes."""
     for row in range(begin, end):
         for lane in range(arms):
-            target[row * LANES + first + lane] = source[row * LANES + lane]
+            target[row * LANES + lane] = source[row * LANES + lane]
 
 
 @compiled
-def load_copy(k: int, first: int, beliefs: Floats, nominal: Floats, commands: Floats, room: Simulation) -> None:
-    """Put copies of loaded arms into lanes from a first one on, as they are or, for k > 0, with an entry perturbed."""
-    arms, block, z, ripple = len(beliefs), room.block, room.z, room.ripple
-    _copy(room.loaded, block, first, arms, 0, at.MOVE)
-    _copy(room.loaded, block, first, arms, at.STEP, at.STEP + 1)
-    _copy(room.loaded, block, first, arms, at.SUBSTEPS, at.SUBSTEPS + 1)
-    _copy(room.loaded, block, first, arms, at.DRIVEN, _ROWS)
+def load_copy(
+    k: int, block: Floats, actions: Floats, beliefs: Floats, nominal: Floats, commands: Floats, room: Simulation
+) -> None:
+    """Put copies of loaded arms into lanes, as they are or, for k > 0, with an entry perturbed.
+
+    Args:
+        k: Index of the entry, plus one.
+        block: Whose first lanes are written.
+        actions: Of these lanes, written.
+        beliefs: As of `load`.
+        nominal: As of `load`.
+        commands: Of the arms, latest first [N m], shape (arms, HISTORY).
+        room: With arms that are loaded; changed.
+    """
+    arms, z, ripple = len(beliefs), room.z, room.ripple
+    _copy(room.loaded, block, arms, 0, at.MOVE)
+    _copy(room.loaded, block, arms, at.STEP, at.STEP + 1)
+    _copy(room.loaded, block, arms, at.SUBSTEPS, at.SUBSTEPS + 1)
+    _copy(room.loaded, block, arms, at.DRIVEN, _ROWS)
     entry = k - 1 if k <= DIFFERENCED else ERROR_SINE + k - 1 - DIFFERENCED
     for lane in range(arms if k > 0 else 0):
         z[entry * LANES + lane] += STEPS[k - 1]
     if 1 <= k <= 4:
         for lane in range(arms):
-            block[(at.STATE + entry) * LANES + first + lane] = z[entry * LANES + lane]
+            block[(at.STATE + entry) * LANES + lane] = z[entry * LANES + lane]
     if 1 <= k <= 2:  # angle and speed
         write_ripple(z, z, arms, room.other_shapes, room.other_ripple)
         ripple = room.other_ripple
     if k > LOGS.start and entry != DISTURBANCE:
-        _copy(room.constants, room.perturbed, 0, arms, 0, len(FIELDS))
+        _copy(room.constants, room.perturbed, arms, 0, len(FIELDS))
         believe_entry(z, entry, arms, nominal, room.perturbed)
         if entry == DELAY or entry == LAG:
-            _load_delays(block, first, arms, room.perturbed)
-            load_commands(block, first, commands, 0)
+            _load_delays(block, arms, room.perturbed)
+            load_commands(block, commands, 0)
         else:
-            _load_coefficients(block, first, arms, room.perturbed)
-    load_torques(block, first, arms, z, ripple, room.actions)
+            _load_coefficients(block, arms, room.perturbed)
+    load_torques(block, arms, z, ripple, actions)
     for lane in range(arms if k > 0 else 0):
         z[entry * LANES + lane] = beliefs[lane, entry]
 

@@ -28,9 +28,9 @@ def move_on(commands: Floats, held: int, room: Simulation) -> None:
         room: Changed; x of the arms is the first rows of `loaded`.
     """
     arms = len(commands)
-    load_commands(room.loaded, 0, commands, held)
+    load_commands(room.loaded, commands, held)
     write_ripple(room.loaded, room.z, arms, room.shapes, room.ripple)
-    load_torques(room.loaded, 0, arms, room.z, room.ripple, room.actions)
+    load_torques(room.loaded, arms, room.z, room.ripple, room.actions)
     advance_driven_block(room.loaded, room.work, room.actions, arms, LUMPED)
 
 
@@ -59,13 +59,14 @@ def simulate(beliefs: Floats, nominal: Floats, commands: Floats, room: Simulatio
     arms, felt, block = len(beliefs), result.shape[1] > 4, room.block
     simulations = result.shape[2] - 4 if felt else result.shape[2]
     load(beliefs, nominal, room)
-    load_commands(room.loaded, 0, commands, 0)
+    load_commands(room.loaded, commands, 0)
     write_ripple(room.z, room.z, arms, room.shapes, room.ripple)
     at_once = max(LANES // arms, 1)
     for part in range((simulations + at_once - 1) // at_once):
         begin, end = part * at_once, min(part * at_once + at_once, simulations)
         for k in range(begin, end):
-            load_copy(k, (k - begin) * arms, beliefs, nominal, commands, room)
+            first = (k - begin) * arms
+            load_copy(k, block[first:], room.actions[first:], beliefs, nominal, commands, room)
         for lane in range((end - begin) * arms if felt else 0):
             tip = tip_motion(load_state(block, at.STATE, lane), load_plant(block, lane), load_drive(block, lane))
             room.velocities[lane], room.velocities[LANES + lane] = tip.x_speed, tip.y_speed

@@ -13,6 +13,7 @@ from baselines.estimation.uncertainty import Uncertainty
 from baselines.models.linear import linear_arms
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.kernels.layout import aligned_rows
 
 
 class Tracks(NamedTuple):
@@ -56,19 +57,19 @@ class Design(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room for `step`; what it holds between two calls does not matter."""
+    """Room for prediction and correction; what it holds between two calls does not matter."""
 
     simulation: Simulation
     predicted: Floats  # as `simulate` writes it
     jacobian: Floats  # from here on of one arm, shape (rows, size) with 4 rows, or 4 + AXES with an accelerometer
-    half: Floats  # its product with the covariance, shape (rows, size)
+    half: Floats  # its product with the covariance, shape (rows, size or more)
     noise: Floats  # shape (2, rows)
-    row: Floats  # of the covariance, shape (size + axes,)
+    row: Floats  # of the covariance, shape (size + axes or more,)
     gain: Floats  # shape (size + axes,)
 
 
 def room_for(count: int, felt: bool = False) -> Room:
-    """Room for the filters of `count` arms, or of `ARMS` at a time."""
+    """Room for the filters of `count` arms, or of `ARMS` at a time, with covariances as they are."""
     size, axes = (FELT_SIZE, AXES) if felt else (SIZE, 0)
     simulations = 1 + DIFFERENCED + (2 + 4 if felt else 0)
     shapes = (
@@ -76,6 +77,16 @@ def room_for(count: int, felt: bool = False) -> Room:
         *(size + axes, size + axes),
     )
     return Room(simulation_room(size), *map(np.zeros, shapes))
+
+
+def vector_room(count: int, felt: bool = False) -> tuple[Room, Floats]:
+    """Return room for the filters of `count` arms, or of `ARMS` at a time, and for the covariance of one.
+
+    All rows begin at a cache line and are whole vectors: a vector that lies in two lines takes twice as long.
+    """
+    room = room_for(count, felt)
+    (rows, size), width = room.half.shape, len(room.row)
+    return room._replace(half=aligned_rows(rows, size), row=aligned_rows(1, width)[0]), aligned_rows(width, width)
 
 
 def filter_design(params: ArmParams, uncertainty: Uncertainty, felt: bool = False) -> Design:

@@ -24,7 +24,7 @@ from baselines.estimation.identify import (
     empty_notes,
     estimate_all,
     identify_all,
-    workspace_for,
+    vector_workspace,
 )
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.reading import Reading
@@ -123,7 +123,7 @@ class ArmIdentifier:
         self.uncertainty = uncertainty or Uncertainty()
         self.design = filter_design(params, self.uncertainty, felt)
         self._felt = felt
-        self._work = workspace_for(1, felt)
+        self._work, self._covariance = vector_workspace(1, felt)
 
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
@@ -141,7 +141,7 @@ class ArmIdentifier:
         """
         count, size = len(begins), len(self.design.mean)
         inputs, felt = inputs_of(reading.motor_angle, reading.last_command, begins), None
-        notes = empty_notes(count, size + AXES if self._felt else size, np.empty)
+        notes = empty_notes(count, size, AXES if self._felt else 0, np.empty)
         if self._felt:
             felt = reading.acceleration
             assert felt is not None, "decoded with the acceleration, see `sensors`"
@@ -152,11 +152,11 @@ class ArmIdentifier:
         if belief is None:
             inputs = inputs._replace(begins=np.ones(count, np.bool_))
         before = notes if belief is None else belief.notes
-        identify_all(self.design, inputs, before, belief is not None, notes, self._workspace(count))
+        work = self._workspace(count)
+        identify_all(self.design, inputs, before, belief is not None, notes, work, self._covariance)
         tracks = notes.tracks
         if self._felt:
-            square = np.ascontiguousarray(tracks.covariance[:, :size, :size])
-            tracks = tracks._replace(mean=tracks.mean[:, :size].copy(), covariance=square)
+            tracks = tracks._replace(mean=tracks.mean[:, :size].copy())
         return Belief(tracks, notes.counts, notes.angle, notes.commands, felt)
 
     def reset(self, belief: Belief, angle: Floats, begins: Flags) -> Belief:
@@ -187,5 +187,5 @@ class ArmIdentifier:
 
     def _workspace(self, count: int) -> Workspace:
         if len(self._work.resolution) != min(count, ARMS):
-            self._work = workspace_for(count, self._felt)
+            self._work, self._covariance = vector_workspace(count, self._felt)
         return self._work

@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.estimation.arm_ekf import begin_track, step
+from baselines.estimation.arm_ekf import begin_track, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
 from baselines.estimation.believed_lanes import load, write_table
-from baselines.estimation.believed_motion import move_on
-from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for
+from baselines.estimation.believed_motion import move_on, simulate
+from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for, vector_room
 from baselines.estimation.observer import QUANTUM
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Floats
@@ -58,14 +58,23 @@ class Workspace(NamedTuple):
     resolution: Floats  # shape (m,), or (ARMS,)
 
 
-def workspace_for(count: int, felt: bool = False) -> Workspace:
-    """Room for the identification of `count` arms, or of `ARMS` at a time, with accelerometers if `felt`."""
-    return Workspace(room_for(count, felt), np.zeros(min(count, ARMS)))
+def workspace_for(count: int) -> Workspace:
+    """Room for `identify` of `count` arms, at most `ARMS`."""
+    return Workspace(room_for(count), np.zeros(count))
 
 
-def empty_notes(count: int, size: int, empty: Callable[..., Floats] = np.zeros) -> Notes:
-    """Room for what is known of `count` arms of which z has `size` entries; `empty` makes an array of a shape."""
-    tracks = Tracks(empty((count, size)), empty((count, size, size)), empty(count), empty(count))
+def vector_workspace(count: int, felt: bool) -> tuple[Workspace, Floats]:
+    """Return room for `identify_all` of `count` arms, with accelerometers if `felt`, and that for a covariance."""
+    room, covariance = vector_room(count, felt)
+    return Workspace(room, np.zeros(min(count, ARMS))), covariance
+
+
+def empty_notes(count: int, size: int, more: int = 0, empty: Callable[..., Floats] = np.zeros) -> Notes:
+    """Room for what is known of `count` arms of which z has `size` entries, with room for some more.
+
+    `empty` makes an array of a shape.
+    """
+    tracks = Tracks(empty((count, size + more)), empty((count, size, size)), empty(count), empty(count))
     return Notes(tracks, empty(count), empty(count), empty((count, HISTORY)))
 
 
@@ -95,7 +104,7 @@ def common_count(count: float, change: float) -> float:
 @compiled
 def _begin(design: Design, notes: Notes, arm: int, angle: float) -> None:
     """Write what is known of an arm that begins an episode, at rest at a motor angle [rad]."""
-    begin_track(design, notes.tracks, arm, angle, COARSEST)
+    begin_track(design, notes.tracks, arm, notes.tracks.covariance[arm], angle, COARSEST)
     notes.counts[arm], notes.angle[arm] = 0.0, angle
     for k in range(HISTORY):
         notes.commands[arm, k] = 0.0
@@ -110,16 +119,8 @@ def begin(design: Design, inputs: Inputs, notes: Notes) -> None:
 
 
 @compiled
-def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> None:
-    """Bring what is known of up to `ARMS` arms up to this sample.
-
-    Args:
-        design: Of the filters.
-        inputs: Of this sample.
-        notes: Up to the last sample; of arms that begin an episode, anything. Changed. With an accelerometer, z and its
-            covariance have room for AXES more entries.
-        work: Changed.
-    """
+def _note(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> bool:
+    """Note commands and the encoder's resolution; return whether there is an arm that does not begin an episode."""
     begin(design, inputs, notes)
     going = 0
     for arm in range(len(inputs.begins)):
@@ -131,12 +132,41 @@ def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> N
             notes.commands[arm, 0] = inputs.command[arm]
         count = notes.counts[arm]
         work.resolution[arm] = max(count, QUANTUM) if count > 0.0 else COARSEST
-    if going == 0:
-        return
-    step(design, notes.tracks, notes.commands, inputs, work.resolution, work.filter)
+    return going > 0
+
+
+@compiled
+def _predict(design: Design, notes: Notes, work: Workspace) -> None:
+    """Simulate the sample, for `correct`."""
+    room = work.filter
+    simulate(notes.tracks.mean, design.nominal, notes.commands, room.simulation, room.predicted)
+
+
+@compiled
+def _end(design: Design, inputs: Inputs, notes: Notes) -> None:
+    """Let arms that begin an episode begin it, whatever was made of them as of the others, and note the angles."""
     begin(design, inputs, notes)
     for arm in range(len(inputs.angle)):
         notes.angle[arm] = inputs.angle[arm]
+
+
+@compiled
+def identify(design: Design, inputs: Inputs, notes: Notes, work: Workspace) -> None:
+    """Bring what is known of up to `ARMS` arms up to this sample, in place.
+
+    Args:
+        design: Of the filters.
+        inputs: Of this sample.
+        notes: Up to the last sample; of arms that begin an episode, anything. Changed.
+        work: Changed.
+    """
+    if not _note(design, inputs, notes, work):
+        return
+    _predict(design, notes, work)
+    for arm in range(len(inputs.angle)):
+        covariance = notes.tracks.covariance[arm]
+        correct(design, notes.tracks, arm, covariance, inputs, work.resolution[arm], work.filter)
+    _end(design, inputs, notes)
 
 
 @compiled
@@ -148,7 +178,16 @@ def _some_notes(notes: Notes, low: int, high: int) -> Notes:
 
 
 @compiled
-def identify_all(design: Design, inputs: Inputs, before: Notes, begun: bool, notes: Notes, work: Workspace) -> None:
+def _copy_square(source: Floats, target: Floats, size: int) -> None:
+    for i in range(size):
+        for j in range(size):
+            target[i, j] = source[i, j]
+
+
+@compiled
+def identify_all(
+    design: Design, inputs: Inputs, before: Notes, begun: bool, notes: Notes, work: Workspace, covariance: Floats
+) -> None:
     """Bring what is known of any number of arms up to this sample, as `identify`: some at a time, which caches hold.
 
     Args:
@@ -156,8 +195,9 @@ def identify_all(design: Design, inputs: Inputs, before: Notes, begun: bool, not
         inputs: Of this sample.
         before: Up to the last sample; z without room for more entries.
         begun: Whether anything is known.
-        notes: Up to this sample, written; with room for more entries where there are accelerometers.
-        work: Changed.
+        notes: Up to this sample, written; with an accelerometer, z has room for AXES more entries.
+        work: With rows of whole vectors, changed.
+        covariance: Room for that of one arm, with its AXES; changed.
     """
     size = len(design.mean)
     for low in range(0, len(inputs.begins), ARMS):
@@ -166,11 +206,10 @@ def identify_all(design: Design, inputs: Inputs, before: Notes, begun: bool, not
         for arm in range(high - low if begun else 0):
             new.tracks.surprise[arm], new.tracks.unrest[arm] = old.tracks.surprise[arm], old.tracks.unrest[arm]
             new.counts[arm], new.angle[arm] = old.counts[arm], old.angle[arm]
-            new.commands[arm] = old.commands[arm]
             for i in range(size):
                 new.tracks.mean[arm, i] = old.tracks.mean[arm, i]
-                for j in range(size):
-                    new.tracks.covariance[arm, i, j] = old.tracks.covariance[arm, i, j]
+            for k in range(HISTORY):
+                new.commands[arm, k] = old.commands[arm, k]
         some = Inputs(
             inputs.angle[low:high],
             inputs.command[low:high],
@@ -178,7 +217,13 @@ def identify_all(design: Design, inputs: Inputs, before: Notes, begun: bool, not
             inputs.felt[low:high],
             inputs.felt_variance[low:high],
         )
-        identify(design, some, new, work)
+        if _note(design, some, new, work):
+            _predict(design, new, work)
+            for arm in range(high - low):
+                _copy_square(old.tracks.covariance[arm], covariance, size)
+                correct(design, new.tracks, arm, covariance, some, work.resolution[arm], work.filter)
+                _copy_square(covariance, new.tracks.covariance[arm], size)
+            _end(design, some, new)
 
 
 @compiled

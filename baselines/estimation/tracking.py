@@ -13,7 +13,7 @@ from baselines.models.linear import between, place
 from baselines.reading import Sample
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.jit import allocating, compiled, inlined
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.kernels.simulate import (
     Room,
@@ -97,7 +97,7 @@ def correct(design: ObserverDesign, state: Floats, disturbance: float, motor_ang
     return limited(disturbance + gain * innovation, LARGEST_TORQUE)
 
 
-@compiled
+@allocating
 def track_arm(design: ObserverDesign, now: Sample, begins: bool, track: Track) -> None:
     """Bring the estimate of one arm up to this sample, see `StickSlipObserver.update`."""
     limit, command = float(design.row[COLUMN.torque_limit]), 0.0 if begins else now.last_command
@@ -114,7 +114,7 @@ def track_arm(design: ObserverDesign, now: Sample, begins: bool, track: Track) -
     look_ahead(track.room, track.state, torque, limit, design.delay, LUMPED, track.ahead, track.moved)
 
 
-@compiled
+@allocating
 def predict_arms(
     room: Room, limits: Floats, last: Floats, disturbances: Floats, commands: Floats, states: Floats
 ) -> None:
@@ -134,7 +134,7 @@ def correct_arms(
         disturbances[i] = 0.0 if begins[i] else correct(design, states[i], last[i], motor_angles[i])
 
 
-@compiled
+@allocating
 def finish_arms(
     design: ObserverDesign,
     room: Room,

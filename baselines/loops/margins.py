@@ -26,7 +26,7 @@ import numpy as np
 from baselines.loops.models import Loop, Poles, closed_poles, open_poles
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.jit import allocating, inlined
 
 _TURNS = np.append(np.geomspace(0.05 * CONTROL_PERIOD, 0.9999 * np.pi, 300), np.pi)
 """Frequencies w T at which every loop is looked at [rad]."""
@@ -95,7 +95,7 @@ def _tightened(factors: tuple[float, float], real: float) -> tuple[float, float]
     return (min(up, factor) if factor > 1 else up), (max(down, factor) if 0 < factor < 1 else down)
 
 
-@compiled
+@allocating
 def _grid(open_z: Poles, closed_z: Poles) -> Floats:
     """Frequencies w T in rising order, many near the poles; the last one is pi."""
     near = np.empty(len(_TURNS) + 2 * len(open_z) * len(_BESIDE))
@@ -113,7 +113,7 @@ def _grid(open_z: Poles, closed_z: Poles) -> Floats:
     return np.sort(near[:count])
 
 
-@compiled
+@allocating
 def _margins(open_z: Poles, closed_z: Poles) -> Floats:
     """Rows of `Margins` but the first, shape (5, n), of loops with poles of shape (n, m)."""
     result = np.empty((5, len(open_z)))

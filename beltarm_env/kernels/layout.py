@@ -77,6 +77,12 @@ def aligned_zeros(count: int) -> NDArray[np.float64]:
     return room[first : first + count]
 
 
+def aligned_rows(count: int, size: int) -> NDArray[np.float64]:
+    """Allocate rows of zeros of whole vectors, `size` or more, each of which begins where a cache line does."""
+    width = -(-size // _VECTOR) * _VECTOR
+    return aligned_zeros(count * width).reshape(count, width)
+
+
 def empty_blocks(num_arms: int) -> NDArray[np.float64]:
     """Allocate zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
     blocks = -(-num_arms // LANES)

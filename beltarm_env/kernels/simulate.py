@@ -14,7 +14,7 @@ import numpy as np
 
 from beltarm_env.arm import plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.jit import allocating, compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
@@ -137,7 +137,7 @@ def move_towards(x: Floats, before: Floats, after: Floats, samples: float, k: in
         x[i] += share * (after[i] - before[i])
 
 
-@compiled
+@allocating
 def look_ahead(
     room: Room, state: Floats, torque: float, limit: float, samples: float, model: Model, x: Floats, moved: Floats
 ) -> None:
@@ -201,7 +201,7 @@ def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, mo
             _take(block, i - low, result[i])
 
 
-@compiled
+@allocating
 def look_ahead_arms(
     room: Room, states: Floats, torques: Floats, limits: Floats, samples: Floats, model: Model, ahead: Floats
 ) -> None:
