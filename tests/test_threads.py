@@ -2,16 +2,22 @@
 
 import copy
 import multiprocessing
+import os
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agents.policy.bundle import load_controller
+from baselines import CONTROLLERS
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.kernels import threads
+from beltarm_env.rollout import rollout
 
 ARMS = 700  # six blocks
 STEPS = 40
+POLICIES = Path(__file__).resolve().parents[1] / "agents" / "policies"
 
 
 @pytest.fixture(autouse=True)
@@ -68,3 +74,32 @@ def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):
 def test_what_is_no_number_of_threads_is_refused(number: object):
     with pytest.raises(ValueError, match=r"num_threads must be a whole number from 1 to 256, got "):
         BeltArmVectorEnv(4, num_threads=number)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("name", ["adaptive", "student"])
+def test_controllers_drive_arms_the_same_whatever_their_number(name: str, monkeypatch: pytest.MonkeyPatch):
+    driven: list[bytes] = []
+    for number in (1, 3):
+        monkeypatch.setenv("OMP_NUM_THREADS", str(number))
+        assert threads.usual_threads() == number
+        controller = CONTROLLERS[name]() if name in CONTROLLERS else load_controller(POLICIES / name / "seed0")[0]
+        driven.append(rollout(controller, 100, seed=3, randomization="train").state.tobytes())
+    assert driven[0] == driven[1]
+
+
+def test_each_item_is_worked_on_once(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "4")
+    for count in (0, 1, 500):
+        done: list[int] = []
+        threads.each_in_threads(done.append, range(count))
+        assert sorted(done) == list(range(count))
+    with pytest.raises(ZeroDivisionError):
+        threads.each_in_threads(lambda item: 1 // item, [3, 2, 1, 0])
+
+
+@pytest.mark.parametrize("told", ["", "0", "-2", "many"])
+def test_what_tells_no_number_is_a_thread_for_each_core(told: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", told)
+    assert 1 <= threads.usual_threads() <= min(os.cpu_count() or 1, threads.MAX_THREADS)
+    monkeypatch.setenv("OMP_NUM_THREADS", "9999")
+    assert threads.usual_threads() == threads.MAX_THREADS

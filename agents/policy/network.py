@@ -22,8 +22,10 @@ from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import allocating, compiled, inlined
+from beltarm_env.kernels.threads import in_threads, take_block, usual_threads
 
 _TILE = 8  # rows that share the weights once they are loaded
+_LEAST = 32  # rows for which it pays to wake a thread
 _LANES = 16  # numbers that a processor takes at once at most: rows begin at multiples of them, to be read faster
 _FEEDFORWARD, _GRU, _LSTM = range(3)
 _TANH, _RELU, _ELU = (ACTIVATIONS.index(name) for name in ("tanh", "relu", "elu"))
@@ -82,7 +84,9 @@ class NetworkPolicy:
         inputs = np.array(observation, np.float32, order="C")
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
-        _evaluate_tiles(self.network, inputs, memory.reshape(count, -1), self.widest, residuals)
+        taken = np.zeros(min(usual_threads(), max(count // _LEAST, 1)), np.int64)
+        same = self.network, inputs, memory.reshape(count, -1), self.widest, residuals, taken
+        in_threads(lambda thread: _evaluate_tiles(*same, thread), len(taken))
         return residuals, memory if self.network.kind != _FEEDFORWARD else None
 
 
@@ -248,10 +252,21 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
 
 
 @allocating
-def _evaluate_tiles(net: Network, inputs: Singles, memory: Singles, widest: int, residuals: Singles) -> None:
-    """Evaluate any number of rows, see `evaluate`; some at a time share the weights."""
+def _evaluate_tiles(
+    net: Network,
+    inputs: Singles,
+    memory: Singles,
+    widest: int,
+    residuals: Singles,
+    taken: NDArray[np.int64],
+    thread: int,
+) -> None:
+    """Evaluate any number of rows, see `evaluate`; some at a time share the weights. In threads, see `take_block`."""
     count = len(inputs)
     work = np.empty((2, min(count, _TILE), -(-widest // _LANES) * _LANES), np.float32)
-    for first in range(0, count, _TILE):
+    while True:
+        first = take_block(taken, thread, -(-count // _TILE)) * _TILE
+        if first < 0:
+            break
         tile = slice(first, min(first + _TILE, count))
         evaluate(net, inputs[tile], memory[tile], work, residuals[tile])

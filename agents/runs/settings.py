@@ -68,7 +68,8 @@ class RunConfig(WithStorage):
     validation_arms: int = 128
     """Arms in each validation."""
     threads: int = 1
-    """Threads of PyTorch. More than one makes networks of this size slower."""
+    """Threads of PyTorch. More than one makes networks of this size slower. Kernels use all cores, or as many threads
+    as OMP_NUM_THREADS says, which changes no number."""
     device: str = "cpu"
     """Device of the networks: cpu, cuda, cuda:1, ..."""
     resume: bool = False

@@ -69,22 +69,22 @@ class Room(NamedTuple):
 
 
 def room_for(count: int, felt: bool = False) -> Room:
-    """Room for the filters of `count` arms, or of `ARMS` at a time, with covariances as they are."""
+    """Room for the filters of `count` arms, at most `ARMS`."""
     size, axes = (FELT_SIZE, AXES) if felt else (SIZE, 0)
     simulations = 1 + DIFFERENCED + (2 + 4 if felt else 0)
     shapes = (
-        *((min(count, ARMS), 4 + axes, simulations), (4 + axes, size), (4 + axes, size), (2, 4 + axes)),
+        *((count, 4 + axes, simulations), (4 + axes, size), (4 + axes, size), (2, 4 + axes)),
         *(size + axes, size + axes),
     )
     return Room(simulation_room(size), *map(np.zeros, shapes))
 
 
-def vector_room(count: int, felt: bool = False) -> tuple[Room, Floats]:
-    """Return room for the filters of `count` arms, or of `ARMS` at a time, and for the covariance of one.
+def vector_room(felt: bool) -> tuple[Room, Floats]:
+    """Return room for the filters of `ARMS` arms, and for the covariance of one.
 
     All rows begin at a cache line and are whole vectors: a vector that lies in two lines takes twice as long.
     """
-    room = room_for(count, felt)
+    room = room_for(ARMS, felt)
     (rows, size), width = room.half.shape, len(room.row)
     return room._replace(half=aligned_rows(rows, size), row=aligned_rows(1, width)[0]), aligned_rows(width, width)
 

@@ -30,8 +30,9 @@ from baselines.estimation.uncertainty import Uncertainty
 from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
-from beltarm_env.arrays import Flags, Floats
+from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled
+from beltarm_env.kernels.threads import in_threads, usual_threads
 
 Memory = TypeVar("Memory")
 
@@ -123,12 +124,13 @@ class ArmIdentifier:
         self.uncertainty = uncertainty or Uncertainty()
         self.design = filter_design(params, self.uncertainty, felt)
         self._felt = felt
-        self._work, self._covariance = vector_workspace(1, felt)
+        self._rooms: list[tuple[Workspace, Floats]] = []  # of each thread
 
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
         table = np.empty((len(belief.count), len(FIELDS)))
-        write_believed(belief.tracks.mean, self.design.nominal, self._workspace(1).filter.simulation, table)
+        ((work, _), *_), _ = self._shared(1)
+        write_believed(belief.tracks.mean, self.design.nominal, work.filter.simulation, table)
         return table
 
     def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:
@@ -152,8 +154,9 @@ class ArmIdentifier:
         if belief is None:
             inputs = inputs._replace(begins=np.ones(count, np.bool_))
         before = notes if belief is None else belief.notes
-        work = self._workspace(count)
-        identify_all(self.design, inputs, before, belief is not None, notes, work, self._covariance)
+        rooms, taken = self._shared(count)
+        same = self.design, inputs, before, belief is not None, notes, taken
+        in_threads(lambda thread: identify_all(*same, thread, *rooms[thread]), len(taken))
         tracks = notes.tracks
         if self._felt:
             tracks = tracks._replace(mean=tracks.mean[:, :size].copy())
@@ -171,7 +174,9 @@ class ArmIdentifier:
     def estimate(self, belief: Belief) -> Estimate:
         """Estimates that follow from a belief."""
         result = empty_estimate(len(belief.count))
-        estimate_all(self.design, belief.notes, self._workspace(len(belief.count)), result)
+        rooms, taken = self._shared(len(belief.count))
+        same = self.design, belief.notes, result, taken
+        in_threads(lambda thread: estimate_all(*same, thread, rooms[thread][0]), len(taken))
         return result
 
     def other_torques(self, belief: Belief, states: Floats) -> Floats:
@@ -185,7 +190,9 @@ class ArmIdentifier:
         _write_other_torques(belief.tracks.mean, states, torques)
         return torques
 
-    def _workspace(self, count: int) -> Workspace:
-        if len(self._work.resolution) != min(count, ARMS):
-            self._work, self._covariance = vector_workspace(count, self._felt)
-        return self._work
+    def _shared(self, count: int) -> tuple[list[tuple[Workspace, Floats]], Integers]:
+        """Return room for each of the threads that work for a number of arms, and what they have taken: nothing."""
+        threads = min(usual_threads(), max(count // ARMS, 1))
+        while len(self._rooms) < threads:
+            self._rooms.append(vector_workspace(self._felt))
+        return self._rooms, np.zeros(threads, np.int64)

@@ -24,9 +24,10 @@ from baselines.estimation.believed_motion import move_on, simulate
 from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for, vector_room
 from baselines.estimation.observer import QUANTUM
 from beltarm_env.arm import FIELDS
-from beltarm_env.arrays import Floats
+from beltarm_env.arrays import Floats, Integers
 from beltarm_env.jit import compiled
 from beltarm_env.kernels.layout import LANES
+from beltarm_env.kernels.threads import take_block
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""
@@ -63,10 +64,10 @@ def workspace_for(count: int) -> Workspace:
     return Workspace(room_for(count), np.zeros(count))
 
 
-def vector_workspace(count: int, felt: bool) -> tuple[Workspace, Floats]:
-    """Return room for `identify_all` of `count` arms, with accelerometers if `felt`, and that for a covariance."""
-    room, covariance = vector_room(count, felt)
-    return Workspace(room, np.zeros(min(count, ARMS))), covariance
+def vector_workspace(felt: bool) -> tuple[Workspace, Floats]:
+    """Return room for a thread of `identify_all`, with accelerometers if `felt`, and that for a covariance."""
+    room, covariance = vector_room(felt)
+    return Workspace(room, np.zeros(ARMS)), covariance
 
 
 def empty_notes(count: int, size: int, more: int = 0, empty: Callable[..., Floats] = np.zeros) -> Notes:
@@ -186,9 +187,19 @@ def _copy_square(source: Floats, target: Floats, size: int) -> None:
 
 @compiled
 def identify_all(
-    design: Design, inputs: Inputs, before: Notes, begun: bool, notes: Notes, work: Workspace, covariance: Floats
+    design: Design,
+    inputs: Inputs,
+    before: Notes,
+    begun: bool,
+    notes: Notes,
+    taken: Integers,
+    thread: int,
+    work: Workspace,
+    covariance: Floats,
 ) -> None:
     """Bring what is known of any number of arms up to this sample, as `identify`: some at a time, which caches hold.
+
+    Several threads may do so at a time, each with room of its own.
 
     Args:
         design: Of the filters.
@@ -196,12 +207,17 @@ def identify_all(
         before: Up to the last sample; z without room for more entries.
         begun: Whether anything is known.
         notes: Up to this sample, written; with an accelerometer, z has room for AXES more entries.
+        taken: What has been taken of each thread's share, see `take_block`.
+        thread: Index of this one.
         work: With rows of whole vectors, changed.
         covariance: Room for that of one arm, with its AXES; changed.
     """
-    size = len(design.mean)
-    for low in range(0, len(inputs.begins), ARMS):
-        high = min(low + ARMS, len(inputs.begins))
+    size, count = len(design.mean), len(inputs.begins)
+    while True:
+        low = take_block(taken, thread, -(-count // ARMS)) * ARMS
+        if low < 0:
+            break
+        high = min(low + ARMS, count)
         old, new = _some_notes(before, low, high), _some_notes(notes, low, high)
         for arm in range(high - low if begun else 0):
             new.tracks.surprise[arm], new.tracks.unrest[arm] = old.tracks.surprise[arm], old.tracks.unrest[arm]
@@ -262,10 +278,13 @@ def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) ->
 
 
 @compiled
-def estimate_all(design: Design, notes: Notes, work: Workspace, result: Estimate) -> None:
-    """Write what controllers need to know of any number of arms, as `estimate`."""
-    for low in range(0, len(result.delay), ARMS):
-        high = min(low + ARMS, len(result.delay))
-        states, delay, logs, table = result
+def estimate_all(design: Design, notes: Notes, result: Estimate, taken: Integers, thread: int, work: Workspace) -> None:
+    """Write what controllers need to know of any number of arms, as `estimate`; in threads as `identify_all`."""
+    states, delay, logs, table = result
+    while True:
+        low = take_block(taken, thread, -(-len(delay) // ARMS)) * ARMS
+        if low < 0:
+            break
+        high = min(low + ARMS, len(delay))
         some = Estimate(states[low:high], delay[low:high], logs[low:high], table[low:high])
         estimate(design, _some_notes(notes, low, high), work, some)

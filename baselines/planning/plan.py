@@ -31,6 +31,7 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import allocating, inlined
+from beltarm_env.kernels.threads import each_in_threads
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
 GAIN, TORQUE = 4, 9
@@ -200,8 +201,11 @@ def replaced(plans: Plans | None, which: Flags, plan: Callable[[int], Floats]) -
     if plans is not None and not which.any():
         return plans
     merged = [np.empty(0)] * len(which) if plans is None else plans.copy()
-    for arm in np.flatnonzero(which):
-        merged[arm] = plan(int(arm))
+
+    def replace(arm: int) -> None:
+        merged[arm] = plan(arm)
+
+    each_in_threads(replace, np.flatnonzero(which).tolist())
     return merged
 
 

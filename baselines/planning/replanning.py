@@ -98,11 +98,14 @@ class PlanCache:
         """Cache with plans for arms that begin a move, improved by some steps."""
         if not begins.any():
             return self
-        plans, room, cost = self.plans.copy(), plan_room(), plan_cost(weights)
-        for arm in np.flatnonzero(begins):
+        cost = plan_cost(weights)
+
+        def plan(arm: int) -> Floats:
             rows, move = np.empty((EPISODE_STEPS, PLAN_COLUMNS)), MoveShape(*now.moves[arm].tolist())
-            plan_task(move, now.table[arm], cost, float(now.time[arm]), now.states[arm], steps, room, rows)
-            plans[arm] = rows
+            plan_task(move, now.table[arm], cost, float(now.time[arm]), now.states[arm], steps, plan_room(), rows)
+            return rows
+
+        plans = replaced(self.plans, begins, plan)
         return self._with(plans, np.where(begins[:, None], now.logs, self.logs), begins, now.step)
 
     def renewed(self, now: Situation, weights: Weights) -> PlanCache:

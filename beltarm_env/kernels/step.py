@@ -158,23 +158,19 @@ def step_arms(
         driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
     """
-    threads = len(taken)
-    for turn in range(threads):
-        share = (thread + turn) % threads
-        first, behind = share * len(blocks) // threads, (share + 1) * len(blocks) // threads
-        while True:
-            k = take_block(taken, share, first, behind, turn == 0)
-            if k < 0:
-                break
-            low = k * LANES
-            high = min(low + LANES, len(actions))
-            _take_actions(actions[low:high], scratch)
-            _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, driven, integrate)
-            _give_flags(scratch, TERMINATED, terminated[low:high])
-            _give_flags(scratch, TRUNCATED, truncated[low:high])
-            _give(scratch, REWARD, rewards[low:high])
-            for row in range(len(terms)):
-                _give(scratch, TERMS + row, terms[row, low:high])
+    while True:
+        k = take_block(taken, thread, len(blocks))
+        if k < 0:
+            break
+        low = k * LANES
+        high = min(low + LANES, len(actions))
+        _take_actions(actions[low:high], scratch)
+        _step_block(blocks[k], scratch, tile, observations[low:high], profile, tier, model, driven, integrate)
+        _give_flags(scratch, TERMINATED, terminated[low:high])
+        _give_flags(scratch, TRUNCATED, truncated[low:high])
+        _give(scratch, REWARD, rewards[low:high])
+        for row in range(len(terms)):
+            _give(scratch, TERMS + row, terms[row, low:high])
 
 
 @compiled

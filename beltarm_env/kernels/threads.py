@@ -1,4 +1,4 @@
-"""Threads that share the blocks of a batch.
+"""Threads that share the work of a batch.
 
 Kernels hold no lock of Python's, so that several run at a time. Each takes the blocks of its own share, which its core
 has in its cache, and then what is left of the others': a thread that begins late, or whose core is busy with another
@@ -8,10 +8,10 @@ program, does less, and nobody waits for it. The number of threads changes no re
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import types
@@ -27,6 +27,18 @@ MAX_THREADS = 256
 LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 40, 8
 """For which it pays to wake a thread: of arms with an ideal drive, and with drives as they are built."""
 _BACK = 1 << 32
+
+Item = TypeVar("Item")
+
+
+def usual_threads() -> int:
+    """Return how many threads to use where no argument says so: OMP_NUM_THREADS, or one for each core that is there.
+
+    Programs that run several processes at a time set this variable in each, as joblib does.
+    """
+    told = os.environ.get("OMP_NUM_THREADS", "")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(int(told) if told.isdecimal() and int(told) > 0 else cores, MAX_THREADS)
 
 
 def threads_for(blocks: int, built: bool, most: int) -> int:
@@ -48,6 +60,17 @@ def in_threads(work: Callable[[int], None], threads: int) -> None:
             other.result()
 
 
+def each_in_threads(work: Callable[[Item], object], items: Sequence[Item]) -> None:
+    """Call a function for each of some items, in several threads if there are several items."""
+    left = iter(items)  # of which no two threads are given the same
+
+    def work_off(_thread: int) -> None:
+        for item in left:
+            work(item)
+
+    in_threads(work_off, min(usual_threads(), max(len(items), 1)))
+
+
 @cache
 def _threads(_process: int) -> ThreadPoolExecutor:
     """Threads of this process; one that was forked from it has none of them."""
@@ -55,27 +78,30 @@ def _threads(_process: int) -> ThreadPoolExecutor:
 
 
 @inlined
-def take_block(taken: Integers, share: int, first: int, behind: int, own: bool) -> int:
-    """Take a block of a thread's share; no other thread is given the same.
+def take_block(taken: Integers, thread: int, blocks: int) -> int:
+    """Take a block, of a thread's own share or of what is left of the others'; no other thread is given the same.
 
-    Its thread takes blocks from the front and the others from the back, so that those are the same in most steps, and
-    are where they were needed last.
+    Its thread takes blocks of a share from the front and the others from the back, so that those are the same in most
+    steps, and are where they were needed last.
 
     Args:
-        taken: How many blocks of each share were taken from the front, and from the back, times `_BACK`.
-        share: Index of the share.
-        first: Of its blocks.
-        behind: The block behind its last.
-        own: Whether it is the thread's own.
+        taken: How many blocks of each share were taken from the front, and from the back, times `_BACK`; shape
+            (threads,), zeros at first.
+        thread: Index of this one.
+        blocks: Their number.
 
     Returns:
         The block, or -1 if none is left.
     """
-    before = _add(taken, share, 1 if own else _BACK)
-    front, back = before % _BACK, before // _BACK
-    if front + back >= behind - first:
-        return -1
-    return first + front if own else behind - 1 - back
+    threads = len(taken)
+    for turn in range(threads):
+        share = (thread + turn) % threads
+        first, behind = share * blocks // threads, (share + 1) * blocks // threads
+        before = _add(taken, share, 1 if turn == 0 else _BACK)
+        front, back = before % _BACK, before // _BACK
+        if front + back < behind - first:
+            return first + front if turn == 0 else behind - 1 - back
+    return -1
 
 
 def _add(counts: Integers, index: int, more: int) -> int:

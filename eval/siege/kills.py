@@ -83,6 +83,7 @@ def attack(subject: Subject, share: float, seed: int) -> tuple[int, list[str]]:
         The number of troubles, and a line for each that a promise is broken after.
     """
     torch.set_num_threads(1)  # a process that has others cannot be forked
+    os.environ["OMP_NUM_THREADS"] = "1"  # which kernels go by
     rng, found, count = np.random.default_rng(seed), list[str](), 0
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "run"
