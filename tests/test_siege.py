@@ -12,7 +12,7 @@ from baselines import CONTROLLERS
 from beltarm_env import BeltArmVectorEnv
 from eval import soak
 from eval.comparison.sets import development_set
-from eval.siege import determinism, encoders, environment, guard, hostile
+from eval.siege import determinism, encoders, environment, guard, hostile, properties
 from eval.siege.report import Siege, markdown
 
 
@@ -138,3 +138,30 @@ def test_the_page_has_what_was_found_and_what_cannot_be_seen():
 def test_an_unknown_part(tmp_path: Path):
     told = mistake(soak.main, ("--parts", "moon"), tmp_path)
     assert "--parts has 'moon'; there are properties, inputs, kills" in told
+
+
+TOY = """
+from hypothesis import given, strategies
+from properties import examples
+
+@examples(50)
+@given(strategies.integers(0, 10**9))
+def test_small(number):
+    assert number < {bound}
+
+def test_of_another_kind():
+    assert {other}
+"""
+
+
+@pytest.mark.parametrize(
+    ("bound", "other", "told"),
+    [(10**9 + 1, True, []), (10**8, True, ["test_small", "with the seed "]), (10**9 + 1, False, ["any seed"])],
+    ids=["sound", "broken", "another"],
+)
+def test_a_property_that_fails_is_told_with_its_seed(bound: int, other: bool, told: list[str], tmp_path: Path):
+    (tmp_path / "conftest.py").write_text("import properties")
+    shutil.copy(Path(__file__).with_name("properties.py"), tmp_path)
+    (tmp_path / "test_toy.py").write_text(TOY.format(bound=bound, other=other))
+    found = properties.broken(str(tmp_path), seeds=[5, 6])
+    assert len(found) == bool(told) and all(word in line for line in found for word in told)
