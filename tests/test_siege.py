@@ -160,8 +160,8 @@ def test_of_another_kind():
     ids=["sound", "broken", "another"],
 )
 def test_a_property_that_fails_is_told_with_its_seed(bound: int, other: bool, told: list[str], tmp_path: Path):
-    (tmp_path / "conftest.py").write_text("import properties")
-    shutil.copy(Path(__file__).with_name("properties.py"), tmp_path)
+    for name in ("conftest.py", "properties.py"):
+        shutil.copy(Path(__file__).with_name(name), tmp_path)
     (tmp_path / "test_toy.py").write_text(TOY.format(bound=bound, other=other))
     found = properties.broken(str(tmp_path), seeds=[5, 6])
     assert len(found) == bool(told) and all(word in line for line in found for word in told)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from eval.siege.report import Siege
-from eval.siege.seeds import TELL
 
 SEEDS = 200
 """In a whole siege; each has a fifth of the examples of `make test`."""
@@ -39,12 +38,12 @@ def broken(*words: str, seeds: list[int]) -> list[str]:
         words: For pytest: which tests.
         seeds: Of those that are property tests.
     """
-    options = ["-q", "--tb=short", "-p", "no:cacheprovider", "-p", "eval.siege.seeds", "--hypothesis-profile", "siege"]
+    options = ["-q", "--tb=short", "-p", "no:cacheprovider", "--hypothesis-profile", "siege"]
     command = [sys.executable, "-m", "pytest", *options, f"--seeds={','.join(map(str, seeds))}", *words]
     done = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, timeout=_PATIENCE, check=False)
     if done.returncode == 0:
         return []
     failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
-    blamed = re.findall(rf"{TELL}\d+", done.stdout)
+    blamed = re.findall(r"with the seed \d+", done.stdout)
     lines = failed or [f"no end: {(done.stdout + done.stderr)[-200:]!r}"]
     return [f"make fuzz, {', '.join(blamed) or 'any seed'}: {line[:250]}" for line in lines]
