@@ -55,7 +55,7 @@ def test_kills_find_what_does_not_survive_them(run: Callable[[Path], None], word
 
 
 def test_damaged_files_are_refused():
-    siege = inputs.besiege(0.001, 0)
+    siege = inputs.besiege(1e-4, 0)
     assert siege.found == [] and siege.count >= 100
 
 
@@ -87,7 +87,7 @@ def test_inputs_find_a_reader_with_a_fault(fault: str, monkeypatch: pytest.Monke
     monkeypatch.setattr(inputs, "READERS", {"faulty": reader})
     monkeypatch.setattr(guided, "installed", lambda: False)
     assert fault in inputs.again("faulty", 0, 7)
-    siege = inputs.besiege(1e-6, 0)
+    siege = inputs.besiege(1e-7, 0)
     assert siege.count == 1 and len(siege.found) == 1
     assert siege.found[0].startswith("eval.siege.files.inputs.again('faulty', 0, 0): ") and fault in siege.found[0]
 

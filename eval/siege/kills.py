@@ -33,7 +33,7 @@ from eval.siege.subjects import SUBJECTS, Subject, differences
 _LONGEST = 120.0  # that a child may take [s]
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.symlink", "os.truncate")
 _HALF = 400  # largest number of bytes after which a write is cut [bytes]
-_MOST = 120  # events of one subject, in a whole siege
+_MOST = 150  # events of one subject, in a whole siege
 _WORKERS = 2
 _SMALL = 0.05  # share up to which one subject has to do, which the seed chooses
 _DAY = 86400.0  # [s]

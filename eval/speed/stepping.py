@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -15,6 +16,7 @@ from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
 from beltarm_env.arrays import Floats
+from beltarm_env.kernels.threads import usual_threads
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import Randomization
 from eval.speed.timing import Row, ratios, times_in_turns
@@ -51,18 +53,34 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
-    """Speed of whole episodes by `rollout`, controllers included, beside those of the paper's controller."""
+    """Speed of whole episodes by `rollout`, controllers included: beside the paper's controller, and on one core."""
     student, _ = load_controller(POLICIES / "student" / "seed0")
     controllers = {"adaptive": AdaptiveController(), "student, seed 0": student}
     settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
     all_of_them = [*controllers.values(), PaperController()]
     runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in all_of_them]
-    *times, paper = times_in_turns(runs, max(repetitions // 5, 1)).T / EPISODE_STEPS
+    *times, paper, alone = times_in_turns([*runs, _in_one_thread(runs[0])], max(repetitions // 5, 1)).T / EPISODE_STEPS
     peer = f"paper: {_rate(_ROLLED_OUT, paper)}"
-    return [
+    rows = [
         Row(f"rollout, {name}, N = {_ROLLED_OUT}", _rate(_ROLLED_OUT, of_name), peer, *ratios(of_name, paper))
         for name, of_name in zip(controllers, times, strict=True)
     ]
+    name, peer = f"rollout, adaptive, {usual_threads()} threads", f"1 thread: {_rate(_ROLLED_OUT, alone)}"
+    return [*rows, Row(f"{name}, N = {_ROLLED_OUT}", _rate(_ROLLED_OUT, times[0]), peer, *ratios(times[0], alone))]
+
+
+def _in_one_thread(run: Callable[[], object]) -> Callable[[], None]:
+    def alone() -> None:
+        told = os.environ.get("OMP_NUM_THREADS")
+        os.environ["OMP_NUM_THREADS"] = "1"
+        try:
+            run()
+        finally:
+            os.environ.pop("OMP_NUM_THREADS")
+            if told is not None:
+                os.environ["OMP_NUM_THREADS"] = told
+
+    return alone
 
 
 def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomization) -> Row:
