@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from baselines.tools.files import write_text
+from baselines.tools.files import read_text, write_text
 from baselines.tools.schema import in_a_line, loads
 from beltarm_env.rollout import Controller
 
@@ -91,8 +91,8 @@ def read_file(path: Path = FILE) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        entries = loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # not JSON, or not even text
+        entries = loads(read_text(path))
+    except (OSError, ValueError) as error:  # no regular file, not JSON, or not even text
         raise ValueError(f"{path} is damaged ({error}): restore it, or remove it and tune anew") from None
     whole = isinstance(entries, dict) and all(
         isinstance(entry, dict) and isinstance(entry.get("gains"), dict) for entry in entries.values()

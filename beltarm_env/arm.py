@@ -8,6 +8,7 @@ Plant        coefficients of the equations of motion, derived from a row
 from __future__ import annotations
 
 import math
+import sys
 from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -72,6 +73,8 @@ def checked_constant(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise TypeError(f"ArmParams.{name} must be a number, got {value!r}")
     low, high, above, whole = bounds_of(name)
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        raise ValueError(f"ArmParams.{name} must be finite, got a whole number that no float can hold")
     if not low <= value <= high or (above and value == low):
         if name in _BOUNDS:
             raise ValueError(f"ArmParams.{name} must be finite and lie within {low:g} and {high:g}, got {value!r}")

@@ -321,6 +321,11 @@ def _numbers(name: str, value: object) -> Floats:
         array = np.asarray(value)
     except ValueError:
         array = np.empty(0, dtype=object)
+    if array.dtype == object and array.size and all(type(entry) in (int, float) for entry in array.flat):
+        try:
+            return array.astype(np.float64)
+        except OverflowError:
+            raise ValueError(f"{name} must be finite, got a whole number that no float can hold") from None
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must consist of numbers, got {value!r}")
     return array.astype(np.float64)

@@ -145,9 +145,15 @@ def test_parameters_that_make_no_arm(name: str, value: float):
     refused(ValueError, (name, repr(value), "finite", allowed), lambda: ArmParams(**{name: value}))
 
 
-@pytest.mark.parametrize("value", [10**400, -(10**400)], ids=["huge", "hugely negative"])
+@pytest.mark.parametrize("value", [10**400, -(10**400), -(10**5000)], ids=["huge", "hugely negative", "beyond print"])
 def test_whole_numbers_that_no_float_can_hold(value: int):
     refused(ValueError, ("ArmParams.belt_stiffness", "finite"), lambda: ArmParams(belt_stiffness=value))
+    stiff, there = {"params": {"belt_stiffness": value}}, {"move": {"goal": [1.0, value]}}
+    refused(ValueError, ("belt_stiffness", "finite"), lambda: BeltArmEnv().reset(options=stiff))
+    refused(ValueError, ("goal", "finite"), lambda: BeltArmVectorEnv(2).reset(options=there))
+    refused(ValueError, ("state", "finite"), lambda: BeltArmEnv().reset(options={"state": [0, 0, value, 0]}))
+    if abs(value) > 10**4000:  # which Python does not print
+        return
     refused(ValueError, ("FlatGains.rest_width", "must lie within"), lambda: FlatGains(rest_width=value))
     refused(ValueError, ("PaperGains.angle", "must be finite"), lambda: PaperGains(angle=value))
     refused(
@@ -301,6 +307,18 @@ def test_a_refused_reset_leaves_a_running_episode_as_it_was(options: dict[str, A
     assert after == before
     env.step(np.ones(1, np.float32))
     envs.step(np.ones((2, 1), np.float32))
+
+
+@pytest.mark.parametrize("options", BAD_RESET, ids=str)
+def test_a_refused_reset_leaves_random_streams_as_they_were(options: dict[str, Any]):
+    envs, others = BeltArmVectorEnv(2), BeltArmVectorEnv(2)
+    for each in (envs, others):
+        each.reset(seed=0)
+    for seed in (None, 7, [8, None]):
+        with pytest.raises(ValueError):
+            envs.reset(seed=seed, options=options)
+    assert envs.reset()[0].tobytes() == others.reset()[0].tobytes()
+    assert envs.params == others.params
 
 
 @pytest.mark.parametrize("mask", [[True, False, True], np.ones(2, np.bool_), np.ones(3), True, None], ids=repr)

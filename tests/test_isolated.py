@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import stat
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -65,6 +67,26 @@ def test_what_hangs_is_ended(tmp_path: Path):
     refused(BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(partial(hang, tmp_path / "pid"), "tests", 0.5))
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def interfere(message: bytes, further: float) -> None:
+    """Write something into the connection over which results come, whichever file it is."""
+    for handle in range(3, 50):
+        with suppress(OSError):
+            if stat.S_ISSOCK(os.fstat(handle).st_mode):
+                os.write(handle, message)
+    time.sleep(further)
+
+
+def test_half_a_message_is_not_waited_for():
+    """It says that there are 64 bytes, of which five come."""
+    half = partial(interfere, (64).to_bytes(8, "big") + b"begun", 600)
+    refused(BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(half, "tests", 0.5))
+
+
+def test_a_message_that_is_none_is_a_failure():
+    nonsense = partial(interfere, (5).to_bytes(8, "big") + b"begun", 600)
+    refused(BrokenOff, ("wrote into it",), lambda: run_isolated(nonsense, "tests", 60))
 
 
 def test_results_and_errors_come_back():

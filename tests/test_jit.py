@@ -53,9 +53,19 @@ def run(toy: Path, **environment: str) -> list[str]:
     return done(toy, **environment).stdout.split()
 
 
-@pytest.mark.parametrize("elsewhere", [False, True], ids=["pycache", "cache-dir"])
-def test_an_edited_equation_is_never_run_in_its_old_form(elsewhere: bool, toy: Path, tmp_path: Path):
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
+CACHES = {
+    "pycache": {},
+    "cache-dir": {"NUMBA_CACHE_DIR": "cache"},
+    "generic": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+}
+
+
+@pytest.mark.parametrize("setting", CACHES)
+def test_an_edited_equation_is_never_run_in_its_old_form(
+    setting: str, toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    environment = CACHES[setting]
     assert run(toy, **environment) == ["2.0", "0"]
     assert run(toy, **environment) == ["2.0", "1"]  # from the cache
     law = toy / "laws" / "law.py"

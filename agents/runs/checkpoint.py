@@ -31,7 +31,7 @@ import torch
 from filelock import FileLock, Timeout
 
 from agents.runs.settings import RunConfig
-from baselines.tools.files import Unsealed, read_sealed, require_writable, write_sealed, write_text
+from baselines.tools.files import Unsealed, read_sealed, read_text, require_writable, write_sealed, write_text
 from baselines.tools.provenance import software
 from baselines.tools.schema import in_a_line, loads
 
@@ -131,7 +131,7 @@ class RunFolder:
         if not self.checkpoint.exists() and self._holds_a_run():
             raise FileNotFoundError(f"{self.folder} has no {CHECKPOINT} to go on from: choose another --out")
         try:
-            content = loads(self.config.read_text(encoding="utf-8"))
+            content = loads(read_text(self.config))
             before, options = content["identity"], dict(content["identity"]["options"])
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{self.config} is damaged ({in_a_line(repr(error))}): choose another --out") from None
@@ -227,7 +227,7 @@ class RunFolder:
     def _noted(self) -> Any:
         """Software that wrote config.json, or None."""
         try:
-            return loads(self.config.read_text(encoding="utf-8"))["written_by"]
+            return loads(read_text(self.config))["written_by"]
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

@@ -23,6 +23,7 @@ from baselines.engines.task import BrokenOff, Channel, Failure, attempt, portabl
 
 Result = TypeVar("Result")
 _POLL = 0.1  # [s]
+_SIZE, _AT_ONCE = 8, 1 << 20  # bytes that tell how many follow, and those that are read at once
 _LAST_WORDS = 1.0  # time that a process which has closed its connection has to end [s]
 
 
@@ -78,23 +79,41 @@ class _Process:
 
     def _receive(self, limit: float = float("inf")) -> Any:
         deadline = time.monotonic() + limit
-        while not self._connection.poll(_POLL):
-            if self._child.poll() is not None and not self._connection.poll():
-                raise BrokenOff(self._cause())
-            if time.monotonic() > deadline:
-                raise BrokenOff(f"it took longer than {limit:g} s, and was ended")
         try:
-            return self._connection.recv()
-        except (EOFError, OSError, pickle.UnpicklingError):
+            size = int.from_bytes(self._read(_SIZE, deadline), "big")
+            return pickle.loads(self._read(size, deadline))
+        except TimeoutError:
+            raise BrokenOff(f"it took longer than {limit:g} s, and was ended") from None
+        except Exception:  # what comes may be anything: somebody else's code has the handle too
             with suppress(subprocess.TimeoutExpired):
                 self._child.wait(_LAST_WORDS)
             raise BrokenOff(self._cause()) from None
+
+    def _read(self, count: int, deadline: float) -> bytes:
+        """Read so many bytes, of which some may come and the rest never.
+
+        Raises:
+            TimeoutError: If they do not come in time.
+            EOFError: If the process has ended, or closed the connection.
+        """
+        data = bytearray()
+        while len(data) < count:
+            if self._connection.poll(_POLL):
+                part = os.read(self._connection.fileno(), min(count - len(data), _AT_ONCE))
+                if not part:
+                    raise EOFError
+                data += part
+            elif self._child.poll() is not None and not self._connection.poll():
+                raise EOFError
+            if len(data) < count and time.monotonic() > deadline:
+                raise TimeoutError
+        return bytes(data)
 
     def _cause(self) -> str:
         """Why nothing came."""
         status = self._child.returncode
         if status is None:
-            return "its process closed the connection over which its results come"
+            return "its process closed the connection over which its results come, or wrote into it"
         if status >= 0:
             return f"its process ended with exit status {status} before it was done"
         name, memory = signal.strsignal(-status), ", for want of memory perhaps" if status == -signal.SIGKILL else ""
@@ -122,5 +141,12 @@ def serve(handle: int) -> None:
     with suppress(EOFError, OSError):
         while True:
             call = connection.recv()
-            connection.send("begun")
-            connection.send(portable(attempt(lambda _, call=call: call(), Channel())))
+            _send(handle, "begun")
+            _send(handle, portable(attempt(lambda _, call=call: call(), Channel())))
+
+
+def _send(handle: int, told: Any) -> None:
+    data = pickle.dumps(told)
+    left = memoryview(len(data).to_bytes(_SIZE, "big") + data)
+    while left:
+        left = left[os.write(handle, left) :]

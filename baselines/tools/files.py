@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 
 _MARK = b"sha256:"  # before the hash at the end of a file
+LARGEST = 1 << 34
+"""Bytes of the largest file that is read: more than any that was written here."""
 _ABANDONED = 3600.0  # age of a temporary file that nobody can be writing any more [s]
 
 
@@ -88,7 +90,7 @@ def read_sealed(path: Path) -> bytes:
         Unsealed: If there is no hash at its end, as in files of older versions.
         ValueError: If it is not what was written.
     """
-    whole = path.read_bytes()
+    whole = read_regular(path)
     data, seal = whole[: -len(sealed(b""))], whole[-len(sealed(b"")) :]
     if not seal.startswith(_MARK):
         raise Unsealed("it has no SHA-256 at its end: it is damaged, or of an older version")
@@ -160,7 +162,7 @@ def require_writable(folder: Path) -> None:
         raise OSError(f"cannot write to {folder}: {error.strerror or error}; choose another folder") from None
 
 
-def read_regular(path: Path, most: int) -> bytes:
+def read_regular(path: Path, most: int = LARGEST) -> bytes:
     """Read a file that others may have made: reading a device or a pipe need not come to an end.
 
     Args:
@@ -172,12 +174,23 @@ def read_regular(path: Path, most: int) -> bytes:
     """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with open(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):
             raise OSError(f"{path.name} is no regular file")
-        data = file.read(most + 1)
+        data = file.read(min(found.st_size, most) + 1)  # for which memory is set aside beforehand
     if len(data) > most:
         raise OSError(f"{path.name} has more than {most} bytes")
     return data
+
+
+def read_text(path: Path) -> str:
+    """Read a text file that others may have made, see `read_regular`.
+
+    Raises:
+        OSError: If it cannot be read, or is no regular file.
+        ValueError: If it is not text.
+    """
+    return read_regular(path).decode("utf-8")
 
 
 def sha256_of(path: Path) -> str:

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.tools.files import write_text
+from baselines.tools.files import read_text, write_text
 from baselines.tools.schema import loads
 from beltarm_env import ArmParams
 from eval.comparison.methods import Method
@@ -64,7 +64,7 @@ def measured_once(methods: Sequence[Method], folder: Path, *, fresh: bool = Fals
 def _read(path: Path) -> dict[str, dict[str, Any]]:
     """Times that are kept, by method; those of a damaged file, or damaged in it, are measured anew."""
     try:
-        content = loads(path.read_text(encoding="utf-8"))
+        content = loads(read_text(path))
         return {name: entry for name, entry in content.items() if _LONGEST >= entry["p99"] >= entry["p50"] > 0}
     except (OSError, ValueError, AttributeError, KeyError, TypeError):
         return {}

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tools.files import write_text
+from baselines.tools.files import read_text, write_text
 from baselines.tools.provenance import last_commit_of
 from baselines.tools.schema import in_a_line, loads
 from beltarm_env.arm import FIELDS, NOMINAL, params_columns
@@ -165,7 +165,7 @@ def load(path: Path) -> ScenarioSet:
 def _read(path: Path, name: str, remedy: str) -> dict[str, Any]:
     """Content of the file of a set, of this version and as it was written."""
     try:
-        content = loads(path.read_text(encoding="utf-8"))
+        content = loads(read_text(path))
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read ({in_a_line(error)}): {remedy}") from None
     if not isinstance(content, dict) or content.get("format") != FORMATS[name]:

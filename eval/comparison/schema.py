@@ -39,7 +39,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from baselines.tools.files import write_atomically, write_text
+from baselines.tools.files import read_text, write_atomically, write_text
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, in_a_line, list_of, loads, mapping_of, object_of
 from baselines.tools.schema import check as check_by
 from beltarm_env.metrics import SHOWN
@@ -246,7 +246,7 @@ def require_same_set(path: Path, wanted: SetLabel, timed: bool = False) -> None:
 def _of_this_version(path: Path) -> Any:
     """Read a `results.json` of this edition and version; NaN and infinities become text, which the schema refuses."""
     try:
-        content = loads(path.read_text(encoding="utf-8"), parse_constant=str)
+        content = loads(read_text(path), parse_constant=str)
         found = content.get("edition", 1), content["version"]  # the first edition did not say that it was one
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} cannot be read ({in_a_line(error)}): remove it, or choose another folder") from None

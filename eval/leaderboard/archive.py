@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+from baselines.tools.files import read_regular
 from baselines.tools.schema import in_a_line
 
 MAX_FILES, MAX_BYTES = 200, 10_000_000
@@ -83,7 +84,7 @@ def read_archive(path: Path) -> dict[str, bytes]:
     """
     try:
         require_size(path.stat().st_size, path.name)
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(read_regular(path))) as archive:
             members = archive.infolist()
             for member in members:
                 _require_regular(member, path.name)

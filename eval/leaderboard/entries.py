@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from baselines.tools.files import sha256_of, write_atomically, write_text
+from baselines.tools.files import read_text, sha256_of, write_atomically, write_text
 from baselines.tools.provenance import commit, software
 from baselines.tools.schema import check, loads
 from eval.comparison.scenarios import choose_set
@@ -154,7 +154,7 @@ def read_entries(folder: Path, rules: Rules | None = None) -> list[Entry]:
 
 def _entry(path: Path, rules: Rules) -> Entry:
     try:
-        record = loads(path.read_text(encoding="utf-8"), parse_constant=str)
+        record = loads(read_text(path), parse_constant=str)
     except ValueError as error:
         raise ValueError(f"{path} is damaged ({error}): verify its archive again") from None
     check(record, path.name, _SCHEMA)

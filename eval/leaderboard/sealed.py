@@ -19,7 +19,7 @@ import secrets
 from pathlib import Path
 from typing import Any
 
-from baselines.tools.files import write_text
+from baselines.tools.files import read_text, write_text
 from baselines.tools.schema import check, loads
 from beltarm_env.task.seeds import DEVELOPMENT, sealed_arms
 from beltarm_env.task.seeds import SEALED as RANGE
@@ -84,7 +84,7 @@ def read(path: Path = FILE) -> dict[str, Any]:
         ValueError: If the file is damaged.
     """
     try:
-        content = loads(path.read_text(encoding="utf-8"))
+        content = loads(read_text(path))
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read ({error}): restore it from the repository") from None
     check(content, str(path), _SCHEMA)

@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,14 @@ class Recurses(Sound):
 class ClosesFiles(Sound):
     def mischief(self, torque: Any, observation: Any) -> Any:
         os.closerange(0, 100)
+
+
+class Interferes(Sound):
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        for handle in range(3, 100):
+            with suppress(OSError):
+                os.write(handle, bytes(7) + b"\x40begun")
+        time.sleep(1e6)
 
 
 class Unpicklable(Sound):

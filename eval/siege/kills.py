@@ -33,7 +33,7 @@ from eval.siege.subjects import SUBJECTS, Subject, differences
 _LONGEST = 120.0  # that a child may take [s]
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.symlink", "os.truncate")
 _HALF = 400  # largest number of bytes after which a write is cut [bytes]
-_MOST = 150  # events of one subject, in a whole siege
+_TROUBLES = 1.2  # per event, in a whole siege
 _WORKERS = 2
 _SMALL = 0.05  # share up to which one subject has to do, which the seed chooses
 _DAY = 86400.0  # [s]
@@ -56,7 +56,7 @@ def besiege(share: float, seed: int) -> Siege:
     """Get trainings, a comparison and a search for gains into trouble at events in the file system, and go on.
 
     Args:
-        share: Of a whole siege, which has 120 events of each subject, evenly spread.
+        share: Of a whole siege, which has a trouble at every event of each subject, and at some of them two.
         seed: Chooses events, kinds of trouble, and how much of a file a cut write leaves.
     """
     blind = "power cuts, after which a disk may lack what was written last, and more than two troubles of one run"
@@ -94,7 +94,7 @@ def attack(subject: Subject, share: float, seed: int) -> tuple[int, list[str]]:
         if whole.words:
             return 0, [f"{subject.name} without trouble: {whole.words}"]
         wanted, events = subject.meaning(folder), len(whole.events)
-        chosen = max(1, round(share * min(events, _MOST)))
+        chosen = max(1, round(share * _TROUBLES * events))
         for at in (int((k + rng.random()) * events / chosen) for k in range(chosen)):
             kind = str(rng.choice(list(_LIKELY), p=list(_LIKELY.values())))
             kind = "killed" if kind == "cut" and whole.events[at] != "open" else kind
