@@ -15,7 +15,7 @@ from eval.siege.files import damage, guided
 from eval.siege.files.readers import READERS, Reader
 from eval.siege.report import Siege
 
-INPUTS, GUIDED = 950_000, 50_000
+INPUTS, GUIDED = 230_000, 20_000
 """Of a whole siege: drawn at random, and guided by the coverage that they reach."""
 _LONGEST_MESSAGE = 300
 _LONGEST = 2.0  # that an input may take of the processor's time [s]
