@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import tempfile
 import time
-from contextlib import suppress
 from pathlib import Path
 from random import Random
 
@@ -94,7 +93,7 @@ class Target:
 
 def _misread(reader: Reader, meaning: object, fits: bool, folder: str) -> str:
     """Words for what is wrong with how files are read; empty if nothing is."""
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         found = reader.read()
         words = "" if fits or found is None or found == meaning else "is accepted with another meaning"
@@ -104,17 +103,8 @@ def _misread(reader: Reader, meaning: object, fits: bool, folder: str) -> str:
         words = words or ("" if message.isprintable() else f"a message that is no line: {message!r}")
     except Exception as error:
         words = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-    if not words and time.perf_counter() - began > _LONGEST and (took := _processor_time(reader)) > _LONGEST:
-        words = f"takes {took:.1f} s"
-    return words
-
-
-def _processor_time(reader: Reader) -> float:
-    """Processor's time that reading once more takes [s]: to ask for it takes as long as to read a small file."""
-    began = time.process_time()
-    with suppress(Exception):
-        reader.read()
-    return time.process_time() - began
+    took = time.process_time() - began
+    return words or (f"takes {took:.1f} s" if took > _LONGEST else "")
 
 
 def _changed(folder: Path, given: dict[str, bytes], removes: bool) -> str:
