@@ -89,6 +89,13 @@ def test_a_message_that_is_none_is_a_failure():
     refused(BrokenOff, ("wrote into it",), lambda: run_isolated(nonsense, "tests", 60))
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
+def test_who_takes_all_memory_is_ended_before_who_waits_for_it():
+    score = Path("/proc/self/oom_score_adj")
+    assert run_isolated(score.read_text, "tests", 60) == "1000\n"
+    assert score.read_text() != "1000\n"
+
+
 def test_results_and_errors_come_back():
     assert run_isolated(partial(divmod, 7, 2), "tests", 60) == (3, 1)
     refused(ZeroDivisionError, ("by zero",), lambda: run_isolated(partial(divmod, 7, 0), "tests", 60))

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, TypeVar
 
 from baselines.engines.local_pool import end_with_parent
@@ -137,6 +138,8 @@ _kept: _Process | None = None
 def serve(handle: int) -> None:
     """Run calls that come over a connection, one after the other, as long as there is somebody at its other end."""
     end_with_parent()
+    with suppress(OSError):  # on Linux: who takes all memory is ended first, not the comparison
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
     connection = Connection(handle)
     with suppress(EOFError, OSError):
         while True:

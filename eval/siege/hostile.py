@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import random
+import resource
 import signal
 import socket
 import sys
@@ -78,6 +79,17 @@ class Forks(Sound):
 class TakesMemory(Sound):
     def mischief(self, torque: Any, observation: Any) -> Any:
         return np.ones((1 << 40,))
+
+
+class Leaks(Sound):
+    """Takes more and more memory, within a limit of its own that spares the machine."""
+
+    def mischief(self, torque: Any, observation: Any) -> Any:
+        size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 29), resource.RLIM_INFINITY))
+        leak = []
+        while True:
+            leak.append(bytearray(1 << 16))
 
 
 class NotNumbers(Sound):
