@@ -3,8 +3,10 @@
 import copy
 import multiprocessing
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -62,6 +64,46 @@ def test_a_copy_and_a_forked_process_go_on():
     assert played(copy.deepcopy(env)) == alone
     with multiprocessing.get_context("fork").Pool(1) as pool:
         assert pool.apply_async(played, (env,)).get(timeout=60) == alone
+
+
+def test_what_another_thread_raises_is_raised_here_once_all_are_done():
+    begun, done = Event(), list[int]()
+
+    def work(thread: int) -> None:
+        if thread == 0:
+            assert begun.wait(60)
+            raise KeyError("of this thread")
+        begun.set()
+        time.sleep(0.05)
+        done.append(thread)
+        raise ValueError(f"of thread {thread}")
+
+    with pytest.raises(KeyError, match="of this thread"):
+        threads.in_threads(work, 2)
+    assert done == [1], "nobody works on while the caller goes on"
+    begun.clear()
+    with pytest.raises(ValueError, match="of thread 1"):
+        threads.in_threads(lambda thread: work(thread) if thread else begun.wait(60), 2)
+    threads.in_threads(lambda thread: done.append(thread), 1)
+    assert done == [1, 1, 0]
+
+
+def test_a_thread_that_is_late_finds_nothing_left():
+    begun, over, done = Event(), Event(), list[int]()
+
+    def occupy(thread: int) -> None:
+        if thread:
+            begun.set()
+        (over if thread else begun).wait(60)
+
+    with ThreadPoolExecutor(1) as pool:
+        occupied = pool.submit(threads.in_threads, occupy, 2)
+        assert begun.wait(60)
+        threads.in_threads(done.append, 2)
+        over.set()
+        occupied.result()
+    threads.in_threads(lambda thread: over.wait(60), 2)
+    assert done == [0], "its share is not waited for, and not begun later"
 
 
 def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from queue import SimpleQueue
+from threading import Lock, Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -46,18 +47,23 @@ def threads_for(blocks: int, built: bool, most: int) -> int:
     return min(most, max(1, blocks // (LEAST_BUILT_BLOCKS if built else LEAST_BLOCKS)))
 
 
-def in_threads(work: Callable[[int], None], threads: int) -> None:
+def in_threads(work: Callable[[int], object], threads: int) -> None:
     """Call a function in several threads, this one among them.
 
     Args:
         work: Called with the index of a thread; it ends when nothing is left to do, also for the others.
         threads: Their number.
     """
-    others = [_threads(os.getpid()).submit(work, thread) for thread in range(1, threads)]
-    work(0)
-    for other in others:
-        if not other.cancel():  # one that has not begun has nothing left to do
-            other.result()
+    shares = [_Share(work, thread) for thread in range(1, threads)]
+    for share in shares:
+        _inbox(os.getpid(), share.thread).put(share)
+    try:
+        work(0)
+    finally:
+        errors = [share.end() for share in shares]
+    for error in errors:
+        if error is not None:
+            raise error
 
 
 def each_in_threads(work: Callable[[Item], object], items: Sequence[Item]) -> None:
@@ -71,10 +77,41 @@ def each_in_threads(work: Callable[[Item], object], items: Sequence[Item]) -> No
     in_threads(work_off, min(usual_threads(), max(len(items), 1)))
 
 
+class _Share:
+    """What one of the other threads does of a call; to hand it over takes less than a future of Python's library."""
+
+    def __init__(self, work: Callable[[int], object], thread: int) -> None:
+        self.thread = thread
+        self._work = work
+        self._turn = Lock()  # taken by the thread that begins, or by who has nothing left for it to do
+        self._ended: SimpleQueue[BaseException | None] = SimpleQueue()
+
+    def do(self) -> None:
+        """Do it, in the other thread."""
+        if self._turn.acquire(blocking=False):
+            try:
+                self._work(self.thread)
+            except BaseException as error:
+                self._ended.put(error)
+            else:
+                self._ended.put(None)
+
+    def end(self) -> BaseException | None:
+        """Wait until the other thread is done, if it has begun; return what it raised."""
+        return None if self._turn.acquire(blocking=False) else self._ended.get()
+
+
 @cache
-def _threads(_process: int) -> ThreadPoolExecutor:
-    """Threads of this process; one that was forked from it has none of them."""
-    return ThreadPoolExecutor(MAX_THREADS, thread_name_prefix="beltarm")
+def _inbox(_process: int, thread: int) -> SimpleQueue[_Share]:
+    """Where a thread of this process finds its work; one that was forked from it has none of its threads."""
+    inbox: SimpleQueue[_Share] = SimpleQueue()
+    Thread(target=_work_off, args=(inbox,), name=f"beltarm-{thread}", daemon=True).start()
+    return inbox
+
+
+def _work_off(inbox: SimpleQueue[_Share]) -> None:
+    while True:
+        inbox.get().do()
 
 
 @inlined
