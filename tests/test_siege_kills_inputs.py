@@ -55,7 +55,7 @@ def test_kills_find_what_does_not_survive_them(run: Callable[[Path], None], word
 
 
 def test_damaged_files_are_refused():
-    siege = inputs.besiege(5e-4, 0)
+    siege = inputs.besiege(1e-4, 0)
     assert siege.found == [] and siege.count >= 100
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 
+from eval.siege.files.damage import scratch
 from eval.siege.report import Siege
 
 INSTRUMENTED = (
@@ -66,7 +66,7 @@ def add(siege: Siege, name: str, seed: int, inputs: int) -> None:
         return
     code = f"from {__name__} import look; look({name!r}, {seed % 2**31 + 1}, {inputs})"
     command = [sys.executable, "-c", code]
-    with tempfile.TemporaryDirectory() as folder:  # atheris leaves what crashed it in the current one
+    with scratch() as folder:  # atheris ends its process without coming back, and leaves all that is there
         done = subprocess.run(
             command,
             cwd=folder,
@@ -85,20 +85,24 @@ def add(siege: Siege, name: str, seed: int, inputs: int) -> None:
 
 
 def look(name: str, seed: int, count: int) -> None:
-    """Let atheris look for inputs of a reader, and print those that break a promise in a way not seen before."""
+    """Let atheris look for inputs of a reader, and print those that break a promise in a way not seen before.
+
+    Files are made in the current folder, and left there: atheris ends the process.
+    """
     atheris = import_module("atheris")  # untyped, and not everywhere
     with atheris.instrument_imports(include=list(INSTRUMENTED)):
         from eval.siege.files.inputs import Target
     known: set[str] = set()
-    with tempfile.TemporaryDirectory() as folder:
-        target = Target(name, Path(folder))
+    folder = Path("files").resolve()
+    folder.mkdir()
+    target = Target(name, folder)
 
-        def read(data: bytes) -> None:
-            words = target.broken(Choices(data))
-            if words and words not in known:
-                known.add(words)
-                print(f"{_FOUND}eval.siege.files.inputs.again_by({name!r}, {data.hex()!r}): {words}", flush=True)
+    def read(data: bytes) -> None:
+        words = target.broken(Choices(data))
+        if words and words not in known:
+            known.add(words)
+            print(f"{_FOUND}eval.siege.files.inputs.again_by({name!r}, {data.hex()!r}): {words}", flush=True)
 
-        options = (f"-seed={seed}", f"-runs={count}", f"-max_len={_LENGTH}", "-len_control=0")
-        atheris.Setup([sys.argv[0], *options], read)
-        atheris.Fuzz()
+    options = (f"-seed={seed}", f"-runs={count}", f"-max_len={_LENGTH}", "-len_control=0")
+    atheris.Setup([sys.argv[0], *options], read)
+    atheris.Fuzz()

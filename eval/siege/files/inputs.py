@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 from random import Random
@@ -14,7 +13,7 @@ from eval.siege.files import damage, guided
 from eval.siege.files.readers import READERS, Reader
 from eval.siege.report import Siege
 
-INPUTS, GUIDED = 230_000, 20_000
+INPUTS, GUIDED = 980_000, 20_000
 """Of a whole siege: drawn at random, and guided by the coverage that they reach."""
 _LONGEST_MESSAGE = 300
 _LONGEST = 2.0  # that an input may take of the processor's time [s]
@@ -35,7 +34,7 @@ def besiege(share: float, seed: int) -> Siege:
     blind += "" if guided.installed() else "; and, for want of atheris, what coverage would have led to"
     siege = Siege("inputs", "inputs", blind)
     for name in READERS:
-        with tempfile.TemporaryDirectory() as folder:
+        with damage.scratch() as folder:
             target = Target(name, Path(folder))
             for number in range(round(share * INPUTS / len(READERS)) + 1):
                 siege.count += 1
@@ -53,13 +52,13 @@ def again(name: str, seed: int, number: int) -> str:
         seed: Of the siege.
         number: Of the input.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with damage.scratch() as folder:
         return Target(name, Path(folder)).broken(_drawn(name, seed, number))
 
 
 def again_by(name: str, choices: str) -> str:
     """Read one guided input again, see `again`, by its choices in hexadecimal digits."""
-    with tempfile.TemporaryDirectory() as folder:
+    with damage.scratch() as folder:
         return Target(name, Path(folder)).broken(guided.Choices(bytes.fromhex(choices)))
 
 
