@@ -25,13 +25,14 @@ several processes that want one which it lacks, one compiles, and the others wai
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import multiprocessing
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, cast
@@ -57,6 +58,7 @@ except ImportError:  # Windows, where all of them compile
 
 ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
 _OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
+_SELDOM = 100_000, 50, 100  # objects made until cycles are looked for, and how much less often among older ones
 _WIDEST = '"prefer-vector-width"="512"'
 _PLAIN = bool(getattr(config, "DISABLE_JIT", 0))
 _P = ParamSpec("_P")
@@ -130,7 +132,8 @@ class _Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """Return machine code for arguments of some types, from the cache or compiled."""
         try:
-            return super().compile(sig)
+            with _collecting_seldom():
+                return super().compile(sig)
         except NumbaError as error:
             if not self._counts:
                 error.add_note("A kernel that makes arrays, or raises exceptions with values, is marked `allocating`.")
@@ -145,6 +148,20 @@ class _Kernel(CPUDispatcher):
     @property
     def _numba_type_(self) -> Any:
         return self._parts.for_caller()._numba_type_
+
+
+@contextmanager
+def _collecting_seldom() -> Iterator[None]:
+    """Let Python look for cycles of objects less often: it took a tenth of the time that a kernel is compiled in."""
+    before = gc.get_threshold()
+    if before == _SELDOM:  # another thread compiles, and sets it back
+        yield
+        return
+    gc.set_threshold(*_SELDOM)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 class _Allocating(_Kernel):

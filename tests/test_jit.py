@@ -113,6 +113,20 @@ def test_a_cached_kernel_is_loaded_without_the_compiler(toy: Path):
     assert [done(toy, code).stdout.split() for _ in range(2)] == [["2.0", "True"], ["2.0", "False"]]
 
 
+def test_compiling_leaves_the_collector_of_garbage_as_it_was(toy: Path):
+    code = """
+import gc; gc.set_threshold(321, 5, 6)
+from contextlib import suppress
+from numba.core.errors import NumbaError
+from toy.kernel import torque
+for speed in (2.0, "fast"):
+    with suppress(NumbaError):
+        torque(speed)
+    print(*gc.get_threshold())
+"""
+    assert done(toy, code).stdout == "321 5 6\n" * 2
+
+
 REFUSING = "from toy.jit import inlined\n\n@inlined\ndef friction(speed):\n    if speed < 0.0:\n        raise ValueError('backwards', speed)\n    return speed\n"  # noqa: E501
 TRIED = """
 from toy.kernel import torque
