@@ -84,7 +84,7 @@ def read_archive(path: Path) -> dict[str, bytes]:
     """
     try:
         require_size(path.stat().st_size, path.name)
-        with zipfile.ZipFile(io.BytesIO(read_regular(path))) as archive:
+        with zipfile.ZipFile(io.BytesIO(read_regular(path, MAX_BYTES))) as archive:
             members = archive.infolist()
             for member in members:
                 _require_regular(member, path.name)
