@@ -60,12 +60,14 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
 
 
-# The environments truncate, and refuse to step before reset, by themselves: no wrapper has to do it at every step.
+# The environments truncate, refuse to step before reset, and keep Gymnasium's rules (its checker is among the tests) by
+# themselves: no wrapper has to see to it at every step.
 gym.register(
     id="BeltArm-v0",
     entry_point="beltarm_env.env:BeltArmEnv",
     vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
     order_enforce=False,
+    disable_env_checker=True,
 )
 if find_spec("mujoco") is not None:
     gym.register(
@@ -73,5 +75,6 @@ if find_spec("mujoco") is not None:
         entry_point="beltarm_env.env:BeltArmEnv",
         vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
         order_enforce=False,
+        disable_env_checker=True,
         kwargs={"model": "mujoco"},
     )

@@ -26,7 +26,7 @@ from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 
 _ARM = np.array([0])
-_SINGLE = np.dtype(np.float32)
+_array, _empty, _SINGLE = np.ndarray, np.empty, np.dtype(np.float32)  # looked up here, not at every step
 _HUGE = 1e300  # comparing with it is the quickest way to tell a finite number
 
 
@@ -160,11 +160,12 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self.render_mode = render_mode
+        self._shows = render_mode == "human"
         self.sensors = sensors
         self._size = observation.size(sensors)
         self._ready = False  # reset at least once
         self._running = False  # within an episode
-        self._step_arm: Callable[..., Any] | None = None  # for the drive of this episode's arm
+        self._step_arm: Callable[..., Any] | None = None  # for the drive of the arm of the episode that runs
         self._renderer = None
 
     def reset(
@@ -190,7 +191,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self._batch.observe(result)
         if self._renderer is not None:
             self._renderer.clear()
-        if self.render_mode == "human":
+        if self._shows:
             self.render()
         return result[0], {}
 
@@ -204,17 +205,12 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             ResetNeeded: Before the first reset, or after the episode's end.
             ValueError: If the action has another shape or is not finite.
         """
-        if not self._running:
-            raise ResetNeeded("no episode is running: call reset() before step()")
-        usual = type(action) is np.ndarray and action.dtype is _SINGLE and action.shape == (1,)
+        step_arm = self._step_arm or self._prepared()
+        usual = type(action) is _array and action.dtype is _SINGLE and action.ndim == 1 == len(action)
         fraction: float = action.item() if usual else _as_action(action).item()
         if not -_HUGE < fraction < _HUGE:
             raise ValueError(f"action must be finite, got {action!r}")
-        result = np.empty(self._size, _SINGLE)
-        batch = self._batch
-        if batch.engine is not None:
-            batch.advance_in_engine(np.array([fraction], np.float64))
-        step_arm = self._step_arm or self._prepared()
+        result = _empty(self._size, _SINGLE)
         reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(fraction, result)
         info: dict[str, Any] = {
             "tip_error": error,
@@ -223,19 +219,27 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             "cost_torque_rate": torque_rate,
         }
         if terminated or truncated:
-            self._running = False
-            totals = batch.totals(_ARM, np.array([terminated]))
+            self._running, self._step_arm = False, None
+            totals = self._batch.totals(_ARM, np.array([terminated]))
             info.update(zip(TOTALS, totals[:, 0].tolist(), strict=True))
-        if self.render_mode == "human":
+        if self._shows:
             self.render()
         return result, reward, terminated, truncated, info
 
     def _prepared(self) -> Callable[..., Any]:
-        """Prepare the kernel for the steps of an episode: what is the same in all of them is given once."""
+        """Prepare the kernel for the steps of the episode that runs: what is the same in all of them is given once."""
+        if not self._running:
+            raise ResetNeeded("no episode is running: call reset() before step()")
         batch = self._batch
         settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
         same = batch.blocks, batch.scratch, batch.tile, *settings
-        self._step_arm = partial(code_for(step_arm, *same, 0.0, np.empty(self._size, np.float32)), *same)
+        observed = partial(code_for(step_arm, *same, 0.0, np.empty(self._size, np.float32)), *same)
+
+        def moved_by_engine(fraction: float, result: Singles) -> Any:
+            batch.advance_in_engine(np.array([fraction]))
+            return observed(fraction, result)
+
+        self._step_arm = observed if batch.engine is None else moved_by_engine
         return self._step_arm
 
     def __getstate__(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env as gymnasium_check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from gymnasium.wrappers import PassiveEnvChecker
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
@@ -70,6 +71,12 @@ def test_name_with_module_makes_the_same_environment():
     wrapped = gym.make("beltarm_env:BeltArm-v0")
     assert isinstance(wrapped.unwrapped, BeltArmEnv)
     assert play(wrapped, torques(50), seed=1) == play(make(), torques(50), seed=1)
+
+
+def test_no_wrapper_is_in_the_way_of_a_step_unless_asked_for():
+    env = gym.make("BeltArm-v0")
+    assert env.unwrapped is env
+    assert isinstance(gym.make("BeltArm-v0", disable_env_checker=False), PassiveEnvChecker)
 
 
 # What a step returns
