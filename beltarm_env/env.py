@@ -160,7 +160,6 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self.render_mode = render_mode
-        self._shows = render_mode == "human"
         self.sensors = sensors
         self._size = observation.size(sensors)
         self._ready = False  # reset at least once
@@ -191,7 +190,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self._batch.observe(result)
         if self._renderer is not None:
             self._renderer.clear()
-        if self._shows:
+        if self.render_mode == "human":
             self.render()
         return result[0], {}
 
@@ -222,7 +221,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             self._running, self._step_arm = False, None
             totals = self._batch.totals(_ARM, np.array([terminated]))
             info.update(zip(TOTALS, totals[:, 0].tolist(), strict=True))
-        if self._shows:
+        if self.render_mode == "human":
             self.render()
         return result, reward, terminated, truncated, info
 

@@ -48,7 +48,7 @@ def advance_block(block: Floats, work: Floats, actions: Floats, count: int, mode
         for _ in range(MAX_MODE_CHANGES):
             if pending == 0:
                 break
-            _step_past_mode_change(work, _pad(work, pending, count), model)
+            _step_past_mode_change(work, _pad(work, pending), model)
             pending = _put_back_finished(block, work, pending, model)
         for i in range(pending):
             _put_back(block, work, i)
@@ -109,9 +109,9 @@ def _gather_unfinished(block: Floats, work: Floats, count: int) -> int:
 
 
 @compiled
-def _pad(work: Floats, pending: int, count: int) -> int:
-    """Fill up with copies of the first arm to whole vectors, unless there is only one arm."""
-    padded = whole_vectors(pending) if count > 1 else pending
+def _pad(work: Floats, pending: int) -> int:
+    """Fill up with copies of the first arm to whole vectors."""
+    padded = whole_vectors(pending)
     for i in range(pending, padded):
         for row in range(at.KINEMATICS):
             work[row * LANES + i] = work[row * LANES]

@@ -65,7 +65,7 @@ def take_pieces(block: Floats, work: Floats, count: int, model: Model) -> None:
     for _ in range(MOST_STEPS):
         if pending == 0:
             break
-        _step(work, _pad(work, pending, count), model)
+        _step(work, _pad(work, pending), model)
         _cut_at_exits(work, pending)
         pending = _put_back_finished(block, work, pending)
 
@@ -196,9 +196,9 @@ def _put_back_finished(block: Floats, work: Floats, count: int) -> int:
 
 
 @compiled
-def _pad(work: Floats, pending: int, count: int) -> int:
-    """Fill up with copies of the first arm to whole vectors, unless there is only one arm."""
-    padded = whole_vectors(pending) if count > 1 else pending
+def _pad(work: Floats, pending: int) -> int:
+    """Fill up with copies of the first arm to whole vectors."""
+    padded = whole_vectors(pending)
     for i in range(pending, padded):
         _copy(work, 0, i)
     return padded

@@ -104,8 +104,11 @@ def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64
 
 @inlined
 def whole_vectors(count: int) -> int:
-    """Return so many lanes that they fill whole vectors: what is left over would be stepped one by one."""
-    return -(-count // _VECTOR) * _VECTOR
+    """Return so many lanes that they fill whole vectors: what is left over would be stepped one by one.
+
+    A single arm is, which takes less time than to fill a vector with its copies.
+    """
+    return count if count == 1 else -(-count // _VECTOR) * _VECTOR
 
 
 @inlined
