@@ -148,7 +148,15 @@ def run(config: Config) -> None:
                 computing_time=config.computing_time,
                 done=done,
             )
-        shown = publish(comparison, scenarios.splits, config.out, console, maps=config.maps, verbose=config.verbose)
+        shown = publish(
+            comparison,
+            scenarios.splits,
+            config.out,
+            console,
+            maps=config.maps,
+            verbose=config.verbose,
+            jobs=config.jobs,
+        )
         failures = shown.failures
     for failure in failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)

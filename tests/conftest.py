@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import os
 import signal
@@ -16,6 +17,8 @@ import pytest
 from hypothesis import seed, settings
 
 from beltarm_env import jit
+
+gc.disable()  # until tests run: to look for garbage among all that collection makes takes a quarter of its time
 
 settings.load_profile("suite")
 assert properties.FUZZ != settings.get_current_profile_name()
@@ -60,6 +63,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--slow") and not any("::" in word for word in config.args):
         config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("slow")])
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage from here on, but not among what all tests share."""
+    gc.freeze()
+    gc.enable()
 
 
 signal.signal(signal.SIGINT, signal.default_int_handler)

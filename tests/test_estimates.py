@@ -10,7 +10,9 @@ from scipy.stats import trim_mean
 
 from eval.comparison.estimates import (
     RESAMPLES,
+    all_paired,
     estimate,
+    estimates,
     holm,
     interquartile_mean,
     paired,
@@ -119,7 +121,34 @@ def test_intervals_over_seeds_cover_the_truth():
     assert hits >= 50  # 57 expected of 60; fewer than 50 has a probability below 1e-3
 
 
+@pytest.mark.parametrize(("seeds", "mean"), [(1, False), (3, False), (1, True), (3, True)])
+def test_several_tables_are_estimated_as_each_is_by_itself(seeds: int, mean: bool):
+    tables = np.random.default_rng(seeds).normal(size=(4, seeds, 30))
+    tables[2] = 1.5
+    before = tables.copy()
+    assert estimates(tables, mean) == [estimate(table, mean) for table in tables]
+    assert np.array_equal(resampled(tables, mean)[1], resampled(tables[1], mean))
+    assert np.array_equal(tables, before), "nothing is sorted in its place"
+
+
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_samples_are_those_of_a_bootstrap_by_definition(seeds: int):
+    values, rng = np.random.default_rng(seeds).normal(size=(seeds, 20)), np.random.default_rng(0)
+    scenarios = rng.integers(0, 20, (RESAMPLES, 20))
+    runs = rng.integers(0, seeds, (RESAMPLES, seeds)) if seeds > 1 else np.zeros((RESAMPLES, 1), int)
+    for k in range(0, RESAMPLES, 100):
+        assert resampled(values)[k] == interquartile_mean(values[runs[k]][:, scenarios[k]])
+
+
 # Paired comparisons
+
+
+def test_several_pairs_are_compared_as_each_is_by_itself():
+    rng = np.random.default_rng(8)
+    tables = [(rng.normal(size=(seeds, 25)), rng.normal(size=(1, 25))) for seeds in (2, 1, 1, 2)]
+    tables.append((tables[1][1], tables[1][1]))
+    assert all_paired(tables) == [paired(*both) for both in tables]
+    assert all_paired([]) == []
 
 
 def test_paired_by_hand():

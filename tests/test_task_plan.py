@@ -1,5 +1,7 @@
 """Plans for the task's own cost, and plans made anew."""
 
+from dataclasses import astuple
+
 import numpy as np
 
 from baselines.planning.plan import Plans, Weights, plan_cost, planned_torque, replanned
@@ -107,6 +109,21 @@ class TestReplanning:
     def test_first_plan_is_that_of_the_tasks_cost(self):
         before, after = simulated_costs(self.begun(0).plans), simulated_costs(self.begun().plans)
         assert (after < 0.97 * before).all(), (before, after)
+
+    def test_arms_that_begin_alike_share_a_plan(self):
+        """One whose command acts later, or that begins no episode, has another."""
+        nothing, now = np.zeros((6, 1)), self.situation(0, np.zeros((3, 1)))
+        twice = Situation(*(np.concatenate([part, part]) for part in astuple(now)))
+        twice.time[4] += 0.1
+        begins = np.array([True, True, True, True, True, False])
+        plans = PlanCache.empty(nothing).begun(begins, twice, WEIGHTS).plans
+        assert plans[3] is plans[0] and plans[4] is not plans[1] and plans[5].size == 0
+        for plan, alone in zip(plans[:3], self.begun().plans, strict=True):
+            assert plan.tobytes() == alone.tobytes()
+        later = self.situation(0, np.zeros((3, 1)))
+        later.time[1] += 0.1
+        expected = PlanCache.empty(np.zeros((3, 1))).begun(ALL, later, WEIGHTS).plans[1]
+        assert plans[4].tobytes() == expected.tobytes() != plans[1].tobytes()
 
     def test_plans_are_made_anew_where_the_arm_is_another(self):
         before = self.begun()

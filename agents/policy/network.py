@@ -26,6 +26,7 @@ from beltarm_env.kernels.threads import in_threads, take_block, usual_threads
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LEAST = 32  # rows for which it pays to wake a thread
+_TERMS = 4  # of a sum at once
 _LANES = 16  # numbers that a processor takes at once at most: rows begin at multiples of them, to be read faster
 _FEEDFORWARD, _GRU, _LSTM = range(3)
 _TANH, _RELU, _ELU = (ACTIVATIONS.index(name) for name in ("tanh", "relu", "elu"))
@@ -165,7 +166,16 @@ def _affine(inputs: Singles, size: int, weights: Singles, start: int, outputs: S
     for r in range(rows):
         for j in range(width):
             outputs[r, j] = bias[j]
-    for k in range(size):
+    whole = size - size % _TERMS
+    for k in range(0, whole, _TERMS):  # several terms at once, since a sum is read and written for each
+        first = start + k * width
+        w0, w1 = weights[first : first + width], weights[first + width : first + 2 * width]
+        w2, w3 = weights[first + 2 * width : first + 3 * width], weights[first + 3 * width : first + 4 * width]
+        for r in range(rows):
+            x0, x1, x2, x3 = inputs[r, k], inputs[r, k + 1], inputs[r, k + 2], inputs[r, k + 3]
+            for j in range(width):
+                outputs[r, j] = outputs[r, j] + w0[j] * x0 + w1[j] * x1 + w2[j] * x2 + w3[j] * x3
+    for k in range(whole, size):
         row = weights[start + k * width : start + (k + 1) * width]
         for r in range(rows):
             factor = inputs[r, k]

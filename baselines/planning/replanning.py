@@ -95,7 +95,7 @@ class PlanCache:
         return cls([np.empty(0)] * count, np.full_like(logs, np.nan), near, np.zeros(count, np.intp))
 
     def begun(self, begins: Flags, now: Situation, weights: Weights, steps: int = STEPS) -> PlanCache:
-        """Cache with plans for arms that begin a move, improved by some steps."""
+        """Cache with plans for arms that begin a move, improved by some steps; arms with the same move share a plan."""
         if not begins.any():
             return self
         cost = plan_cost(weights)
@@ -105,7 +105,13 @@ class PlanCache:
             plan_task(move, now.table[arm], cost, float(now.time[arm]), now.states[arm], steps, plan_room(), rows)
             return rows
 
-        plans = replaced(self.plans, begins, plan)
+        tasks, first = np.column_stack([now.moves, now.time, now.states, now.table]), dict[bytes, int]()
+        like = {arm: first.setdefault(tasks[arm].tobytes(), arm) for arm in np.flatnonzero(begins).tolist()}
+        which = np.zeros(len(begins), np.bool_)
+        which[list(first.values())] = True
+        plans = replaced(self.plans, which, plan)
+        for arm, other in like.items():
+            plans[arm] = plans[other]
         return self._with(plans, np.where(begins[:, None], now.logs, self.logs), begins, now.step)
 
     def renewed(self, now: Situation, weights: Weights) -> PlanCache:

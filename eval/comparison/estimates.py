@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class Estimate:
 
 def interquartile_mean(values: Floats) -> float:
     """Mean of the middle half of all values, as `scipy.stats.trim_mean` has it, without its cost per call."""
-    return float(_middle_mean(np.reshape(values, -1)))
+    return float(_middle_mean(np.array(values).reshape(-1)))
 
 
 def worst_mean(values: Floats) -> float:
@@ -51,34 +50,37 @@ def average(name: str, values: Floats) -> float:
 
 
 def _middle_mean(values: Floats) -> Floats:
-    """Mean of the middle half along the last axis."""
-    ordered = np.sort(values, axis=-1)
-    cut = ordered.shape[-1] // 4
-    return ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+    """Mean of the middle half along the last axis; sorts the values in place."""
+    values.sort(axis=-1)
+    cut = values.shape[-1] // 4
+    return values[..., cut : values.shape[-1] - cut].mean(axis=-1)
 
 
 def resampled(values: Floats, mean: bool = False) -> Floats:
-    """Interquartile means (or plain means) of bootstrap samples of a (seeds, episodes) table, shape (RESAMPLES,)."""
-    seeds, episodes = values.shape
-    center = partial(np.mean, axis=-1) if mean else _middle_mean
+    """Interquartile means (or plain means) of bootstrap samples of a (seeds, episodes) table, shape (RESAMPLES,).
 
-    def of_both(scenarios: NDArray[np.intp], runs: NDArray[np.intp], axis: int = -1) -> Floats:
-        drawn = values[runs[..., :, None], scenarios[..., None, :]]
-        return center(drawn.reshape(*drawn.shape[:-2], -1))
+    Several tables, along axes before these two, are resampled in the same way; axes of the result likewise.
+    """
+    *several, seeds, episodes = values.shape
+    tables = values.reshape(-1, seeds * episodes)
 
-    def of_scenarios(scenarios: NDArray[np.intp], axis: int = -1) -> Floats:
-        return center(np.moveaxis(values[:, scenarios], 0, -2).reshape(*scenarios.shape[:-1], -1))
+    def centers(scenarios: NDArray[np.intp], runs: NDArray[np.intp] | None = None, axis: int = -1) -> Floats:
+        places = scenarios
+        if runs is not None:
+            places = (episodes * runs[..., :, None] + scenarios[..., None, :]).reshape(len(runs), -1)
+        drawn = (table.take(places) for table in tables)
+        return np.stack([one.mean(axis=-1) if mean else _middle_mean(one) for one in drawn])
 
     result = bootstrap(
         (np.arange(episodes), np.arange(seeds)) if seeds > 1 else (np.arange(episodes),),
-        of_both if seeds > 1 else of_scenarios,
+        centers,
         n_resamples=RESAMPLES,
         confidence_level=CONFIDENCE,
         method="percentile",
         vectorized=True,
         rng=np.random.default_rng(0),
     )
-    return result.bootstrap_distribution
+    return result.bootstrap_distribution.reshape(*several, RESAMPLES)
 
 
 def estimate(values: Floats, mean: bool = False) -> Estimate:
@@ -87,12 +89,19 @@ def estimate(values: Floats, mean: bool = False) -> Estimate:
     Raises:
         ValueError: If there are fewer than two episodes.
     """
-    if values.shape[1] < 2:
-        raise ValueError(f"an interval needs at least 2 episodes, got {values.shape[1]}")
-    point = float(values.mean()) if mean else interquartile_mean(values)
-    if np.ptp(values) == 0:
-        return Estimate(point, point, point)
-    return _interval(point, resampled(values, mean))
+    return estimates(values[None], mean)[0]
+
+
+def estimates(tables: Floats, mean: bool = False) -> list[Estimate]:
+    """Estimate several tables of one shape together, as `estimate` does each, in less time."""
+    if tables.shape[2] < 2:
+        raise ValueError(f"an interval needs at least 2 episodes, got {tables.shape[2]}")
+    points = [float(values.mean()) if mean else interquartile_mean(values) for values in tables]
+    found = [Estimate(point, point, point) for point in points]
+    varied = np.flatnonzero(np.ptp(tables, axis=(1, 2)))
+    for k, distribution in zip(varied.tolist(), resampled(tables[varied], mean) if len(varied) else (), strict=True):
+        found[k] = _interval(points[k], distribution)
+    return found
 
 
 def _interval(point: float, distribution: Floats) -> Estimate:
@@ -130,14 +139,32 @@ class Paired:
 
 def paired(values: Floats, other: Floats) -> Paired:
     """Compare two methods scenario by scenario; the other's seeds are averaged per scenario."""
-    difference = values - other.mean(axis=0, keepdims=True)
-    wins = estimate((difference < 0) + 0.5 * (difference == 0), mean=True)
-    if np.ptp(difference) == 0:
-        return Paired(estimate(difference), wins, 1.0 if difference.flat[0] == 0 else LEAST_P)
-    distribution = resampled(difference)
-    beyond = min(np.sum(distribution <= 0), np.sum(distribution >= 0))
-    p = min(1.0, LEAST_P * (1 + float(beyond)))
-    return Paired(_interval(interquartile_mean(difference), distribution), wins, p)
+    return all_paired([(values, other)])[0]
+
+
+def all_paired(tables: Sequence[tuple[Floats, Floats]]) -> list[Paired]:
+    """Compare several pairs of methods, as `paired` does each, in less time."""
+    differences = [values - other.mean(axis=0, keepdims=True) for values, other in tables]
+    found: dict[int, Paired] = {}
+    for shape in {difference.shape for difference in differences}:
+        places = [k for k, difference in enumerate(differences) if difference.shape == shape]
+        found |= zip(places, _paired(np.stack([differences[k] for k in places])), strict=True)
+    return [found[k] for k in range(len(tables))]
+
+
+def _paired(differences: Floats) -> list[Paired]:
+    """Comparisons by their differences, tables of one shape."""
+    wins = estimates((differences < 0) + 0.5 * (differences == 0), mean=True)
+    found = []
+    for difference, win_rate, distribution in zip(differences, wins, resampled(differences), strict=True):
+        point = interquartile_mean(difference)
+        if np.ptp(difference) == 0:
+            found.append(Paired(Estimate(point, point, point), win_rate, LEAST_P if point else 1.0))
+            continue
+        beyond = min(np.sum(distribution <= 0), np.sum(distribution >= 0))
+        p = min(1.0, LEAST_P * (1 + float(beyond)))
+        found.append(Paired(_interval(point, distribution), win_rate, p))
+    return found
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.policy.bundle import POLICIES, bundle_files, load_controller, read_spec
+from agents.policy.bundle import POLICIES, bundle_files, read_spec
+from agents.policy.together import are_alike, load_together
 from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.engines.carrying import Carried, carry
@@ -27,6 +28,7 @@ PRIVILEGED = "privileged"
 PRIMARY = ("student", "adaptive")
 """Learned method and classical controller that the comparison is about first: the best ones on the development set,
 named in docs/protocol.md before the test scenarios were drawn."""
+_LARGEST_BATCH = 500  # arms of several training seeds; what is the same for all seeds costs little beside so many
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,17 +51,32 @@ class Method:
         """Sensor tier of its observations."""
         return "full" if self.kind == "privileged" else "encoder"
 
+    def batches(self, episodes: int) -> list[range]:
+        """Training seeds that run in one batch each: those of alike policies, as long as a batch stays small."""
+        seeds = range(len(self.sources))
+        alike = self.kind == "learned" and are_alike([Path(source) for source in self.sources])
+        together = max(1, _LARGEST_BATCH // episodes) if alike else 1
+        return [seeds[k : k + together] for k in seeds[::together]]
+
     def controller(self, seed: int, arms: Sequence[ArmParams]) -> Controller:
-        """Make the controller of a training seed for a batch of arms; only a privileged one is given their constants.
+        """Make the controller of a training seed, as `controllers` does."""
+        return self.controllers(range(seed, seed + 1), arms)
+
+    def controllers(self, seeds: range, arms: Sequence[ArmParams]) -> Controller:
+        """Make the controllers of some training seeds as one, for a batch of arms that they share equally.
+
+        Args:
+            seeds: One of `batches`, or a single one.
+            arms: Their constants, which only a privileged controller is given.
 
         Raises:
             ValueError: If it cannot be made.
         """
-        source = self.sources[seed]
+        source = self.sources[seeds[0]]
         if self.kind == "privileged":
             return PrivilegedController(arms)
         if self.kind == "learned":
-            controller, spec = load_controller(Path(source))
+            controller, spec = load_together([Path(self.sources[seed]) for seed in seeds])
             return GuardedResidualController(controller, servo_for(spec.base)) if self.guarded else controller
         if self.kind == "added":
             return custom.make(source)

@@ -71,6 +71,11 @@ class Pair:
         """Names of all that is measured."""
         return (*METRICS, LEFT, *([SENSITIVE] if self.nudged else []))
 
+    @property
+    def runs(self) -> int:
+        """Number of runs of a controller."""
+        return len(self.method.sources) * (2 if self.nudged else 1)
+
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
         key = key_of(self.method, EDITION, VERSION, self.split.of, self.split.digest, self.episodes)
@@ -178,23 +183,22 @@ class Nudged:
 
 def measure(pair: Pair) -> Metrics:
     """Run all controllers of a method on the scenarios of a split."""
-    seeds = len(pair.method.sources)
-    metrics = {name: np.empty((seeds, pair.episodes)) for name in pair.tables}
-    for seed in range(seeds):
-        run = _run(pair, seed)
+    metrics = {name: np.empty((len(pair.method.sources), pair.episodes)) for name in pair.tables}
+    for seeds in pair.method.batches(pair.episodes):
+        run = _run(pair, seeds)
         found = {**run.metrics(), LEFT: 1.0 - run.finished}
         if pair.nudged:
-            found[SENSITIVE] = _moved(run.cost, _run(pair, seed, Nudged).cost)
+            found[SENSITIVE] = _moved(run.cost, _run(pair, seeds, Nudged).cost)
         for name, values in found.items():
-            metrics[name][seed] = values
+            metrics[name][seeds] = values.reshape(len(seeds), pair.episodes)
     return metrics
 
 
-def _run(pair: Pair, seed: int, wrapped: Callable[[Controller], Controller] = lambda of: of) -> Recording:
-    """Run the controller of one training seed on all scenarios."""
-    controller = wrapped(pair.method.controller(seed, pair.split.arms(pair.episodes)))
-    arguments = pair.split.arguments(slice(pair.episodes))
-    return rollout(controller, pair.episodes, sensors=pair.method.sensors, **arguments)
+def _run(pair: Pair, seeds: range, wrapped: Callable[[Controller], Controller] = lambda of: of) -> Recording:
+    """Run the controllers of some training seeds, each on all scenarios, in one batch."""
+    scenarios = np.tile(np.arange(pair.episodes), len(seeds))
+    controller = wrapped(pair.method.controllers(seeds, pair.split.arms(pair.episodes)))
+    return rollout(controller, len(scenarios), sensors=pair.method.sensors, **pair.split.arguments(scenarios))
 
 
 def _moved(cost: Floats, nudged: Floats) -> Floats:
@@ -258,7 +262,8 @@ def run_pairs(
         if kept is not None:
             results[k] = kept
             done(pair)
-    waiting = {str(k): pairs[k] for k in range(len(pairs)) if k not in results}
+    longest_first = sorted(range(len(pairs)), key=lambda k: -pairs[k].runs)  # so that none is left over at the end
+    waiting = {str(k): pairs[k] for k in longest_first if k not in results}
     sent = sent_along((pair.method for pair in waiting.values()), engine)
     left = {name: partial(_run_task, pair, sent[pair.method.name]) for name, pair in waiting.items()}
     with closing(parallel.run_side_by_side(left, jobs, engine=engine)) as fresh:

@@ -15,7 +15,7 @@ from baselines.tools.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, SHOWN
 from eval.comparison import splits
-from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired, profile
+from eval.comparison.estimates import Estimate, Paired, all_paired, estimates, holm, profile
 from eval.comparison.methods import PRIMARY, Method, policies_of
 from eval.comparison.pairs import LEFT, SENSITIVE, Failure, Metrics
 from eval.comparison.sets import SetLabel
@@ -73,8 +73,12 @@ def make_outcome(
     method: Method, split: str, metrics: Metrics, action_times: tuple[float, float], latency: float = 0.0
 ) -> MethodOutcome:
     """Estimate the metrics of one method on one split."""
-    estimates = {name: estimate(metrics[name], mean=METRICS[name].share) for name in SHOWN}
-    return MethodOutcome(method, split, metrics, estimates, action_times, latency)
+    found = dict[str, Estimate]()
+    for share in (False, True):
+        names = [name for name in SHOWN if METRICS[name].share == share]
+        found |= zip(names, estimates(np.stack([metrics[name] for name in names]), mean=share), strict=True)
+    in_order = {name: found[name] for name in SHOWN}
+    return MethodOutcome(method, split, metrics, in_order, action_times, latency)
 
 
 class Profiles(NamedTuple):
@@ -188,11 +192,10 @@ def _against(outcomes: list[MethodOutcome], opponents: dict[str, MethodOutcome])
 
     All comparisons in one metric are a family for Holm's correction: one question, asked of every method.
     """
-    found: dict[str, dict[str, Paired]] = {
-        one.method.name: {name: paired(one.metrics[name], other.metrics[name]) for name in PAIRED_METRICS}
-        for one in outcomes
-        if one.ranked and (other := opponents.get(one.method.name))
-    }
+    pairs = [(one, other) for one in outcomes if one.ranked and (other := opponents.get(one.method.name))]
+    tables = [(one.metrics[name], other.metrics[name]) for one, other in pairs for name in PAIRED_METRICS]
+    compared = iter(all_paired(tables))
+    found = {one.method.name: {name: next(compared) for name in PAIRED_METRICS} for one, _ in pairs}
     for name in PAIRED_METRICS:
         adjusted = holm([of_method[name].p for of_method in found.values()])
         for of_method, p in zip(found.values(), adjusted, strict=True):
@@ -209,7 +212,9 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dic
     pairs = {method: of_method[name] for method, of_method in against_best.items()}
     classical = best_classical(outcomes)
     if best is not classical:
-        pairs = {o.method.name: paired(o.metrics[name], best.metrics[name]) for o in ranked if o is not best}
+        others = [outcome for outcome in ranked if outcome is not best]
+        compared = all_paired([(other.metrics[name], best.metrics[name]) for other in others])
+        pairs = {other.method.name: pair for other, pair in zip(others, compared, strict=True)}
         if classical and best.method.name in against_best:  # one test for a pair, whichever way round it is told
             same = against_best[best.method.name][name]
             pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)

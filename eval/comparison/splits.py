@@ -112,8 +112,8 @@ class Split:
         """Return the constants of the first arms."""
         return [ArmParams.from_row(row) for row in self.table[:episodes]]
 
-    def arguments(self, chosen: slice) -> dict[str, Any]:
-        """Return arguments of `rollout` with which some scenarios run side by side."""
+    def arguments(self, chosen: slice | NDArray[np.intp]) -> dict[str, Any]:
+        """Return arguments of `rollout` with which some scenarios run side by side, any of them several times."""
         move = dict(zip(MOVE_FIELDS, self.moves[chosen].T, strict=True))
         options = {"params": params_columns(self.table[chosen]), "move": move}
         late = {"delay": self.delays[chosen]} if self.delays.any() else {}

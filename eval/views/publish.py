@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
+from baselines.engines import parallel
 from baselines.tools.files import sha256_of, write_text
 from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
@@ -26,6 +32,7 @@ def publish(
     *,
     maps: bool = False,
     verbose: bool = False,
+    jobs: int | None = None,
 ) -> Comparison:
     """Print the main split and the verdict, and write report.html, results.json, episodes.csv, summary.md and pictures.
 
@@ -36,6 +43,7 @@ def publish(
         console: Where to print.
         maps: Whether the report has robustness maps, which are simulated first.
         verbose: Whether all splits are printed, with intervals and differences.
+        jobs: Number of processes that record and draw, by default one per core.
 
     Returns:
         The comparison, with the failures of methods that were run once more to be shown.
@@ -43,16 +51,42 @@ def publish(
     Raises:
         OSError: If a file cannot be written.
     """
-    traces, unrecorded = record(comparison, splits)
-    scenes, unseen = record_scenes(comparison, splits)
-    drawn, unmapped = robustness_maps(comparison) if maps else ([], [])
-    comparison = comparison.with_failures([*unrecorded, *unseen, *unmapped])
+    calls: dict[str, Callable[[], Any]] = {
+        "traces": partial(record, comparison, splits),
+        "scenes": partial(record_scenes, comparison, splits),
+    }
+    if maps:
+        calls["maps"] = partial(robustness_maps, comparison)
+    recorded = _side_by_side(calls, jobs)
+    comparison = comparison.with_failures([failure for _, failures in recorded.values() for failure in failures])
+    traces, *others = (found for found, _ in recorded.values())
     said = verdict(comparison)
     write_results(comparison, folder, said.sentences, said.rows())
     digest = sha256_of(folder / "results.json")
-    pictures = save_plots(comparison, traces, folder, digest)
+    draw = partial(save_plots, comparison, traces, folder, digest)
+    report = partial(write_report, comparison, said.sentences, Recordings(*others), folder)
+    pictures = _side_by_side({"pictures": draw, "report": report}, jobs)["pictures"]
     write_text(folder / "summary.md", markdown(comparison, said, [path.name for path in pictures], digest))
-    write_report(comparison, said.sentences, Recordings(scenes, drawn), folder)
     print_results(comparison, said.sentences, console, verbose=verbose)
     console.print(f"written to {folder}: report.html, summary.md, results.json, episodes.csv, pictures", soft_wrap=True)
     return comparison
+
+
+def _side_by_side(calls: dict[str, Callable[[], Any]], jobs: int | None) -> dict[str, Any]:
+    """Results of some calls, each in a process of its own, in their order.
+
+    Raises:
+        Exception: Whatever one of them raises.
+    """
+    found = {}
+    with closing(parallel.run_side_by_side({name: partial(_called, calls[name]) for name in calls}, jobs)) as results:
+        for name, result in results:
+            if isinstance(result, parallel.Failure):
+                raise result.error
+            found[name] = result
+    return {name: found[name] for name in calls}
+
+
+def _called(call: Callable[[], Any], _: parallel.Channel) -> Any:
+    gc.freeze()  # drawing makes many objects, and garbage would be looked for among all others too
+    return call()
