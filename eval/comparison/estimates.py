@@ -64,7 +64,7 @@ def resampled(values: Floats, mean: bool = False) -> Floats:
     *several, seeds, episodes = values.shape
     tables = values.reshape(-1, seeds * episodes)
 
-    def centers(scenarios: NDArray[np.intp], runs: NDArray[np.intp] | None = None, axis: int = -1) -> Floats:
+    def centers(scenarios: NDArray[np.intp], runs: NDArray[np.intp] | None = None, *, axis: int) -> Floats:
         places = scenarios
         if runs is not None:
             places = (episodes * runs[..., :, None] + scenarios[..., None, :]).reshape(len(runs), -1)
@@ -89,7 +89,8 @@ def estimate(values: Floats, mean: bool = False) -> Estimate:
     Raises:
         ValueError: If there are fewer than two episodes.
     """
-    return estimates(values[None], mean)[0]
+    (found,) = estimates(values[None], mean)
+    return found
 
 
 def estimates(tables: Floats, mean: bool = False) -> list[Estimate]:
@@ -139,7 +140,8 @@ class Paired:
 
 def paired(values: Floats, other: Floats) -> Paired:
     """Compare two methods scenario by scenario; the other's seeds are averaged per scenario."""
-    return all_paired([(values, other)])[0]
+    (found,) = all_paired([(values, other)])
+    return found
 
 
 def all_paired(tables: Sequence[tuple[Floats, Floats]]) -> list[Paired]:
@@ -157,13 +159,9 @@ def _paired(differences: Floats) -> list[Paired]:
     wins = estimates((differences < 0) + 0.5 * (differences == 0), mean=True)
     found = []
     for difference, win_rate, distribution in zip(differences, wins, resampled(differences), strict=True):
-        point = interquartile_mean(difference)
-        if np.ptp(difference) == 0:
-            found.append(Paired(Estimate(point, point, point), win_rate, LEAST_P if point else 1.0))
-            continue
         beyond = min(np.sum(distribution <= 0), np.sum(distribution >= 0))
         p = min(1.0, LEAST_P * (1 + float(beyond)))
-        found.append(Paired(_interval(point, distribution), win_rate, p))
+        found.append(Paired(_interval(interquartile_mean(difference), distribution), win_rate, p))
     return found
 
 
