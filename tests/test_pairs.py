@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -477,6 +479,24 @@ def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
         assert "Traceback (most recent call last):" in errors
         assert f'File "{tmp_path}/mine.py", line 7, in predict\n    raise RuntimeError' in errors
     assert errors.splitlines()[-1].startswith("eval/compare.py: no method could be run: Fails on nominal")
+
+
+def end_process() -> None:
+    os._exit(3)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_is_made_side_by_side_fails_as_a_whole(jobs: int):
+    made = publish._side_by_side({"b": partial(int, "2"), "a": partial(int, "1")}, jobs)
+    assert list(made.items()) == [("b", 2), ("a", 1)]
+    with pytest.raises(ValueError, match="invalid literal"):
+        publish._side_by_side({"a": partial(int, "1"), "b": partial(int, "one")}, jobs)
+
+
+@pytest.mark.slow
+def test_a_process_that_ends_while_it_draws_is_explained():
+    with pytest.raises(OSError, match=r"broke off.*what is done is kept: try again with --jobs 1"):
+        publish._side_by_side({"a": partial(int, "1"), "b": end_process}, 2)
 
 
 # Which methods

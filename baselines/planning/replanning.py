@@ -95,7 +95,7 @@ class PlanCache:
         return cls([np.empty(0)] * count, np.full_like(logs, np.nan), near, np.zeros(count, np.intp))
 
     def begun(self, begins: Flags, now: Situation, weights: Weights, steps: int = STEPS) -> PlanCache:
-        """Cache with plans for arms that begin a move, improved by some steps; arms with the same move share a plan."""
+        """Cache with plans for arms that begin a move, improved by some steps; those that begin alike share one."""
         if not begins.any():
             return self
         cost = plan_cost(weights)

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from baselines.engines import parallel
 from baselines.tools.files import sha256_of, write_text
+from eval.comparison.pairs import explained
 from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
 from eval.comparison.splits import Split
@@ -76,13 +77,13 @@ def _side_by_side(calls: dict[str, Callable[[], Any]], jobs: int | None) -> dict
     """Results of some calls, each in a process of its own, in their order.
 
     Raises:
-        Exception: Whatever one of them raises.
+        Exception: Whatever one of them raises, see `eval.comparison.pairs.explained`.
     """
     found = {}
     with closing(parallel.run_side_by_side({name: partial(_called, calls[name]) for name in calls}, jobs)) as results:
         for name, result in results:
             if isinstance(result, parallel.Failure):
-                raise result.error
+                raise explained(result, jobs)
             found[name] = result
     return {name: found[name] for name in calls}
 
