@@ -60,7 +60,8 @@ def are_alike(folders: Sequence[Path]) -> bool:
     Raises:
         BundleError: If one is missing, damaged or foreign.
     """
-    return len({str(_without_origin(read_spec(folder)[0])) for folder in folders}) == 1
+    specs = [_without_origin(read_spec(folder)[0]) for folder in folders]
+    return all(spec == specs[0] for spec in specs)
 
 
 def load_together(folders: Sequence[Path]) -> tuple[ResidualController, BundleSpec]:
