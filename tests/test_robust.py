@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import OptimizeResult
 
+from baselines import CONTROLLERS
+from baselines import design as design_command
 from baselines.estimation.observer import Noise
 from baselines.loops.models import closed_poles, loop_at
 from baselines.models.corners import CORNERS, LOOP_FIELDS
-from baselines.optimal import robust
+from baselines.optimal import kept, robust
 from baselines.optimal.lqg import LqgController, feedback_gains
 from baselines.optimal.robust import (
     RobustController,
@@ -23,6 +26,7 @@ from baselines.optimal.robust import (
     loops_at,
     lyapunov,
     mean_cost,
+    robust_gains,
 )
 from baselines.planning.plan import Weights
 from beltarm_env import CONTROL_PERIOD, ArmParams
@@ -122,3 +126,40 @@ class TestGain:
             loops = [loop_at(controller, k, arm) for k in (0, 23, 45) for arm in CORNERS.values()]
             worst[kind] = max(float(np.abs(closed_poles(loop)).max()) for loop in loops)
         assert worst[RobustController] < 1 < worst[LqgController]
+
+
+class TestKept:
+    def test_they_are_what_the_design_finds(self, tmp_path: Path):
+        design, anew = CONTROLLERS["robust"]().design, tmp_path / "robust.json"
+        design_command.run(design_command.Config(anew))
+        found, expected = (kept.kept_gains(design.content(), path) for path in (anew, kept.FILE))
+        assert expected is not None, "robust.json is of another design: run `python baselines/design.py`"
+        assert found == pytest.approx(expected, rel=1e-6), "run `python baselines/design.py`"
+
+    def test_they_are_of_one_design_alone(self):
+        design = CONTROLLERS["robust"]().design
+        others = [
+            design._replace(params=replace(design.params, payload_mass=0.11)),
+            design._replace(weights=design.weights._replace(change=201.0)),
+            design._replace(noise=replace(design.noise, torque=0.011)),
+            design._replace(stopped=0.2),
+        ]
+        assert all(kept.kept_gains(other.content()) is None for other in others)
+
+    def test_what_is_not_kept_is_designed(self, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setattr(robust.Design, "gains", lambda design: np.full((10, 5), design.stopped))
+        assert np.all(robust_gains(CONTROLLERS["robust"]().design._replace(stopped=0.123)) == 0.123)
+
+    def test_what_is_written_is_read_bit_for_bit(self, tmp_path: Path):
+        gains = np.random.default_rng(0).normal(size=(3, 5)) / 3
+        kept.keep({"stopped": 0.1}, gains, tmp_path / "robust.json")
+        found = kept.kept_gains({"stopped": 0.1}, tmp_path / "robust.json")
+        assert found is not None and np.array_equal(found, gains)
+
+    @pytest.mark.parametrize(
+        "content", ["", "[]", "{}", '{"design": {}, "gains": [[1, 2]]}', '{"design": {}, "gains": [[1, 2, 3, 4, NaN]]}']
+    )
+    def test_a_damaged_file_is_named_with_a_remedy(self, content: str, tmp_path: Path):
+        (tmp_path / "robust.json").write_text(content)
+        with pytest.raises(ValueError, match=r"robust\.json is damaged .*: restore it, or remove it"):
+            kept.kept_gains({}, tmp_path / "robust.json")

@@ -28,10 +28,10 @@ response; here it is a handful of constants with known ranges, and the corners s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize, root
@@ -41,6 +41,7 @@ from baselines.gains import tunable
 from baselines.models.actuator import dead_time
 from baselines.models.corners import CORNERS, LOOP_FIELDS
 from baselines.models.linear import ANGLES, linear_arm
+from baselines.optimal.kept import kept_gains
 from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
 from baselines.planning.plan import Weights
 from baselines.planning.tip_error import add_tip_cost, bounded_sine, error_weights, write_tip_errors
@@ -233,12 +234,32 @@ def _descended(start: Floats, scale: Floats, loops: Loops, shrunk: float) -> Flo
     return start + scale * (least.x if least.success and holds else near)
 
 
+class Design(NamedTuple):
+    """All that the gains depend on."""
+
+    params: ArmParams  # the design model
+    weights: Weights
+    noise: Noise
+    stopped: float  # see `loops_at`
+
+    def content(self) -> dict[str, Any]:
+        """Return the same as JSON holds it, with the angles at which gains are found."""
+        parts = {"params": asdict(self.params), "weights": self.weights._asdict(), "noise": asdict(self.noise)}
+        return {**parts, "stopped": self.stopped, "angles": ANGLES[_PLACES].tolist()}
+
+    def gains(self) -> Floats:
+        """Find the gains at these angles, shape (places, 5)."""
+        start = feedback_gains(self.params, LqgGains().weights())
+        return np.array([least_cost_gain(start[k], loops_at(self.params, k, *self[1:])) for k in _PLACES])
+
+
 @lru_cache(maxsize=64)
-def robust_gains(params: ArmParams, weights: Weights, noise: Noise, stopped: float) -> Floats:
-    """Gains K on [x - x_ref; v_last] at each of `ANGLES`, shape (46, 5)."""
-    start = feedback_gains(params, LqgGains().weights())
-    found = [least_cost_gain(start[k], loops_at(params, k, weights, noise, stopped)) for k in _PLACES]
-    return np.column_stack([np.interp(ANGLES, ANGLES[_PLACES], column) for column in np.transpose(found)])
+def robust_gains(design: Design) -> Floats:
+    """Gains K on [x - x_ref; v_last] at each of `ANGLES`, shape (46, 5), from those that are kept if they are its."""
+    found = kept_gains(design.content())
+    if found is None:
+        found = design.gains()
+    return np.column_stack([np.interp(ANGLES, ANGLES[_PLACES], column) for column in found.T])
 
 
 class RobustController(LqgController):
@@ -254,6 +275,10 @@ class RobustController(LqgController):
     def __init__(self, gains: RobustGains | None = None, params: ArmParams | None = None) -> None:
         super().__init__(gains or RobustGains(), params)
 
+    @property
+    def design(self) -> Design:
+        """What its feedback gains are found for."""
+        return Design(self.params, self.gains.weights(), self.gains.noise(), self.gains.angle_noise)
+
     def _feedback(self) -> Floats:
-        gains = self.gains
-        return robust_gains(self.params, gains.weights(), gains.noise(), gains.angle_noise)
+        return robust_gains(self.design)
