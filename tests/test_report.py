@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import re
 import shlex
+from dataclasses import fields
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set
 from eval.comparison.splits import SPLITS, Split
 from eval.style.colours import COLOURS
+from eval.views import traces
 from eval.views.frame import best_first, frame_of, frame_of_rows, lines, part
 from eval.views.markdown import markdown
 from eval.views.report import svg
@@ -39,7 +42,7 @@ from eval.views.report.motions import scene_panels, spectrum
 from eval.views.report.page import LARGEST, render, without_paths
 from eval.views.report.scenes import Map, Recordings, Scene, record_scenes
 from eval.views.report.tables import effort_table, main_table, metric_tables, torque_table
-from eval.views.traces import seed_note, shown_seed
+from eval.views.traces import Shown, motions, seed_note, shown_seed
 from eval.views.verdict import verdict
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -387,11 +390,13 @@ def test_scenes_are_of_chosen_scenarios_and_what_was_measured():
 
 
 class Trembles(PaperController):
-    """Its torques depend on how many arms there are, in the last digit."""
+    """Its torques depend on how many arms there are, in the last digit; it does not drive seven."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if len(observation) == 7:
+            raise ValueError("not seven")
         action, state = super().predict(observation, state, episode_start, deterministic)
-        return action * np.float32(1 + 1e-6 * (len(observation) > 1)), state
+        return action * np.float32(1 + 1e-6 * (len(observation) > 7)), state
 
 
 def test_an_episode_that_is_another_one_alone_is_drawn_as_it_was_measured(monkeypatch: pytest.MonkeyPatch):
@@ -403,6 +408,42 @@ def test_an_episode_that_is_another_one_alone_is_drawn_as_it_was_measured(monkey
     for scene in scenes:
         assert scene.motions["paper"].cost[0] == found.metrics["cost"][0, scene.scenario]
         assert splits["nominal"].run(Trembles(), scene.scenario).cost[0] != scene.motions["paper"].cost[0]
+
+
+def test_motions_are_those_of_each_episode_by_itself(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(traces, "_measured", None)  # none is run by itself
+    splits = {name: development_set().splits[name] for name in ("nominal", "drive", "sensing", "structural")}
+    outcomes = [measured(name, split) for name in ("paper", "adrc") for split in splits.values()]
+    shown = [Shown(splits[name], k) for name, k in product(splits, (1, 6))]
+    found, failures = motions(made(*outcomes), shown, ["adrc", "paper"])
+    assert not failures
+    for (split, k), recordings in zip(shown, found, strict=True):
+        assert list(recordings) == ["paper", "adrc"]
+        for name, recording in recordings.items():
+            alone = split.run(CONTROLLERS[name](), k)
+            for field in fields(Recording):
+                assert np.array_equal(getattr(recording, field.name), getattr(alone, field.name)), field.name
+
+
+@pytest.mark.parametrize("count", [4, 7])
+def test_motions_that_are_others_side_by_side_or_fail_there_are_recorded_one_by_one(
+    count: int, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(CONTROLLERS, "paper", Trembles)
+    split = development_set().splits["nominal"]
+    outcome = measured("paper", split)
+    found, failures = motions(made(outcome), [Shown(split, k) for k in range(count)], ["paper"])
+    assert not failures
+    assert [one["paper"].cost[0] for one in found] == list(outcome.metrics["cost"][0, :count])
+
+
+def test_a_method_that_did_not_run_on_a_split_is_not_recorded_there():
+    splits = {name: development_set().splits[name] for name in ("nominal", "drive")}
+    outcomes = [measured("paper", splits["nominal"]), measured("paper", splits["drive"])]
+    outcomes.append(measured("adrc", splits["drive"]))
+    found, failures = motions(made(*outcomes), [Shown(split, 0) for split in splits.values()], ["adrc", "paper"])
+    assert not failures
+    assert [list(one) for one in found] == [["paper"], ["paper", "adrc"]]
 
 
 def test_what_is_not_what_was_measured_is_not_drawn():

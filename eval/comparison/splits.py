@@ -114,10 +114,21 @@ class Split:
 
     def arguments(self, chosen: slice | NDArray[np.intp]) -> dict[str, Any]:
         """Return arguments of `rollout` with which some scenarios run side by side, any of them several times."""
-        move = dict(zip(MOVE_FIELDS, self.moves[chosen].T, strict=True))
-        options = {"params": params_columns(self.table[chosen]), "move": move}
-        late = {"delay": self.delays[chosen]} if self.delays.any() else {}
+        return self._arguments(self.table[chosen], self.moves[chosen], self.delays[chosen])
+
+    def _arguments(self, table: Floats, moves: Floats, delays: Floats) -> dict[str, Any]:
+        options = {"params": params_columns(table), "move": dict(zip(MOVE_FIELDS, moves.T, strict=True))}
+        late = {"delay": delays} if self.delays.any() else {}
         return {"seed": self.seed, "options": options, **late, **self.settings}
+
+    def runs_beside(self, other: Split) -> bool:
+        """Whether scenarios of another split can run side by side with those of this one."""
+        return self.settings == other.settings and self.delays.any() == other.delays.any()
+
+    def arguments_beside(self, chosen: Sequence[tuple[Split, int]]) -> dict[str, Any]:
+        """Return arguments of `rollout` with which scenarios of splits that run beside this one do so, one of each."""
+        rows = [(split.table[k], split.moves[k], split.delays[k]) for split, k in chosen]
+        return self._arguments(*(np.array(column) for column in zip(*rows, strict=True)))
 
     def later(self, seconds: float) -> Split:
         """Return the same scenarios with all commands later, by the time that a controller takes [s]; itself for none.

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
+from beltarm_env import ArmParams
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.pairs import Failure, run_controller
@@ -52,57 +56,117 @@ def shown_scenario(outcomes: list[MethodOutcome]) -> int:
     return int(np.argsort(errors)[len(errors) // 2])
 
 
+class Shown(NamedTuple):
+    """Scenario that is drawn."""
+
+    split: Split
+    scenario: int
+
+
 def motions(
-    comparison: Comparison, split: Split, scenario: int, names: list[str]
-) -> tuple[dict[str, Recording], list[Failure]]:
-    """Record some methods on one scenario, each alone in its environment; also returns failures.
+    comparison: Comparison, shown: Sequence[Shown], names: Collection[str]
+) -> tuple[list[dict[str, Recording]], list[Failure]]:
+    """Record some methods on some scenarios; also returns failures.
 
     What is drawn is what was measured: a recording whose cost is another one is a failure.
+
+    Returns:
+        For each scenario, in order, a recording of one arm by method; and failures.
     """
-    recordings, failures = {}, []
-    for outcome in comparison.on(split.name):
-        if outcome.method.name not in names:
+    found: list[dict[str, Recording]] = [{} for _ in shown]
+    failures = []
+    for method in dict.fromkeys(outcome.method.name for outcome in comparison.outcomes):
+        if method not in names:
             continue
-        seed, where = shown_seed(comparison, outcome.method.name), f"on scenario {scenario}"
-        run = partial(_measured, outcome, split.later(outcome.latency), seed, scenario)
-        found = run_controller(outcome.method, split.name, run, where)
-        if isinstance(found, Failure):
-            failures.append(found)
-        else:
-            recordings[outcome.method.name] = found
-    return recordings, failures
+        seed = shown_seed(comparison, method)
+        outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.method.name == method}
+        cases = {k: _Case(outcomes[on.split.name], on) for k, on in enumerate(shown) if on.split.name in outcomes}
+        recordings = _side_by_side(list(cases.values()), seed)
+        for (k, case), recording in zip(cases.items(), recordings, strict=True):
+            result = case.by_itself(seed) if recording is None else recording
+            if isinstance(result, Failure):
+                failures.append(result)
+            else:
+                found[k][method] = result
+    return found, failures
 
 
-def _measured(outcome: MethodOutcome, split: Split, seed: int, scenario: int) -> Recording:
+@dataclass(frozen=True)
+class _Case:
+    """A method on a scenario."""
+
+    outcome: MethodOutcome
+    shown: Shown
+
+    @cached_property
+    def split(self) -> Split:
+        """The split as it was run."""
+        return self.shown.split.later(self.outcome.latency)
+
+    def is_measured(self, recording: Recording, seed: int) -> bool:
+        """Whether a recording of one arm is of the episode that was measured, as far as its cost tells."""
+        return bool(recording.cost[0] == self.outcome.metrics["cost"][seed, self.shown.scenario])
+
+    def by_itself(self, seed: int) -> Recording | Failure:
+        """Record the episode."""
+        where = f"on scenario {self.shown.scenario}"
+        return run_controller(self.outcome.method, self.split.name, partial(_measured, self, seed), where)
+
+
+def _side_by_side(cases: list[_Case], seed: int) -> list[Recording | None]:
+    """Record episodes of a method in as few batches as there are kinds of settings; None for what was not measured so.
+
+    Every shipped method moves an arm in the same way in any batch; a user's own may not, to the last digit, or fail.
+    """
+    found: list[Recording | None] = [None] * len(cases)
+    left = list(range(len(cases)))
+    while left:
+        first = cases[left[0]]
+        group = [k for k in left if cases[k].split.runs_beside(first.split)]
+        left = [k for k in left if k not in group]
+        if len(group) == 1:
+            continue
+        run = partial(_together, [cases[k] for k in group], seed)
+        together = run_controller(first.outcome.method, first.split.name, run)
+        if not isinstance(together, Failure):
+            for arm, k in enumerate(group):
+                alone = together.arm(arm)
+                found[k] = alone if cases[k].is_measured(alone, seed) else None
+    return found
+
+
+def _together(cases: list[_Case], seed: int) -> Recording:
+    """Record the episodes of some cases of one method in a batch."""
+    method, chosen = cases[0].outcome.method, [Shown(case.split, case.shown.scenario) for case in cases]
+    arms = [ArmParams.from_row(split.table[scenario]) for split, scenario in chosen]
+    arguments = cases[0].split.arguments_beside(chosen)
+    return rollout(method.controller(seed, arms), len(cases), sensors=method.sensors, **arguments)
+
+
+def _measured(case: _Case, seed: int) -> Recording:
     """Record the very episode that was measured: alone, or where that is another one, among all scenarios.
-
-    Every shipped method moves an arm in the same way alone and in a batch; a user's own may not, to the last digit.
 
     Raises:
         ValueError: If the episode is neither.
     """
-    costs = outcome.metrics["cost"][seed]
-    method, count = outcome.method, len(costs)
+    method, split, scenario = case.outcome.method, case.split, case.shown.scenario
     alone = split.run(method.controller(seed, []), scenario)
-    if alone.cost[0] == costs[scenario]:
+    if case.is_measured(alone, seed):
         return alone
+    costs = case.outcome.metrics["cost"][seed]
+    count = len(costs)
     arguments = split.arguments(slice(count))
     again = rollout(method.controller(seed, split.arms(count)), count, sensors=method.sensors, **arguments).arm(
         scenario
     )
-    if again.cost[0] == costs[scenario]:
+    if case.is_measured(again, seed):
         return again
     raise ValueError(f"it cost {costs[scenario]:.9g}, and costs {again.cost[0]:.9g} when run again: it is not drawn")
 
 
 def record(comparison: Comparison, splits: dict[str, Split]) -> tuple[Traces, list[Failure]]:
     """Record the shown methods on one scenario of each split; also returns failures."""
-    names = shown_methods(comparison)
-    traces: Traces = {}
-    failures = []
-    for split in comparison.splits():
-        found, failed = motions(comparison, splits[split], shown_scenario(comparison.on(split)), names)
-        failures += failed
-        if found:
-            traces[split] = found
-    return traces, failures
+    names = comparison.splits()
+    shown = [Shown(splits[name], shown_scenario(comparison.on(name))) for name in names]
+    found, failures = motions(comparison, shown, shown_methods(comparison))
+    return {name: recordings for name, recordings in zip(names, found, strict=True) if recordings}, failures

@@ -11,7 +11,7 @@ from eval.comparison.pairs import Failure
 from eval.comparison.results import Comparison
 from eval.comparison.splits import Split
 from eval.style.colours import COLOURS
-from eval.views.traces import motions, shown_seed
+from eval.views.traces import Shown, motions, shown_seed
 
 _USUALLY = 5  # methods side by side
 
@@ -57,12 +57,13 @@ def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[lis
         before = chosen.get((split, scenario))
         chosen[split, scenario] = f"{before}; {title}" if before else title
     names = _shown(comparison, [split for split, _ in chosen])
-    scenes, failures = [], []
-    for (split, scenario), title in chosen.items():
-        found, failed = motions(comparison, splits[split], scenario, names)
-        failures += failed
-        if found:
-            scenes.append(Scene(title, split, scenario, found))
+    shown = [Shown(splits[split], scenario) for split, scenario in chosen]
+    found, failures = motions(comparison, shown, names)
+    scenes = [
+        Scene(title, split, scenario, recordings)
+        for ((split, scenario), title), recordings in zip(chosen.items(), found, strict=True)
+        if recordings
+    ]
     return scenes, failures
 
 
