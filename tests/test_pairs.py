@@ -45,7 +45,7 @@ ROOT = Path(__file__).resolve().parent.parent
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures and no report, where a test looks at neither: drawing takes longer than a few episodes."""
-    monkeypatch.setattr(publish, "save_plots", lambda *_: [])
+    monkeypatch.setattr(publish, "plots", lambda *_: {})
     monkeypatch.setattr(publish, "write_report", lambda *_: None)
 
 

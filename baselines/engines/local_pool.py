@@ -9,6 +9,7 @@ Workers take no signals; this process passes requests to stop on. Where it dies 
 from __future__ import annotations
 
 import os
+import pickle
 import queue
 import signal
 import threading
@@ -90,7 +91,7 @@ class LocalPool:
                     self._tell(message.name, message.content)
                 else:
                     del self._waiting[message.name]
-                    yield message.name, message.content
+                    yield message.name, pickle.loads(message.content)
         finally:
             before, threading.excepthook = threading.excepthook, _ignore_manager
             while dispatcher.is_alive():
@@ -188,7 +189,8 @@ class _Call:
         os.chdir(self.folder)  # a worker of earlier tasks may be elsewhere
         self._put("began")
         outcome = attempt(self.task, Channel(lambda news: self._put("news", news), stop))
-        self._put("outcome", portable(outcome))
+        # As bytes, which the mailbox passes on without importing what they are made of.
+        self._put("outcome", pickle.dumps(portable(outcome)))
 
     def _is_asked(self) -> bool:
         """Whether a request to stop was made, or the process that began the task has ended."""

@@ -11,14 +11,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from beltarm_env.arrays import Floats
 from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
 from eval.comparison.results import Comparison, MethodOutcome, best_classical
 from eval.style.axes import mark_one_two_five
 from eval.style.colours import BLUE, COLOURS, OF_KIND
-from eval.style.figures import save_figures
+from eval.style.figures import save_figure
 from eval.views.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"
@@ -26,25 +26,27 @@ _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
 RESULTS_KEY = "results.json"
 """Of a picture's metadata: the SHA-256 of the file that the picture belongs to."""
 _ACROSS = 3  # splits side by side
-Quantity = Callable[[Recording], NDArray[np.float64]]
+Quantity = Callable[[Recording], Floats]
 
 
-def save_plots(comparison: Comparison, traces: Traces, folder: Path, results: str) -> list[Path]:
-    """Draw all pictures into `folder`, each with the SHA-256 of the results.json that it belongs to."""
+def plots(comparison: Comparison, traces: Traces) -> dict[str, Callable[[], Figure]]:
+    """Recipes of all pictures, by the names of their files."""
     shown = dict.fromkeys(name for methods in traces.values() for name in methods)
     colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
     of_traces: dict[str, Callable[[], Figure]] = {
-        "tip_error.png": lambda: _time_plot(
-            traces, colours, lambda run: 1000 * np.linalg.norm(run.tip_error[:, 0], axis=1), "tip error (mm)"
-        ),
-        "residual.png": lambda: _residual_plot(traces, colours),
-        "torque.png": lambda: _time_plot(traces, colours, lambda run: run.torque[:, 0], "torque command (N m)"),
+        "tip_error.png": partial(_time_plot, traces, colours, _tip_error, "tip error (mm)"),
+        "residual.png": partial(_residual_plot, traces, colours),
+        "torque.png": partial(_time_plot, traces, colours, _torque, "torque command (N m)"),
     }
     caption = f"Scenarios of the {comparison.scenario_set.title}"
     figures = {name: partial(_captioned, draw, caption) for name, draw in of_traces.items()} if traces else {}
     how = "interquartile means with 95 % intervals; further left is better"
-    figures["intervals.png"] = partial(_captioned, lambda: _intervals(comparison), f"{caption}: {how}")
-    return save_figures(figures, folder, metadata={RESULTS_KEY: results})
+    return {**figures, "intervals.png": partial(_captioned, partial(_intervals, comparison), f"{caption}: {how}")}
+
+
+def save_plot(draw: Callable[[], Figure], path: Path, results: str) -> None:
+    """Draw a picture, with the SHA-256 of the results.json that it belongs to."""
+    save_figure(draw(), path, metadata={RESULTS_KEY: results})
 
 
 def _captioned(draw: Callable[[], Figure], caption: str) -> Figure:
@@ -64,6 +66,14 @@ def _grid(count: int, height: float, rows: int = 1) -> tuple[Figure, list[list[A
         for row in range(rows):
             axes[rows * (unused // across) + row][unused % across].set_axis_off()
     return figure, [[axes[rows * (k // across) + row][k % across] for row in range(rows)] for k in range(count)]
+
+
+def _tip_error(recording: Recording) -> Floats:
+    return 1000 * np.linalg.norm(recording.tip_error[:, 0], axis=1)
+
+
+def _torque(recording: Recording) -> Floats:
+    return recording.torque[:, 0]
 
 
 def _mark_move(axis: Axes, duration: float) -> None:
@@ -145,11 +155,12 @@ def _intervals(comparison: Comparison) -> Figure:
 
 
 def _interval_axis(axis: Axes, ranking: list[MethodOutcome], name: str) -> None:
-    for height, outcome in enumerate(ranking):
-        value = outcome.estimates[name]
-        ends = [[value.iqm - value.low], [value.high - value.iqm]]
-        kind = outcome.method.kind
-        axis.errorbar(value.iqm, height, xerr=np.abs(ends), fmt="o", color=OF_KIND[kind], ms=4, capsize=2, label=kind)
+    for kind in dict.fromkeys(outcome.method.kind for outcome in ranking):
+        heights = [height for height, outcome in enumerate(ranking) if outcome.method.kind == kind]
+        values = [ranking[height].estimates[name] for height in heights]
+        ends = np.abs([[value.iqm - value.low for value in values], [value.high - value.iqm for value in values]])
+        middles, colour = [value.iqm for value in values], OF_KIND[kind]
+        axis.errorbar(middles, heights, xerr=ends, fmt="o", color=colour, ms=4, capsize=2, label=kind)
     unranked = sum(not outcome.ranked for outcome in ranking)
     if unranked:
         axis.axhline(unranked - 0.5, color="0.55", lw=0.8)

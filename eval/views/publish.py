@@ -18,7 +18,7 @@ from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
 from eval.comparison.splits import Split
 from eval.views.markdown import markdown
-from eval.views.plots import save_plots
+from eval.views.plots import plots, save_plot
 from eval.views.report import Recordings, record_scenes, robustness_maps, write_report
 from eval.views.terminal import print_results
 from eval.views.traces import record
@@ -64,10 +64,11 @@ def publish(
     said = verdict(comparison)
     write_results(comparison, folder, said.sentences, said.rows())
     digest = sha256_of(folder / "results.json")
-    draw = partial(save_plots, comparison, traces, folder, digest)
     report = partial(write_report, comparison, said.sentences, Recordings(*others), folder)
-    pictures = _side_by_side({"pictures": draw, "report": report}, jobs)["pictures"]
-    write_text(folder / "summary.md", markdown(comparison, said, [path.name for path in pictures], digest))
+    drawn = plots(comparison, traces)
+    pictures = {name: partial(save_plot, draw, folder / name, digest) for name, draw in drawn.items()}
+    _side_by_side({"report": report, **dict(reversed(pictures.items()))}, jobs)  # what takes longest comes first
+    write_text(folder / "summary.md", markdown(comparison, said, list(pictures), digest))
     print_results(comparison, said.sentences, console, verbose=verbose)
     console.print(f"written to {folder}: report.html, summary.md, results.json, episodes.csv, pictures", soft_wrap=True)
     return comparison
