@@ -25,7 +25,8 @@ def spoilt(memory: Any) -> Any:
     return memory
 
 
-@pytest.mark.parametrize("apart", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow  # the same law is in every program of `adaptive` and `student`, which `test_export` runs
+@pytest.mark.parametrize("apart", [False, True])
 def test_one_arm_alone_is_bit_for_bit_as_in_a_batch(apart: bool):
     controller = CONTROLLERS["adaptive"]()
     law, design, memory = controller.kernel()
