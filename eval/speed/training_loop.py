@@ -25,6 +25,7 @@ from agents.learners.ppo import PpoConfig, make_model
 from agents.learners.reinforcement import make_env
 from agents.residual.bases import make_base
 from agents.residual.env import ResidualEnv
+from baselines.engines.parallel import default_jobs
 from beltarm_env.task.seeds import training_arms
 from eval.speed.timing import Row, ratios, times_in_turns
 
@@ -147,8 +148,11 @@ def shares_table(config: PpoConfig, iterations: int) -> Table:
 
 
 def loop_row(console: Console) -> Row:
-    """Speed of the loop of `train/ppo.py` beside the same PPO on single arms; prints where its time goes."""
-    config = PpoConfig()
+    """Speed of the loop of `train/ppo.py` beside the same PPO on single arms; prints where its time goes.
+
+    PyTorch has a thread for each core in both, as it has where nothing is said.
+    """
+    config = PpoConfig(threads=default_jobs())
     console.print(shares_table(config, _ITERATIONS))
     loops = [iteration_on_batch(config), iteration_on_single_arms(config)]
     times = times_in_turns(loops, 3).T
