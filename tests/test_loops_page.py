@@ -130,7 +130,7 @@ def counted(module, function):
     setattr(module, function, call)
 
 
-counted(believed_motion, "advance_driven_block")
+counted(believed_motion, "advance_built_block")
 counted(simulate, "advance_driven_block")
 counted(simulate, "advance_block")
 controller = CONTROLLERS[sys.argv[1]]()

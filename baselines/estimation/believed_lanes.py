@@ -33,7 +33,7 @@ from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, begin_friction, begin_lag
+from beltarm_env.kernels.advance_driven import BUILT_WORK_ROWS, begin_friction, begin_lag
 from beltarm_env.kernels.layout import LANES, store_drive, store_plant
 from beltarm_env.physics.drive import drive_of
 from beltarm_env.physics.models import LUMPED
@@ -56,7 +56,7 @@ class Simulation(NamedTuple):
 
     loaded: Floats  # arms as they are believed in, shape (_ROWS * LANES,)
     block: Floats  # copies of them, likewise
-    work: Floats  # shape (DRIVEN_WORK_ROWS * LANES,)
+    work: Floats  # shape (BUILT_WORK_ROWS * LANES,)
     actions: Floats  # shape (LANES,)
     velocities: Floats  # of the arm's end where a lane begins, shape (2 * LANES,); (2,) without an accelerometer
     z: Floats  # of the arms, see `take`
@@ -71,7 +71,7 @@ class Simulation(NamedTuple):
 def simulation_room(size: int) -> Simulation:
     """Room for simulations of arms of which z has `size` entries."""
     shapes, fields = 2 * len(ORDERS), len(FIELDS)
-    rows = (_ROWS, _ROWS, DRIVEN_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
+    rows = (_ROWS, _ROWS, BUILT_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
     room = Simulation(*(np.zeros(count * LANES) for count in rows))
     return room if size > SIZE else room._replace(velocities=np.zeros(2))
 

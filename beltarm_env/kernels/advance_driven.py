@@ -42,7 +42,8 @@ _VISCOUS_NOW = at.PLANT + Plant._fields.index("viscous_friction")
 _COULOMB_NOW = at.PLANT + Plant._fields.index("coulomb_friction")
 _LIMIT = at.PLANT + Plant._fields.index("torque_limit")
 
-DRIVEN_WORK_ROWS = WORK_ROWS + PIECE_ROWS + 4
+BUILT_WORK_ROWS = PIECE_ROWS
+DRIVEN_WORK_ROWS = WORK_ROWS + BUILT_WORK_ROWS + 4
 """Rows of `advance`, those of `driven_pieces`, and states of arms with an ideal drive."""
 
 
@@ -100,7 +101,7 @@ def advance_driven_block(block: Floats, work: Floats, actions: Floats, count: in
     if built == 0.0:
         advance_block(block, work, actions, count, model)
         return
-    kept = work[(WORK_ROWS + PIECE_ROWS) * LANES :]
+    kept = work[(WORK_ROWS + BUILT_WORK_ROWS) * LANES :]
     if built < count:
         for j in range(count):
             store_state(kept, 0, j, load_state(block, at.STATE, j))
@@ -109,7 +110,7 @@ def advance_driven_block(block: Floats, work: Floats, actions: Floats, count: in
             x, y = load_state(kept, 0, j), load_state(block, at.STATE, j)
             store_state(block, at.STATE, j, x)
             store_state(kept, 0, j, y)
-    _advance_built(block, work[WORK_ROWS * LANES :], actions, count, model)
+    advance_built_block(block, work[WORK_ROWS * LANES :], actions, count, model)
     if built < count:
         for j in range(count):
             if block[at.DRIVEN * LANES + j] == 0.0:
@@ -117,7 +118,12 @@ def advance_driven_block(block: Floats, work: Floats, actions: Floats, count: in
 
 
 @compiled
-def _advance_built(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
+def advance_built_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
+    """Advance the first `count` arms of a block by one control period, none of which has an ideal drive.
+
+    Where that is known, ideal drives need not be compiled. Arguments are those of `advance_driven_block`, with room for
+    BUILT_WORK_ROWS rows.
+    """
     _take_whole_step(block, work, actions, count, model)
     take_pieces(block, work, count, model)
 
