@@ -122,13 +122,14 @@ def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypat
     files = {found.file(tmp_path) for found in [one, *others]}
     assert len(files) == 1 + len(others)
     assert one.file(tmp_path) == pair("zvd").file(tmp_path)
-    for name, value in {"sources_digest": lambda *_: "other code", "version": lambda _: "other version"}.items():
+    others_of_code = {"sources_digest": lambda *_: "other code", "version": lambda _: "other version"}
+    for name, value in {**others_of_code, "sha256_of": lambda _: "other kept gains"}.items():
         with monkeypatch.context() as patched:
             pairs._code.cache_clear()
             patched.setattr(pairs, name, value)
             files.add(one.file(tmp_path))
     pairs._code.cache_clear()
-    assert len(files) == 3 + len(others)
+    assert len(files) == 4 + len(others)
 
 
 def test_pairs_of_a_method_of_unknown_identity_are_not_kept(tmp_path: Path):

@@ -31,7 +31,8 @@ import eval
 from baselines.engines import parallel
 from baselines.engines.carrying import Carried
 from baselines.engines.isolated import run_isolated
-from baselines.tools.files import read_arrays, write_arrays
+from baselines.optimal import kept as kept_gains
+from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.jit import sources_digest
@@ -145,9 +146,10 @@ def key_of(method: Method, *others: str | int) -> str:
 
 @cache
 def _code() -> list[str]:
-    """SHA-256 of the code of plant, controllers and policies, and the versions of the packages below it."""
+    """SHA-256 of the code of plant, controllers and policies and of kept gains; versions of the packages below it."""
     sources = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
-    return [sources, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
+    kept = sha256_of(kept_gains.FILE) if kept_gains.FILE.exists() else ""
+    return [sources, kept, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
 
 
 class Nudged:
