@@ -24,11 +24,13 @@ from agents.policy.bundle import POLICIES, BundleSpec, save_bundle
 from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
-from beltarm_env.observation import size
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.observation import index, size
 from beltarm_env.rollout import rollout
+from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
 from eval.comparison import computing_time, custom, pairs
-from eval.comparison.methods import Method, classical_methods, learned_methods, shipped_policies
+from eval.comparison.methods import Method, classical_methods, learned_methods, privileged_method, shipped_policies
 from eval.comparison.pairs import LEFT, Failure, Metrics, Pair, measure, read_kept
 from eval.comparison.results import TIMED_NOTE, Comparison
 from eval.comparison.run import choose_methods, fuller
@@ -68,6 +70,74 @@ def test_pairs_are_kept_and_read_again(tmp_path: Path):
     assert isinstance(measured, dict) and kept is not None
     assert set(kept) == set(measured) and LEFT in kept
     assert all(np.array_equal(kept[name], measured[name]) for name in kept)
+
+
+# Pairs that run together
+
+
+def pairs_of(method: str, *splits: str, episodes: int = 4) -> list[Pair]:
+    return [pair(method, episodes, split) for split in splits]
+
+
+def assert_same(found: list[Metrics | Failure], expected: list[Metrics]) -> None:
+    for one, other in zip(found, expected, strict=True):
+        assert isinstance(one, dict) and set(one) == set(other)
+        for name, table in other.items():
+            assert one[name].tobytes() == table.tobytes() and one[name].flags.c_contiguous, name
+
+
+@pytest.mark.parametrize("method", ["paper", "privileged"])
+def test_splits_together_are_each_by_itself_bit_for_bit(method: str):
+    known = {one.name: one for one in [*classical_methods(), privileged_method()]}[method]
+    several = [replace(one, method=known) for one in pairs_of("paper", "nominal", "drive", "payload")]
+    several[1] = replace(several[1], episodes=3)
+    assert_same([*pairs.measure_together(several)], [measure(one) for one in several])
+
+
+def test_splits_and_training_seeds_together_are_each_by_itself():
+    (method,) = learned_methods(shipped_policies()[:2])
+    several = [replace(one, method=method) for one in pairs_of("paper", "randomized", "friction", episodes=2)]
+    assert len(method.sources) == 2 and method.batches(4) == [range(2)]
+    assert_same([*pairs.measure_together(several)], [measure(one) for one in several])
+
+
+def test_what_runs_together_is_of_one_method_with_the_same_settings_and_few():
+    splits = ("nominal", "sensing", "drive", "structural")
+    mixed = [*pairs_of("paper", *splits), *pairs_of("zvd", *splits)]
+    mixed.append(replace(mixed[0], nudged=True))
+    tasks = pairs._tasks(mixed, list(range(len(mixed))))
+    assert sorted(map(tuple, tasks)) == [(0, 2), (1,), (3,), (4, 6), (5,), (7,), (8,)]
+    assert pairs._tasks(mixed, [2, 6]) == [[2], [6]]
+    large = pairs_of("paper", "nominal", "drive", "payload", episodes=250)
+    assert pairs._tasks(large, [0, 1, 2]) == [[0, 1], [2]]
+    added = [replace(one, method=replace(one.method, kind="added")) for one in pairs_of("paper", "nominal", "drive")]
+    assert pairs._tasks(added, [0, 1]) == [[0], [1]]
+
+
+class Picky(PaperController):
+    """Fails on arms that start where the first of a split does."""
+
+    start = 0.0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if np.any(observation[:, index("start")] == self.start):
+            raise ValueError("not this arm")
+        return super().predict(observation, state, episode_start, deterministic)
+
+
+def test_what_fails_on_a_split_does_so_there_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    several = pairs_of("paper", "nominal", "drive", "payload")
+    expected = [measure(one) for one in several]
+    env = BeltArmVectorEnv(1)
+    first = env.reset(options={"move": dict(zip(MOVE_FIELDS, several[1].split.moves[0], strict=True))})[0]
+    monkeypatch.setattr(Picky, "start", first[0, index("start")])
+    monkeypatch.setitem(CONTROLLERS, "paper", Picky)
+    done: list[Pair] = []
+    nominal, drive, payload = pairs.run_pairs(several, tmp_path, 1, done.append)
+    assert isinstance(drive, Failure) and drive.split == "drive" and "ValueError: not this arm" in drive.message
+    assert_same([nominal, payload], [expected[0], expected[2]])
+    assert done == several
+    assert [read_kept(one, tmp_path) is not None for one in several] == [True, False, True]
 
 
 def test_sensitivity_is_measured_where_it_is_asked_for(tmp_path: Path):

@@ -28,7 +28,8 @@ PRIVILEGED = "privileged"
 PRIMARY = ("student", "adaptive")
 """Learned method and classical controller that the comparison is about first: the best ones on the development set,
 named in docs/protocol.md before the test scenarios were drawn."""
-_LARGEST_BATCH = 500  # arms of several training seeds; what is the same for all seeds costs little beside so many
+LARGEST_BATCH = 500
+"""Arms of several training seeds or splits: what is done once for all of them costs little beside so many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class Method:
         """Training seeds that run in one batch each: those of alike policies, as long as a batch stays small."""
         seeds = range(len(self.sources))
         alike = len(seeds) > 1 and are_alike([Path(source) for source in self.sources])
-        together = max(1, _LARGEST_BATCH // episodes) if alike else 1
+        together = max(1, LARGEST_BATCH // episodes) if alike else 1
         return [seeds[k : k + together] for k in seeds[::together]]
 
     def controller(self, seed: int, arms: Sequence[ArmParams]) -> Controller:

@@ -13,7 +13,7 @@ import json
 import platform
 import re
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -38,8 +38,8 @@ from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.jit import sources_digest
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
-from eval.comparison.methods import Method
-from eval.comparison.splits import EDITION, VERSION, Split
+from eval.comparison.methods import LARGEST_BATCH, Method
+from eval.comparison.splits import EDITION, VERSION, Split, side_by_side
 
 Metrics = dict[str, NDArray[np.float64]]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
@@ -185,22 +185,35 @@ class Nudged:
 
 def measure(pair: Pair) -> Metrics:
     """Run all controllers of a method on the scenarios of a split."""
-    metrics = {name: np.empty((len(pair.method.sources), pair.episodes)) for name in pair.tables}
-    for seeds in pair.method.batches(pair.episodes):
-        run = _run(pair, seeds)
-        found = {**run.metrics(), LEFT: 1.0 - run.finished}
-        if pair.nudged:
-            found[SENSITIVE] = _moved(run.cost, _run(pair, seeds, Nudged).cost)
-        for name, values in found.items():
-            metrics[name][seeds] = values.reshape(len(seeds), pair.episodes)
+    (metrics,) = measure_together([pair])
     return metrics
 
 
-def _run(pair: Pair, seeds: range, wrapped: Callable[[Controller], Controller] = lambda of: of) -> Recording:
+def measure_together(pairs: Sequence[Pair]) -> list[Metrics]:
+    """Run all controllers of a method on the scenarios of splits that run beside one another, as `measure` on each."""
+    first, counts = pairs[0], [pair.episodes for pair in pairs]
+    scenarios, count = side_by_side([(pair.split, slice(pair.episodes)) for pair in pairs]), sum(counts)
+    metrics = {name: np.empty((len(first.method.sources), count)) for name in first.tables}
+    for seeds in first.method.batches(count):
+        run = _run(first.method, seeds, scenarios)
+        found = {**run.metrics(), LEFT: 1.0 - run.finished}
+        if first.nudged:
+            found[SENSITIVE] = _moved(run.cost, _run(first.method, seeds, scenarios, Nudged).cost)
+        for name, values in found.items():
+            metrics[name][seeds] = values.reshape(len(seeds), count)
+    ends = np.cumsum(counts)[:-1]
+    parts = {name: np.split(table, ends, axis=1) for name, table in metrics.items()}
+    return [{name: part[k].copy() for name, part in parts.items()} for k in range(len(pairs))]
+
+
+def _run(
+    method: Method, seeds: range, scenarios: Split, wrapped: Callable[[Controller], Controller] = lambda of: of
+) -> Recording:
     """Run the controllers of some training seeds, each on all scenarios, in one batch."""
-    scenarios = np.tile(np.arange(pair.episodes), len(seeds))
-    controller = wrapped(pair.method.controllers(seeds, pair.split.arms(pair.episodes)))
-    return rollout(controller, len(scenarios), sensors=pair.method.sensors, **pair.split.arguments(scenarios))
+    count = len(scenarios.table)
+    rows = np.tile(np.arange(count), len(seeds))
+    controller = wrapped(method.controllers(seeds, scenarios.arms(count)))
+    return rollout(controller, len(rows), sensors=method.sensors, **scenarios.arguments(rows))
 
 
 def _moved(cost: Floats, nudged: Floats) -> Floats:
@@ -264,20 +277,45 @@ def run_pairs(
         if kept is not None:
             results[k] = kept
             done(pair)
-    longest_first = sorted(range(len(pairs)), key=lambda k: -pairs[k].runs)  # so that none is left over at the end
-    waiting = {str(k): pairs[k] for k in longest_first if k not in results}
-    sent = sent_along((pair.method for pair in waiting.values()), engine)
-    left = {name: partial(_run_task, pair, sent[pair.method.name]) for name, pair in waiting.items()}
+    tasks = _tasks(pairs, [k for k in range(len(pairs)) if k not in results])
+    sent = sent_along((pairs[task[0]].method for task in tasks), engine)
+    left = {
+        str(number): partial(_run_task, [pairs[k] for k in task], sent[pairs[task[0]].method.name])
+        for number, task in enumerate(tasks)
+    }
     with closing(parallel.run_side_by_side(left, jobs, engine=engine)) as fresh:
-        for name, result in fresh:
-            if isinstance(result, parallel.Failure):
-                raise explained(result, jobs)
-            pair = pairs[int(name)]
-            if not isinstance(result, Failure):
-                keep(pair, folder, result)
-            results[int(name)] = result
-            done(pair)
+        for number, found in fresh:
+            if isinstance(found, parallel.Failure):
+                raise explained(found, jobs)
+            for k, result in zip(tasks[int(number)], found, strict=True):
+                if not isinstance(result, Failure):
+                    keep(pairs[k], folder, result)
+                results[k] = result
+                done(pairs[k])
     return [results[k] for k in range(len(pairs))]
+
+
+def _tasks(pairs: list[Pair], left: list[int]) -> list[list[int]]:
+    """Group the pairs that are left into tasks: few arms of a method, on splits that run beside one another.
+
+    Those with most runs come first, so that none is left over at the end.
+    """
+    tasks: list[list[int]] = []
+    for k in left:
+        task = next((task for task in tasks if _fits([pairs[other] for other in task], pairs[k])), None)
+        if task is None:
+            tasks.append([k])
+        else:
+            task.append(k)
+    return sorted(tasks, key=lambda task: -sum(pairs[k].runs * pairs[k].episodes for k in task))
+
+
+def _fits(task: list[Pair], pair: Pair) -> bool:
+    """Whether a pair runs in a batch with others; an added controller's does not, whose failures are its own."""
+    first = task[0]
+    alike = pair.method == first.method and pair.nudged == first.nudged and pair.split.runs_beside(first.split)
+    arms = sum(other.runs * other.episodes for other in [*task, pair])
+    return alike and pair.method.kind != "added" and arms <= LARGEST_BATCH
 
 
 def sent_along(methods: Iterable[Method], engine: parallel.Engine) -> dict[str, dict[str, Carried]]:
@@ -286,9 +324,13 @@ def sent_along(methods: Iterable[Method], engine: parallel.Engine) -> dict[str, 
     return {name: {} if engine.name == "local" else method.belongings() for name, method in by_name.items()}
 
 
-def _run_task(pair: Pair, belongings: dict[str, Carried], _: parallel.Channel) -> Metrics | Failure:
-    there = replace(pair, method=pair.method.at(belongings))
-    return run_controller(there.method, pair.split.name, partial(measure, there))
+def _run_task(pairs: list[Pair], belongings: dict[str, Carried], _: parallel.Channel) -> list[Metrics | Failure]:
+    there = [replace(pair, method=pair.method.at(belongings)) for pair in pairs]
+    if len(there) > 1:
+        together = attempt(there[0].method.name, "", partial(measure_together, there))
+        if not isinstance(together, Failure):
+            return list(together)
+    return [run_controller(pair.method, pair.split.name, partial(measure, pair)) for pair in there]
 
 
 def explained(failure: parallel.Failure, jobs: int | None) -> Exception:

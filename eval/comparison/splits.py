@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -114,21 +114,14 @@ class Split:
 
     def arguments(self, chosen: slice | NDArray[np.intp]) -> dict[str, Any]:
         """Return arguments of `rollout` with which some scenarios run side by side, any of them several times."""
-        return self._arguments(self.table[chosen], self.moves[chosen], self.delays[chosen])
-
-    def _arguments(self, table: Floats, moves: Floats, delays: Floats) -> dict[str, Any]:
-        options = {"params": params_columns(table), "move": dict(zip(MOVE_FIELDS, moves.T, strict=True))}
-        late = {"delay": delays} if self.delays.any() else {}
+        move = dict(zip(MOVE_FIELDS, self.moves[chosen].T, strict=True))
+        options = {"params": params_columns(self.table[chosen]), "move": move}
+        late = {"delay": self.delays[chosen]} if self.delays.any() else {}
         return {"seed": self.seed, "options": options, **late, **self.settings}
 
     def runs_beside(self, other: Split) -> bool:
-        """Whether scenarios of another split can run side by side with those of this one."""
+        """Whether scenarios of another split can run in a batch with those of this one."""
         return self.settings == other.settings and self.delays.any() == other.delays.any()
-
-    def arguments_beside(self, chosen: Sequence[tuple[Split, int]]) -> dict[str, Any]:
-        """Return arguments of `rollout` with which scenarios of splits that run beside this one do so, one of each."""
-        rows = [(split.table[k], split.moves[k], split.delays[k]) for split, k in chosen]
-        return self._arguments(*(np.array(column) for column in zip(*rows, strict=True)))
 
     def later(self, seconds: float) -> Split:
         """Return the same scenarios with all commands later, by the time that a controller takes [s]; itself for none.
@@ -151,6 +144,15 @@ class Split:
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""
         return rollout(controller, 1, **self.arguments(slice(scenario, scenario + 1)))
+
+
+def side_by_side(chosen: Sequence[tuple[Split, slice]]) -> Split:
+    """Put scenarios of splits that run beside the first into one that has no name, as they follow one another."""
+    table, moves, delays = (
+        np.concatenate([getattr(split, column)[part] for split, part in chosen])
+        for column in ("table", "moves", "delays")
+    )
+    return replace(chosen[0][0], name="", of="", table=table, moves=moves, delays=delays, digest="")
 
 
 def draw(name: str, of: str, seeds: SeedRange) -> Split:

@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from beltarm_env import ArmParams
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.pairs import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
-from eval.comparison.splits import Split
+from eval.comparison.splits import Split, side_by_side
 from eval.style.colours import COLOURS
 
 Traces = dict[str, dict[str, Recording]]
@@ -137,10 +136,10 @@ def _side_by_side(cases: list[_Case], seed: int) -> list[Recording | None]:
 
 def _together(cases: list[_Case], seed: int) -> Recording:
     """Record the episodes of some cases of one method in a batch."""
-    method, chosen = cases[0].outcome.method, [Shown(case.split, case.shown.scenario) for case in cases]
-    arms = [ArmParams.from_row(split.table[scenario]) for split, scenario in chosen]
-    arguments = cases[0].split.arguments_beside(chosen)
-    return rollout(method.controller(seed, arms), len(cases), sensors=method.sensors, **arguments)
+    method, count = cases[0].outcome.method, len(cases)
+    scenarios = side_by_side([(case.split, slice(case.shown.scenario, case.shown.scenario + 1)) for case in cases])
+    controller = method.controller(seed, scenarios.arms(count))
+    return rollout(controller, count, sensors=method.sensors, **scenarios.arguments(slice(count)))
 
 
 def _measured(case: _Case, seed: int) -> Recording:
