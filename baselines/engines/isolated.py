@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from baselines.engines.local_pool import end_with_parent
-from baselines.engines.task import BrokenOff, Channel, Failure, attempt, portable
+from baselines.engines.task import BrokenOff, Channel, Failure, attempt, pickled
 
 Result = TypeVar("Result")
 _POLL = 0.1  # [s]
@@ -144,12 +144,11 @@ def serve(handle: int) -> None:
     with suppress(EOFError, OSError):
         while True:
             call = connection.recv()
-            _send(handle, "begun")
-            _send(handle, portable(attempt(lambda _, call=call: call(), Channel())))
+            _send(handle, pickle.dumps("begun"))
+            _send(handle, pickled(attempt(lambda _, call=call: call(), Channel())))
 
 
-def _send(handle: int, told: Any) -> None:
-    data = pickle.dumps(told)
+def _send(handle: int, data: bytes) -> None:
     left = memoryview(len(data).to_bytes(_SIZE, "big") + data)
     while left:
         left = left[os.write(handle, left) :]

@@ -27,7 +27,7 @@ from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.backend import get_context
 from joblib.externals.loky.backend import resource_tracker as loky_resource_tracker
 
-from baselines.engines.task import BrokenOff, Channel, Failure, PolledStop, StopRequest, Task, attempt, portable
+from baselines.engines.task import BrokenOff, Channel, Failure, PolledStop, StopRequest, Task, attempt, pickled
 
 _BACKEND = "loky"  # of joblib
 _POLL = 0.1  # [s]
@@ -190,7 +190,7 @@ class _Call:
         self._put("began")
         outcome = attempt(self.task, Channel(lambda news: self._put("news", news), stop))
         # As bytes, which the mailbox passes on without importing what they are made of.
-        self._put("outcome", pickle.dumps(portable(outcome)))
+        self._put("outcome", pickled(outcome))
 
     def _is_asked(self) -> bool:
         """Whether a request to stop was made, or the process that began the task has ended."""

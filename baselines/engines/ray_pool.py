@@ -19,7 +19,7 @@ from functools import cache, partial
 from typing import Any, Literal, NamedTuple
 
 from baselines.engines.ray_cluster import connected
-from baselines.engines.task import BrokenOff, Channel, Failure, PolledStop, StopRequest, Task, attempt, portable
+from baselines.engines.task import BrokenOff, Channel, Failure, PolledStop, StopRequest, Task, attempt, pickled
 from baselines.tools.provenance import code_and_packages
 
 ATTEMPTS = 3
@@ -212,7 +212,7 @@ class _Call:
         ray.get(mailbox.put.remote(_Message(self.name, "began")))
         outcome = attempt(self.task, Channel(partial(self._report, mailbox), stop))
         ray.get(mailbox.asked.remote())  # news arrive before the result
-        return portable(_located(outcome))
+        return pickle.loads(pickled(_located(outcome)))
 
     def _report(self, mailbox: Any, news: Any) -> None:
         mailbox.put.remote(_Message(self.name, "news", news))

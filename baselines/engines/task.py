@@ -99,11 +99,12 @@ def attempt(task: Task[Result], channel: Channel) -> Result | Failure:
         return Failure(error)
 
 
-def portable(outcome: Any) -> Any:
-    """Return the outcome if it can be pickled, otherwise a failure that says so."""
+def pickled(outcome: Any) -> bytes:
+    """Pickle an outcome, or where it cannot be or be read again, a failure that says so."""
     try:
-        pickle.loads(pickle.dumps(outcome))
+        data = pickle.dumps(outcome)
+        pickle.loads(data)
     except Exception as error:
         lost = Failure(outcome.error).message if isinstance(outcome, Failure) else f"its result is lost: {error!r}"
-        return Failure(RuntimeError(lost))
-    return outcome
+        return pickle.dumps(Failure(RuntimeError(lost)))
+    return data
