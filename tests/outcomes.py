@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from beltarm_env.metrics import SHOWN
+from eval.comparison.failures import Failure
 from eval.comparison.methods import Kind, Method
-from eval.comparison.pairs import LEFT, Failure
+from eval.comparison.pairs import LEFT
 from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
 from eval.comparison.sets import SetLabel
 

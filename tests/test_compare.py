@@ -20,6 +20,7 @@ from jsonschema import Draft202012Validator
 
 from beltarm_env.metrics import TORQUE_QUALITY, TORQUES, heading
 from eval import compare
+from eval.comparison.failures import Failure
 from eval.comparison.methods import (
     added_method,
     classical_methods,
@@ -27,7 +28,7 @@ from eval.comparison.methods import (
     privileged_method,
     shipped_policies,
 )
-from eval.comparison.pairs import Failure, Metrics, Pair, run_pairs
+from eval.comparison.pairs import Metrics, Pair, run_pairs
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, check, read_results
 from eval.comparison.splits import EDITION, SPLITS, VERSION

@@ -29,9 +29,10 @@ from beltarm_env.observation import index, size
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
-from eval.comparison import computing_time, custom, pairs
+from eval.comparison import custom, failures, pairs, timing
+from eval.comparison.failures import Failure
 from eval.comparison.methods import Method, classical_methods, learned_methods, privileged_method, shipped_policies
-from eval.comparison.pairs import LEFT, Failure, Metrics, Pair, measure, read_kept
+from eval.comparison.pairs import LEFT, Metrics, Pair, measure, read_kept
 from eval.comparison.results import TIMED_NOTE, Comparison
 from eval.comparison.run import choose_methods, fuller
 from eval.comparison.scenarios import choose_set
@@ -346,7 +347,7 @@ def test_computing_time_makes_commands_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     """As if the arms' drives were that much slower, and said so; a method that is too slow fails, and no other."""
-    monkeypatch.setattr(computing_time, "_time", Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0)))
+    monkeypatch.setattr(timing, "_time", Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0)))
     chosen = ("--methods", "paper", "rigid", "--splits", "nominal", "drive", "--episodes", "4", "--jobs", "1")
     code, errors = stopped(compare.main, (*chosen, "--computing-time", "--out", "late"), tmp_path)
     assert code == 1
@@ -379,7 +380,7 @@ def test_computing_time_makes_commands_later(
 @pytest.mark.usefixtures("undrawn")
 def test_computing_times_are_measured_once_and_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     clock = Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0))
-    monkeypatch.setattr(computing_time, "_time", clock)
+    monkeypatch.setattr(timing, "_time", clock)
     chosen = ("--methods", "paper", "rigid", "--splits", "nominal", "--episodes", "4", "--jobs", "1")
 
     def pairs_after(*options: str) -> set[str]:
@@ -408,19 +409,19 @@ def test_computing_times_of_a_damaged_file_or_other_code_are_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     clock = Clock(paper=(50.0, 300.0))
-    monkeypatch.setattr(computing_time, "_time", clock)
+    monkeypatch.setattr(timing, "_time", clock)
     method = pair().method
-    file = tmp_path / computing_time.FILE
+    file = tmp_path / timing.FILE
     for count, content in enumerate((None, "{", "[]", '{"paper": {"key": "x"}}', None), 1):
         if content is not None:
             file.write_text(content)
         elif count > 1:
             method = replace(method, identity="other gains")
-        assert computing_time.measured_once([method], tmp_path) == {"paper": (50.0, 300.0)}
+        assert timing.measured_once([method], tmp_path) == {"paper": (50.0, 300.0)}
         assert len(clock.asked) == count
-    computing_time.measured_once([method], tmp_path)
+    timing.measured_once([method], tmp_path)
     assert len(clock.asked) == 5
-    computing_time.measured_once([replace(method, identity=None)], tmp_path)
+    timing.measured_once([replace(method, identity=None)], tmp_path)
     assert len(clock.asked) == 6
 
 
@@ -536,7 +537,7 @@ def test_an_added_controller_has_a_limit_of_time(tmp_path: Path):
     (mine,) = choose_methods(("Sound",), added=(f"{tmp_path}/mine.py:Sound",), time_limit=1.5)
     assert usual.time_limit == custom.TIME_LIMIT and mine.identity == usual.identity
     expected = Failure("Sound", "nominal", "it took longer than 1.5 s, and was ended")
-    assert pairs.run_controller(mine, "nominal", hang) == expected
+    assert failures.run_controller(mine, "nominal", hang) == expected
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -23,8 +23,9 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.metrics import SHOWN, TORQUES, heading
 from beltarm_env.rollout import Recording, rollout
+from eval.comparison.failures import Failure
 from eval.comparison.methods import Method, classical_methods
-from eval.comparison.pairs import LEFT, SENSITIVE, Failure, Pair, measure
+from eval.comparison.pairs import LEFT, SENSITIVE, Pair, measure
 from eval.comparison.results import Comparison, MethodOutcome, make_outcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set

@@ -13,8 +13,9 @@ from scipy.stats import binom
 
 from beltarm_env.task.seeds import further_arms
 from eval import compare, watch
+from eval.comparison.failures import Failure
 from eval.comparison.methods import Method, classical_methods, learned_methods, shipped_policies
-from eval.comparison.pairs import Failure, Pair, measure
+from eval.comparison.pairs import Pair, measure
 from eval.comparison.sets import MOST, fresh_scenarios, fresh_set
 from eval.comparison.splits import EPISODES, SPLITS, first_seed
 from eval.tails import shards, study

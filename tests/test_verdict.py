@@ -12,7 +12,8 @@ from rich.console import Console
 
 import eval.views.verdict
 from eval.comparison.estimates import Estimate, Paired
-from eval.comparison.pairs import LEFT, Failure
+from eval.comparison.failures import Failure
+from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.schema import to_json
 from eval.views.markdown import primary_table, tail_table

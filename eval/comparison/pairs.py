@@ -12,14 +12,13 @@ import hashlib
 import json
 import platform
 import re
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +26,8 @@ from numpy.typing import NDArray
 import agents
 import baselines
 import beltarm_env
-import eval
 from baselines.engines import parallel
 from baselines.engines.carrying import Carried
-from baselines.engines.isolated import run_isolated
 from baselines.optimal import kept as kept_gains
 from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
@@ -38,6 +35,7 @@ from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.jit import sources_digest
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
+from eval.comparison.failures import Failure, attempt, explained, run_controller
 from eval.comparison.methods import LARGEST_BATCH, Method
 from eval.comparison.splits import EDITION, VERSION, Split, side_by_side
 
@@ -53,9 +51,6 @@ CHANGE = 0.01
 """Share of its cost by which an episode has to change to count as another one."""
 _PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
 """Packages whose version the numbers may depend on."""
-_LONGEST_MESSAGE = 300
-_INSTALLED = {"site-packages", "lib", "<string>"}  # folders of code that is not a user's own
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,55 +82,6 @@ class Pair:
         """Beginning of the file's name, before the key."""
         method = re.sub(r"[^\w-]", "_", self.method.name)
         return f"{self.split.of.replace(' ', '-')}.{self.split.name}.{method}.{self.episodes}"
-
-
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """A method that could not be run to the end on a split."""
-
-    method: str
-    split: str
-    message: str
-    trace: str = ""  # the whole traceback
-
-
-def run_controller(method: Method, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
-    """Run the controllers of a method; an added one's in a process of its own, whose end is a `Failure` as well.
-
-    Args:
-        method: Whose they are.
-        split: On which they run.
-        run: Picklable.
-        where: Beginning of a failure's message.
-    """
-    if method.kind != "added":
-        return attempt(method.name, split, run, where)
-    try:
-        return run_isolated(partial(attempt, method.name, split, run, where), method.sources[0], method.time_limit)
-    except parallel.BrokenOff as end:
-        return Failure(method.name, split, f"{where}{': ' if where else ''}{end}")
-
-
-def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
-    """Run something of a method; an exception becomes a `Failure`, and so does a request to exit."""
-    try:
-        return run()
-    except (Exception, SystemExit) as error:
-        message = " ".join(f"{where}{': ' if where else ''}{type(error).__name__}: {error}".split())
-        return Failure(method, split, message[:_LONGEST_MESSAGE] + place(error), trace(error))
-
-
-def trace(error: BaseException) -> str:
-    """The whole traceback of an exception."""
-    return "".join(traceback.format_exception(error))
-
-
-def place(error: BaseException) -> str:
-    """File and line of a user's own code in which an exception was raised, in brackets; empty if it was in none."""
-    ours = tuple(str(Path(package.__path__[0])) for package in (beltarm_env, baselines, agents, eval))
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if not f.filename.startswith(ours) and not {*Path(f.filename).parts} & _INSTALLED]
-    return f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
 
 
 def key_of(method: Method, *others: str | int) -> str:
@@ -331,11 +277,3 @@ def _run_task(pairs: list[Pair], belongings: dict[str, Carried], _: parallel.Cha
         if not isinstance(together, Failure):
             return list(together)
     return [run_controller(pair.method, pair.split.name, partial(measure, pair)) for pair in there]
-
-
-def explained(failure: parallel.Failure, jobs: int | None) -> Exception:
-    """Return the error of a task of a comparison, with a remedy where its process died."""
-    if isinstance(failure.error, parallel.BrokenOff):
-        fewer = max(1, (jobs or parallel.default_jobs()) // 2)
-        return OSError(f"{failure.message}; what is done is kept: try again with --jobs {fewer}")
-    return failure.error

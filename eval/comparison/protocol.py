@@ -19,8 +19,8 @@ from baselines.engines.parallel import BrokenOff
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
+from eval.comparison.failures import Failure, place, run_controller, trace
 from eval.comparison.methods import Method
-from eval.comparison.pairs import Failure, place, run_controller, trace
 from eval.comparison.timing import PERIOD_US, action_times, drive
 
 Singles = NDArray[np.float32]

@@ -16,8 +16,9 @@ from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Estimate, Paired, all_paired, estimates, holm, profile
+from eval.comparison.failures import Failure
 from eval.comparison.methods import PRIMARY, Method, policies_of
-from eval.comparison.pairs import LEFT, SENSITIVE, Failure, Metrics
+from eval.comparison.pairs import LEFT, SENSITIVE, Metrics
 from eval.comparison.sets import SetLabel
 
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")

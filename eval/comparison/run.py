@@ -13,8 +13,8 @@ from baselines.engines.options import LOCAL, Engine
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from eval.comparison import protocol
-from eval.comparison.computing_time import Times, measured_once, measured_times
 from eval.comparison.custom import TIME_LIMIT
+from eval.comparison.failures import Failure, attempt
 from eval.comparison.methods import (
     PRIVILEGED,
     Method,
@@ -25,7 +25,7 @@ from eval.comparison.methods import (
     privileged_method,
     shipped_policies,
 )
-from eval.comparison.pairs import Failure, Pair, attempt, run_pairs
+from eval.comparison.pairs import Pair, run_pairs
 from eval.comparison.results import (
     COMPUTING_TIME,
     Comparison,
@@ -38,6 +38,7 @@ from eval.comparison.scenarios import require_same_physics
 from eval.comparison.schema import read_results, require_same_set
 from eval.comparison.sets import ScenarioSet
 from eval.comparison.splits import Split, main_split
+from eval.comparison.timing import ActionTimes, measured_once, measured_times
 
 
 def choose_methods(
@@ -119,7 +120,7 @@ def compare(
         engine: What runs them.
         fresh: Whether to run everything again.
         computing_time: Whether each method's commands are later by its own time per action, see
-            `eval.comparison.computing_time`.
+            `eval.comparison.timing`.
         done: Called with the number of pairs of method and split that are done, and of all.
 
     Raises:
@@ -165,7 +166,7 @@ class _Run:
 
     method: Method
     split: Split
-    times: Times | Failure
+    times: ActionTimes | Failure
     computing_time: bool  # whether its commands are later by that time
     episodes: int
     nudged: bool  # whether its sensitivity is measured

@@ -1,23 +1,41 @@
-"""Wall-clock of controllers, and the loop that drives them sample by sample."""
+"""Wall-clock of controllers, and the loop that drives them sample by sample.
+
+Where computing time counts, a command acts later than the drive's own latency by the 99th percentile of the method's
+time per action for one arm, in every scenario. A run that goes on from kept results must not measure that again: its
+arms would be others. So the times are kept beside the results in `computing_time.json`, under a key of everything that
+the method depends on, and measured anew only for `--fresh`, or for another method or other code.
+"""
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, BeltArmVectorEnv
+from baselines.tools.files import read_text, write_text
+from baselines.tools.schema import loads
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
+from eval.comparison.failures import Failure, run_controller
+from eval.comparison.methods import Method
+from eval.comparison.pairs import key_of
 
 TIMED_ACTIONS = 300
 _REPETITIONS = 5
 PERIOD_US = 1e6 * CONTROL_PERIOD
+FILE = "computing_time.json"
+_LONGEST = 1e9  # time that is believed [us]
+ActionTimes = tuple[float, float]
+"""Median and 99th percentile of the time per action for one arm [us]."""
 
 
 def drive(
@@ -62,8 +80,8 @@ class _Timed:
         return result
 
 
-def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> tuple[float, float]:
-    """Median and 99th percentile of the time per action for one nominal arm [us]."""
+def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> ActionTimes:
+    """Time the actions of a controller for one nominal arm."""
     timed = _Timed(controller)
     for _ in drive(timed, 1, TIMED_ACTIONS, seed, sensors=sensors):
         pass
@@ -100,3 +118,46 @@ def _timed(controller: Controller, arms: int, seed: int) -> tuple[NDArray[np.flo
     for _ in drive(timed, arms, EPISODE_STEPS, seed, randomization="train"):
         pass
     return 1e6 * np.array(timed.seconds), time.perf_counter() - began
+
+
+def measured_times(methods: Sequence[Method]) -> dict[str, ActionTimes | Failure]:
+    """Times of some methods, by name, measured now; a failure where a controller fails on one arm."""
+    return {method.name: run_controller(method, "", partial(_time, method), "one arm") for method in methods}
+
+
+def _time(method: Method) -> ActionTimes:
+    return action_times(method.controller(0, [ArmParams()]), method.sensors)
+
+
+def measured_once(methods: Sequence[Method], folder: Path, *, fresh: bool = False) -> dict[str, ActionTimes | Failure]:
+    """Times of some methods, by name: those that the folder has, the others measured and kept in it.
+
+    Args:
+        methods: What to time; one of unknown identity is always measured.
+        folder: Of the comparison.
+        fresh: Whether to measure all of them anew.
+
+    Raises:
+        OSError: If the times cannot be written.
+    """
+    kept, found = _read(folder / FILE), {}
+    for method in methods:
+        key = None if method.identity is None else key_of(method)
+        entry = kept.get(method.name, {})
+        if not fresh and key is not None and entry.get("key") == key:
+            found[method.name] = entry["p50"], entry["p99"]
+            continue
+        found |= measured_times([method])
+        if key is not None and not isinstance(times := found[method.name], Failure):
+            kept[method.name] = {"key": key, "p50": times[0], "p99": times[1]}
+            write_text(folder / FILE, json.dumps(kept, indent=1) + "\n")
+    return found
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """Times that are kept, by method; those of a damaged file, or damaged in it, are measured anew."""
+    try:
+        content = loads(read_text(path))
+        return {name: entry for name, entry in content.items() if _LONGEST >= entry["p99"] >= entry["p50"] > 0}
+    except (OSError, ValueError, AttributeError, KeyError, TypeError):
+        return {}

@@ -25,8 +25,9 @@ from baselines.engines import parallel
 from baselines.engines.carrying import Carried
 from baselines.tools.files import read_arrays, write_arrays
 from beltarm_env.metrics import TORQUE_QUALITY
+from eval.comparison.failures import Failure, explained, run_controller
 from eval.comparison.methods import Method
-from eval.comparison.pairs import LEFT, Failure, Pair, explained, key_of, measure, run_controller, sent_along
+from eval.comparison.pairs import LEFT, Pair, key_of, measure, sent_along
 from eval.comparison.sets import fresh_scenarios
 from eval.comparison.splits import EDITION, SPLITS, VERSION, digest_of
 

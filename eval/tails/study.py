@@ -18,8 +18,9 @@ from beltarm_env.arm import params_columns
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval.comparison import protocol
 from eval.comparison.estimates import interquartile_mean
+from eval.comparison.failures import Failure
 from eval.comparison.methods import Method
-from eval.comparison.pairs import LEFT, Failure
+from eval.comparison.pairs import LEFT
 from eval.comparison.results import provenance
 from eval.comparison.scenarios import require_same_physics
 from eval.comparison.sets import MOST, SetLabel, development_set, fresh_scenarios

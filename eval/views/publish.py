@@ -13,7 +13,7 @@ from rich.console import Console
 
 from baselines.engines import parallel
 from baselines.tools.files import sha256_of, write_text
-from eval.comparison.pairs import explained
+from eval.comparison.failures import explained
 from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
 from eval.comparison.splits import Split
@@ -78,7 +78,7 @@ def _side_by_side(calls: dict[str, Callable[[], Any]], jobs: int | None) -> dict
     """Results of some calls, each in a process of its own, in their order.
 
     Raises:
-        Exception: Whatever one of them raises, see `eval.comparison.pairs.explained`.
+        Exception: Whatever one of them raises, see `eval.comparison.failures.explained`.
     """
     found = {}
     with closing(parallel.run_side_by_side({name: partial(_called, calls[name]) for name in calls}, jobs)) as results:

@@ -17,8 +17,8 @@ from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
 from beltarm_env.rendering.window import Window, import_pygame
 from beltarm_env.rollout import Recording
+from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
-from eval.comparison.pairs import Failure, run_controller
 from eval.comparison.splits import Split
 from eval.views.film import FPS, REST_S, write_film
 from eval.views.report.animation import reference_angles

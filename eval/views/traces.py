@@ -11,7 +11,7 @@ import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.estimates import interquartile_mean
-from eval.comparison.pairs import Failure, run_controller
+from eval.comparison.failures import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.splits import Split, side_by_side
 from eval.style.colours import COLOURS

@@ -16,7 +16,7 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import MAPS
 from eval.comparison.estimates import interquartile_mean
-from eval.comparison.pairs import Failure, run_controller
+from eval.comparison.failures import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.views.report.scenes import Map
 

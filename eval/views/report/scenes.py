@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from beltarm_env.rollout import Recording
-from eval.comparison.pairs import Failure
+from eval.comparison.failures import Failure
 from eval.comparison.results import Comparison
 from eval.comparison.splits import Split
 from eval.style.colours import COLOURS
