@@ -32,7 +32,7 @@ TILE_ROWS = len(_ROW_ENTRIES)
 OWN_ROW = _COMMON + np.cumsum([0, *map(len, _OWN[:-1])])
 """First row of each tier's own entries, by its index in `observation.SENSORS`."""
 _INVERSE_SCALE = np.array([1 / entry.scale for entry in _ROW_ENTRIES])
-_BOUND = np.array([np.float32(entry.bound / entry.scale) for entry in _ROW_ENTRIES], dtype=np.float64)
+_BOUND = np.array([entry.bound / entry.scale for entry in _ROW_ENTRIES], dtype=np.float32)
 
 
 @inlined
@@ -45,8 +45,8 @@ def _place(row: int, lane: int) -> int:
 @inlined
 def put(tile: Singles, lane: int, row: int, value: float) -> None:
     """Scale and clip a physical value into its place."""
-    bound = _BOUND[row]
-    tile[_place(row, lane)] = min(max(value * _INVERSE_SCALE[row], -bound), bound)
+    bound, scaled = _BOUND[row], np.float32(value * _INVERSE_SCALE[row])
+    tile[_place(row, lane)] = min(max(scaled, -bound), bound)
 
 
 def _copy_group(observations: Singles, arm: int, entry: int, tile: Singles, place: int) -> None:
