@@ -19,7 +19,7 @@ from rich.table import Table
 
 from baselines.tools.command import run_command
 from eval.speed.accuracy import accuracy_row
-from eval.speed.parts import parts_table
+from eval.speed.parts import parts_tables
 from eval.speed.start_up import memory_rows, start_up_rows
 from eval.speed.stepping import batch_rows, rollout_rows, single_row, threads_row
 from eval.speed.training import training_rows
@@ -36,7 +36,8 @@ class Config:
     steps: int = 100
     """Steps per repetition of a batch. Single arms take a hundred times as many."""
     parts: bool = False
-    """Also measure what the parts of a batch's step take."""
+    """Also measure what the parts of a batch's step take, count their operations, and tell how long a core would need
+    for these at least."""
     training: bool = False
     """Also run `train/ppo.py` with its defaults, and report when its policy halves the paper's figures. Takes
     minutes."""
@@ -64,7 +65,7 @@ def run(config: Config) -> None:
     rows += [*rollout_rows(config.repetitions), single_row(config.steps, config.repetitions), accuracy_row()]
     rows += [*start_up_rows(config.repetitions), *memory_rows()]
     if config.parts:
-        console.print(parts_table(config.arms, config.steps, config.repetitions))
+        console.print(*parts_tables(config.arms, config.steps, config.repetitions), sep="\n")
     if config.training:
         rows += training_rows()
     if config.training_loop:

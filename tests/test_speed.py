@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from eval.speed import peers, sizes
+from eval.speed.operations import Memory, Trace, Traced, efforts_of_kernels
 from eval.speed.timing import ratios, times_in_turns
 
 
@@ -34,3 +35,53 @@ def test_a_page_shows_every_peer_that_is_installed(tmp_path: Path, monkeypatch: 
     assert "CartPole-v1, gymnax" in head and "EnvPool" not in head
     assert "\n| 1 | " in page and "\n| 20 | " in page
     assert (tmp_path / "sizes.png").read_bytes().startswith(b"\x89PNG")
+
+
+# Operations
+
+
+@pytest.fixture
+def trace(monkeypatch: pytest.MonkeyPatch) -> Trace:
+    new = Trace()
+    monkeypatch.setattr("eval.speed.operations._TRACE", new)
+    return new
+
+
+def counted(trace: Trace, *stored: float) -> tuple[float, float]:
+    trace.need(*stored)
+    return trace.end()[:2]
+
+
+def test_operations_are_counted_once_and_only_if_their_result_is_needed(trace: Trace):
+    x, y = Traced(3.0), Traced(0.5)
+    assert counted(trace, x * y + x / y) == (3, 1)
+    assert counted(trace, (x * y) * (x * y)) == (2, 0), "x * y is done once"
+    assert x * y == 1.5 and counted(trace) == (2, 0), "a comparison is one, and needs what it compares"
+    assert x - 1.0 and counted(trace) == (0, 0), "nobody stores it"
+    assert counted(trace, 1.0 * x, -x, abs(x)) == (0, 0), "a compiler leaves these out, or a sign is all that changes"
+    assert counted(trace, 2.0 - x, 2.0 / x, x - 2.0) == (3, 1)
+    assert [2.0 - x, 2.0 / y, x - 2.0, 2 * x] == [-1.0, 4.0, 1.0, 6.0]
+
+
+def test_what_was_computed_in_an_earlier_part_is_not_counted_again(trace: Trace):
+    product = Traced(2.0) * Traced(3.0)
+    assert counted(trace, product) == (1, 0)
+    assert counted(trace, product + 1.0) == (1, 0)
+
+
+def test_memory_of_an_arm_knows_what_is_read_and_written(trace: Trace):
+    arm, other = Memory([1.0, 2.0, 3.0], of_arm=True), Memory([1.0, 2.0, 3.0])
+    arm[0] = arm[1] + arm[1]
+    other[1:][0] = Traced(2.0) * 2.0
+    assert (float(arm[0]), float(other[1])) == (4.0, 4.0)
+    assert trace.end() == (1, 0, 16.0, 8.0), "the product is stored, the sum of plain numbers is none of its own"
+
+
+def test_parts_of_a_step_take_what_their_equations_say():
+    """Quotients and roots by hand, others within what equations of their size can have."""
+    efforts = efforts_of_kernels("ideal")
+    assert efforts["sensing"].slow == 1, "angle / resolution"
+    assert efforts["cost"].slow == 4, "of the reference its ramp and its cruising speed, and the length of two errors"
+    assert efforts["observation"].slow == 2, "of seven references the same ramp and cruising speed"
+    assert 4 <= efforts["motion"].slow < 12, "an inertia in each stage, more where a motor stops"
+    assert 200 < efforts["motion"].operations < 1000 and efforts["motion"].written == 4 * 8

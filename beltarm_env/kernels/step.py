@@ -46,12 +46,12 @@ REWARD = TERMS + 4
 TERMINATED = REWARD + 1
 TRUNCATED = TERMINATED + 1
 _WORK = TRUNCATED + 1  # rows of `advance`
-_SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
+SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
 
 
 def new_scratch() -> tuple[Floats, Singles]:
     """Allocate the memory that the kernels work in, one block at a time; once, because allocation takes time."""
-    return aligned_zeros(_SCRATCH_ROWS * LANES), aligned_zeros(-(-TILE_ROWS // 2) * LANES).view(np.float32)
+    return aligned_zeros(SCRATCH_ROWS * LANES), aligned_zeros(-(-TILE_ROWS // 2) * LANES).view(np.float32)
 
 
 @inlined
@@ -85,7 +85,16 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, dr
 
 
 @compiled
-def _charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
+def charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Driven) -> None:
+    """Charge the first arms of a block for a step: its cost, the episode's totals, and whether the episode is over.
+
+    Args:
+        block: As `layout` describes.
+        scratch: Rows of a step, with the actions; the results are written.
+        count: Number of arms.
+        profile: Index into `reference.PROFILES`.
+        driven: Whether drives as they are built are among the arms.
+    """
     if profile == TRAPEZOID:  # the usual case as a constant, so that its loop does not compute the other profiles
         _charge_profile(block, scratch, count, TRAPEZOID, driven)
     else:
@@ -113,7 +122,7 @@ def _step_block(
         else:
             advance_driven_block(block, work, actions, count, model)
     sense_block(block, count, tier, driven)
-    _charge(block, scratch, count, profile, driven)
+    charge(block, scratch, count, profile, driven)
     observe_block(block, tile, observations, profile, tier, driven)
 
 

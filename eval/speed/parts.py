@@ -1,4 +1,4 @@
-"""Where the time of a batch's step goes, in nanoseconds per arm."""
+"""Where the time of a batch's step goes, in nanoseconds per arm, and how long it would take a core at its best."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_
 from beltarm_env.kernels.layout import IDEAL, LANES, Driven, aligned_zeros
 from beltarm_env.kernels.observe import observe_arms
 from beltarm_env.kernels.sense import sense_block
+from beltarm_env.kernels.step import charge
 from beltarm_env.kernels.tile import transpose
 from beltarm_env.observation import ENCODER, size
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import TRAPEZOID
+from eval.speed.limits import arithmetic, copying
+from eval.speed.operations import PARTS, Effort, efforts_of_kernels
 
 _ACTIONS = 16
 _WARM_UP = 5  # steps, so that arms are in motion
@@ -39,6 +42,12 @@ def _advance(blocks: Floats, work: Floats, actions: Floats, driven: Driven) -> N
 def _sense(blocks: Floats, driven: Driven) -> None:
     for k in range(len(blocks)):
         sense_block(blocks[k], LANES, ENCODER, driven)
+
+
+@compiled
+def _charge(blocks: Floats, scratch: Floats, driven: Driven) -> None:
+    for k in range(len(blocks)):
+        charge(blocks[k], scratch, LANES, TRAPEZOID, driven)
 
 
 @compiled
@@ -68,6 +77,7 @@ def parts(arms: int, steps: int, repetitions: int, randomization: Randomization)
         "whole step": lambda k: env.step(actions[k % _ACTIONS]),
         "motion": lambda k: _advance(batch.blocks, work, torques[k % _ACTIONS], driven),
         "sensing": lambda _: _sense(batch.blocks, driven),
+        "cost": lambda _: _charge(batch.blocks, batch.scratch, driven),
         "observation": lambda _: observe_arms(batch.blocks, batch.tile, observations, TRAPEZOID, ENCODER, driven),
         "of that, copying to one row per arm": lambda _: _transpose(batch.tile, observations),
     }
@@ -82,15 +92,32 @@ def parts(arms: int, steps: int, repetitions: int, randomization: Randomization)
                 run(k)
             times[name].append((time.perf_counter() - began) / steps / count * 1e9)
     best = {name: min(of_part[1:]) for name, of_part in times.items()}
-    known = sum(best[name] for name in ("motion", "sensing", "observation"))
-    return {**best, "cost, results and Python": best["whole step"] - known}
+    known = sum(best[name] for name in PARTS)
+    return {**best, "results and Python": best["whole step"] - known}
 
 
-def parts_table(arms: int, steps: int, repetitions: int) -> Table:
-    """Table of the parts for the terminal, with ideal drives and with all effects of the drive."""
-    ideal, driven = (parts(arms, steps, repetitions, kind) for kind in ("ideal", "train"))
-    title = f"A step of about {arms} arms under random torques, ns per arm"
-    table = Table("part", "ideal drives", "all effects of the drive", title=title, title_justify="left")
-    for name in ideal:
-        table.add_row(name, f"{ideal[name]:.1f}", f"{driven[name]:.1f}")
-    return table
+def parts_tables(arms: int, steps: int, repetitions: int) -> list[Table]:
+    """Tables of the parts for the terminal, with ideal drives and with all effects of the drive.
+
+    Beside the time of a part is what its operations would take if a core did nothing else, and were at its best.
+    """
+    kinds: dict[str, Randomization] = {"ideal drives": "ideal", "all effects of the drive": "train"}
+    fastest, copied, tables = arithmetic(), copying(), []
+    for drives, kind in kinds.items():
+        times, efforts = parts(arms, steps, repetitions, kind), efforts_of_kernels(kind)
+        efforts["whole step"] = Effort(*map(sum, zip(*efforts.values(), strict=True)))
+        title = f"A step under random torques, {drives}, per arm of about {arms}"
+        caption = f"A core at its best: {fastest:.0f} operations in a ns, or {copied:.0f} bytes copied."
+        columns = ("part", "ns", "operations", "/ and sqrt", "ns at best", "share", "bytes")
+        table = Table(*columns, title=title, caption=caption, title_justify="left", caption_justify="left")
+        for name, took in times.items():
+            cells = _cells(efforts[name], took, fastest) if name in efforts else ["-"] * (len(columns) - 2)
+            table.add_row(name, f"{took:.1f}", *cells)
+        tables.append(table)
+    return tables
+
+
+def _cells(effort: Effort, took: float, fastest: float) -> list[str]:
+    best = effort.operations / fastest
+    counts = f"{effort.operations:.0f}", f"{effort.slow:.0f}"
+    return [*counts, f"{best:.1f}", f"{100 * best / took:.0f} %", f"{effort.read + effort.written:.0f}"]
