@@ -18,7 +18,7 @@ from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
-from beltarm_env.kernels.threads import in_threads, threads_for
+from beltarm_env.kernels.threads import in_threads, none_taken, threads_for
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -183,12 +183,12 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
         into = fractions, result, rewards, terminated, truncated, terms
         threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, len(batch.rooms))
-        taken = np.zeros(threads, np.int64)
+        taken = none_taken(threads)
 
         def step_blocks(thread: int) -> None:
             step_arms(batch.blocks, taken, thread, *batch.rooms[thread], *into, *settings)
 
-        in_threads(step_blocks, threads)
+        in_threads(step_blocks, threads, taken)
         stepped = np.ones(count, np.bool_)
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
         if len(restarted):

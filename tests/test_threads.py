@@ -10,10 +10,12 @@ from threading import Event
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from agents.policy.bundle import load_controller
 from baselines import CONTROLLERS
 from beltarm_env import BeltArmVectorEnv
+from beltarm_env.jit import compiled
 from beltarm_env.kernels import threads
 from beltarm_env.rollout import rollout
 
@@ -106,10 +108,44 @@ def test_a_thread_that_is_late_finds_nothing_left():
     assert done == [0], "its share is not waited for, and not begun later"
 
 
+@pytest.mark.parametrize("at_work", [True, False])
+def test_a_thread_is_waited_for_while_it_has_a_block(at_work: bool):
+    begun, over, done, taken = Event(), Event(), list[int](), threads.none_taken(2)
+
+    def work(thread: int) -> None:
+        if thread == 0:
+            assert begun.wait(60)
+            return
+        taken[2 + thread] = at_work
+        begun.set()
+        over.wait(0.1 if at_work else 60)
+        taken[2 + thread] = 0
+        done.append(thread)
+
+    threads.in_threads(work, 2, taken)
+    assert done == ([1] if at_work else []), "once its blocks are done it may be anywhere"
+    over.set()
+    threads.in_threads(lambda thread: None if thread else begun.wait(60), 2)
+
+
+def test_a_kernel_waits_a_little_and_not_for_ever():
+    taken = threads.none_taken(2)
+    taken[3] = 1  # a thread that another program keeps from its core
+    blocks = [take(taken, 0, 5) for _ in range(6)]
+    assert sorted(blocks) == [-1, 0, 1, 2, 3, 4] and blocks[-1] == -1
+    assert taken[2:].tolist() == [0, 1]
+    assert take(taken, 1, 5) == -1 and taken[2:].tolist() == [0, 0]
+
+
+@compiled
+def take(taken: NDArray[np.int64], thread: int, blocks: int) -> int:
+    return threads.take_block(taken, thread, blocks)
+
+
 def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
-    assert [threads.threads_for(blocks, False, 4) for blocks in (1, 60, 120, 1000)] == [1, 1, 3, 4]
-    assert [threads.threads_for(blocks, True, 2) for blocks in (1, 8, 30)] == [1, 1, 2]
+    assert [threads.threads_for(blocks, False, 4) for blocks in (1, 59, 60, 90, 1000)] == [1, 1, 2, 3, 4]
+    assert [threads.threads_for(blocks, True, 2) for blocks in (1, 7, 8, 30)] == [1, 1, 2, 2]
 
 
 @pytest.mark.parametrize("number", [0, 257, 1.5, True, "2"])

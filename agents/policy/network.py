@@ -22,7 +22,7 @@ from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import allocating, compiled, inlined
-from beltarm_env.kernels.threads import in_threads, take_block, usual_threads
+from beltarm_env.kernels.threads import in_threads, none_taken, take_block, usual_threads
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LEAST = 32  # rows for which it pays to wake a thread
@@ -85,9 +85,10 @@ class NetworkPolicy:
         inputs = np.array(observation, np.float32, order="C")
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
-        taken = np.zeros(min(usual_threads(), max(count // _LEAST, 1)), np.int64)
+        threads = min(usual_threads(), max(count // _LEAST, 1))
+        taken = none_taken(threads)
         same = self.network, inputs, memory.reshape(count, -1), self.widest, residuals, taken
-        in_threads(lambda thread: _evaluate_tiles(*same, thread), len(taken))
+        in_threads(lambda thread: _evaluate_tiles(*same, thread), threads, taken)
         return residuals, memory if self.network.kind != _FEEDFORWARD else None
 
 

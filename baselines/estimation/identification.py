@@ -32,7 +32,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled
-from beltarm_env.kernels.threads import in_threads, usual_threads
+from beltarm_env.kernels.threads import in_threads, none_taken, usual_threads
 
 Memory = TypeVar("Memory")
 
@@ -156,7 +156,7 @@ class ArmIdentifier:
         before = notes if belief is None else belief.notes
         rooms, taken = self._shared(count)
         same = self.design, inputs, before, belief is not None, notes, taken
-        in_threads(lambda thread: identify_all(*same, thread, *rooms[thread]), len(taken))
+        in_threads(lambda thread: identify_all(*same, thread, *rooms[thread]), len(taken) // 2, taken)
         tracks = notes.tracks
         if self._felt:
             tracks = tracks._replace(mean=tracks.mean[:, :size].copy())
@@ -176,7 +176,7 @@ class ArmIdentifier:
         result = empty_estimate(len(belief.count))
         rooms, taken = self._shared(len(belief.count))
         same = self.design, belief.notes, result, taken
-        in_threads(lambda thread: estimate_all(*same, thread, rooms[thread][0]), len(taken))
+        in_threads(lambda thread: estimate_all(*same, thread, rooms[thread][0]), len(taken) // 2, taken)
         return result
 
     def other_torques(self, belief: Belief, states: Floats) -> Floats:
@@ -195,4 +195,4 @@ class ArmIdentifier:
         threads = min(usual_threads(), max(count // ARMS, 1))
         while len(self._rooms) < threads:
             self._rooms.append(vector_workspace(self._felt))
-        return self._rooms, np.zeros(threads, np.int64)
+        return self._rooms, none_taken(threads)

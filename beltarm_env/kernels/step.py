@@ -151,7 +151,7 @@ def step_arms(
 
     Args:
         blocks: The arms, as `layout` describes.
-        taken: What has been taken of each thread's share, shape (threads,); zeros at first.
+        taken: What has been taken of each thread's share, see `take_block`.
         thread: Index of this one.
         scratch: From `new_scratch`.
         tile: From `new_scratch`.

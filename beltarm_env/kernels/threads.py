@@ -25,9 +25,10 @@ from beltarm_env.jit import inlined
 Integers = NDArray[np.int64]
 
 MAX_THREADS = 256
-LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 40, 8
+LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 30, 4
 """For which it pays to wake a thread: of arms with an ideal drive, and with drives as they are built."""
 _BACK = 1 << 32
+_PATIENCE = 30_000  # looks at whether another thread is at work, some 50 us: to be woken takes half as long
 
 Item = TypeVar("Item")
 
@@ -47,20 +48,29 @@ def threads_for(blocks: int, built: bool, most: int) -> int:
     return min(most, max(1, blocks // (LEAST_BUILT_BLOCKS if built else LEAST_BLOCKS)))
 
 
-def in_threads(work: Callable[[int], object], threads: int) -> None:
+def none_taken(threads: int) -> Integers:
+    """Return what kernels note of blocks that threads take, see `take_block`."""
+    return np.zeros(2 * threads, np.int64)
+
+
+def in_threads(work: Callable[[int], object], threads: int, taken: Integers | None = None) -> None:
     """Call a function in several threads, this one among them.
 
     Args:
         work: Called with the index of a thread; it ends when nothing is left to do, also for the others.
         threads: Their number.
+        taken: Of `take_block`, if `work` is a kernel that takes its blocks by it. Once all blocks are done this thread
+            goes on, and does not wait until others have Python's lock and can tell.
     """
     shares = [_Share(work, thread) for thread in range(1, threads)]
     for share in shares:
         _inbox(os.getpid(), share.thread).put(share)
+    waits = True
     try:
         work(0)
+        waits = taken is None or bool(taken[threads:].any())
     finally:
-        errors = [share.end() for share in shares]
+        errors = [share.end(waits) for share in shares]
     for error in errors:
         if error is not None:
             raise error
@@ -96,9 +106,9 @@ class _Share:
             else:
                 self._ended.put(None)
 
-    def end(self) -> BaseException | None:
-        """Wait until the other thread is done, if it has begun; return what it raised."""
-        return None if self._turn.acquire(blocking=False) else self._ended.get()
+    def end(self, waits: bool) -> BaseException | None:
+        """Keep the other thread from beginning; wait until it is done, if it has begun, and return what it raised."""
+        return None if self._turn.acquire(blocking=False) or not waits else self._ended.get()
 
 
 @cache
@@ -119,18 +129,20 @@ def take_block(taken: Integers, thread: int, blocks: int) -> int:
     """Take a block, of a thread's own share or of what is left of the others'; no other thread is given the same.
 
     Its thread takes blocks of a share from the front and the others from the back, so that those are the same in most
-    steps, and are where they were needed last.
+    steps, and are where they were needed last. Where none is left, the first thread waits a little for the others.
 
     Args:
-        taken: How many blocks of each share were taken from the front, and from the back, times `_BACK`; shape
-            (threads,), zeros at first.
+        taken: How many blocks of each share were taken from the front, and from the back, times `_BACK`; and which
+            threads are at work. Of `none_taken`.
         thread: Index of this one.
         blocks: Their number.
 
     Returns:
         The block, or -1 if none is left.
     """
-    threads = len(taken)
+    threads = len(taken) // 2
+    if taken[threads + thread] == 0:
+        _add(taken, threads + thread, 1)
     for turn in range(threads):
         share = (thread + turn) % threads
         first, behind = share * blocks // threads, (share + 1) * blocks // threads
@@ -138,6 +150,14 @@ def take_block(taken: Integers, thread: int, blocks: int) -> int:
         front, back = before % _BACK, before // _BACK
         if front + back < behind - first:
             return first + front if turn == 0 else behind - 1 - back
+    _add(taken, threads + thread, -1)
+    if thread == 0:
+        for _ in range(_PATIENCE):
+            working = 0
+            for other in range(1, threads):
+                working += _look(taken, threads + other)
+            if working == 0:
+                break
     return -1
 
 
@@ -147,14 +167,31 @@ def _add(counts: Integers, index: int, more: int) -> int:
     return int(counts[index] - more)
 
 
+def _look(counts: Integers, index: int) -> int:
+    """Return a count that other threads change."""
+    return int(counts[index])
+
+
 @intrinsic
 def _add_atomically(_: Any, counts: Any, index: Any, more: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, values[0])
-        where = get_item_pointer(context, builder, signature.args[0], array, [values[1]])
-        return builder.atomic_rmw("add", where, values[2], "monotonic")
+        where = _where(context, builder, signature, values)
+        return builder.atomic_rmw("add", where, values[2], "seq_cst")
 
     return types.int64(counts, types.intp, types.int64), generate
+
+
+@intrinsic
+def _look_anew(_: Any, counts: Any, index: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.load_atomic(_where(context, builder, signature, values), "acquire", align=8)
+
+    return types.int64(counts, types.intp), generate
+
+
+def _where(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    of = signature.args[0]
+    return get_item_pointer(context, builder, of, context.make_array(of)(context, builder, values[0]), [values[1]])
 
 
 @overload(_add, inline="always")
@@ -163,3 +200,11 @@ def _add_compiled(counts: Any, index: Any, more: Any) -> Any:
         return _add_atomically(counts, index, more)  # pyright: ignore[reportCallIssue]
 
     return add
+
+
+@overload(_look, inline="always")
+def _look_compiled(counts: Any, index: Any) -> Any:
+    def look(counts: Any, index: Any) -> Any:
+        return _look_anew(counts, index)  # pyright: ignore[reportCallIssue]
+
+    return look
