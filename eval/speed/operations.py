@@ -56,7 +56,10 @@ class Trace:
     """What has been computed, compared, read and stored since the last trace ended."""
 
     def __init__(self) -> None:
-        self._done: dict[tuple[Any, ...], Any] = {}
+        self._begin()
+
+    def _begin(self) -> None:
+        self._done: dict[tuple[Any, ...], Any] = {}  # operands live as long, so that no two have the same id
         self._needed: list[Any] = []
         self.read: set[int] = set()
         self.written: set[int] = set()
@@ -94,7 +97,7 @@ class Trace:
                 number.operation, number.operands = None, ()
         slow = sum(counts[operation] for operation in _SLOW)
         found = Effort(counts.total() - counts["sign"], slow, 8.0 * len(self.read), 8.0 * len(self.written))
-        self.__init__()
+        self._begin()
         return found
 
 
@@ -159,8 +162,8 @@ def efforts(randomization: Randomization) -> dict[str, Effort]:
     totals = dict.fromkeys(PARTS, np.zeros(len(Effort._fields)))
     for arm in range(_ARMS):
         block: Any = Memory([Traced(rows[arm, k // LANES]) for k in range(at.ROWS * LANES)], of_arm=True)
-        scratch, work, room, observation = _room(SCRATCH_ROWS), _room(DRIVEN_WORK_ROWS), _room(tile.TILE_ROWS), _row()
-        held = scratch[ACTION * LANES :]
+        scratch, work, room = _room(SCRATCH_ROWS), _room(DRIVEN_WORK_ROWS), _room(tile.TILE_ROWS)
+        held, observation = scratch[ACTION * LANES :], np.zeros((1, size()), np.float32)
         for step, torque in enumerate(torques):
             held[0] = Traced(torque[arm])
             _TRACE.end()
@@ -179,10 +182,6 @@ def efforts(randomization: Randomization) -> dict[str, Effort]:
 
 def _room(rows: int) -> Any:
     return Memory([Traced(0.0)] * (rows * LANES))
-
-
-def _row() -> Any:
-    return np.zeros((1, size()), object)
 
 
 def efforts_of_kernels(randomization: Randomization) -> dict[str, Effort]:
