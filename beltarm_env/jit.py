@@ -51,6 +51,8 @@ from numba.core.serialize import dumps
 from numba.core.targetconfig import ConfigStack
 from numba.core.typed_passes import NativeLowering
 
+from beltarm_env.sources import sources_digest
+
 try:
     import fcntl
 except ImportError:  # Windows, where all of them compile
@@ -276,15 +278,6 @@ class _PartCompiler(CompilerBase):
 
 class _WholeCompiler(_PartCompiler):
     lowering = _WholeLowering
-
-
-def sources_digest(*folders: Path) -> str:
-    """SHA-256 of all Python files below some folders, with their names."""
-    total = hashlib.sha256()
-    for folder in folders:
-        for path in sorted(folder.rglob("*.py")):
-            total.update(f"{path.relative_to(folder).as_posix()}\0".encode() + path.read_bytes() + b"\0")
-    return total.hexdigest()
 
 
 class _ContentKeyedCache(FunctionCache):

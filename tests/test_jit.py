@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from beltarm_env import jit
-from beltarm_env.jit import sources_digest
+from beltarm_env.sources import sources_digest
 
 EQUATION = "from toy.jit import inlined\n\n@inlined\ndef friction(speed):\n    return {factor} * speed\n"
 KERNEL = "from toy.jit import compiled\nfrom toy.laws.law import friction\n\n@compiled\ndef torque(speed):\n    return friction(speed)\n"  # noqa: E501

@@ -9,7 +9,17 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 FLOORS = {
     "beltarm_env": (
-        *("arrays timing", "jit", "arm", "physics", "observation metrics", "task", "kernels", "rendering", "mujoco"),
+        *(
+            "arrays sources timing",
+            "jit",
+            "arm",
+            "physics",
+            "observation metrics",
+            "task",
+            "kernels",
+            "rendering",
+            "mujoco",
+        ),
         *("simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (

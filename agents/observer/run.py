@@ -35,7 +35,7 @@ from baselines.tools.files import require_writable, write_atomically
 from baselines.tools.options import Groups
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line
-from beltarm_env.jit import sources_digest
+from beltarm_env.sources import sources_digest
 from beltarm_env.task.seeds import OBSERVER
 
 _BLOCK = 512  # episodes that are simulated side by side, and kept in one file

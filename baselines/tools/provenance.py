@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from beltarm_env import __version__
-from beltarm_env.jit import sources_digest
+from beltarm_env.sources import sources_digest
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gymnasium", "numba", "numpy", "optuna", "sb3-contrib", "scipy", "stable-baselines3", "torch")

@@ -32,9 +32,9 @@ from baselines.optimal import kept as kept_gains
 from baselines.tools.files import read_arrays, sha256_of, write_arrays
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.jit import sources_digest
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, nominal_params, rollout
+from beltarm_env.sources import sources_digest
 from eval.comparison.failures import Failure, attempt, explained, run_controller
 from eval.comparison.methods import LARGEST_BATCH, Method
 from eval.comparison.splits import EDITION, VERSION, Split, side_by_side
