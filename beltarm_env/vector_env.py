@@ -18,7 +18,7 @@ from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
-from beltarm_env.kernels.threads import in_threads, none_taken, threads_for
+from beltarm_env.kernels.threads import none_taken, share_blocks, threads_for
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -188,7 +188,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         def step_blocks(thread: int) -> None:
             step_arms(batch.blocks, taken, thread, *batch.rooms[thread], *into, *settings)
 
-        in_threads(step_blocks, threads, taken)
+        share_blocks(step_blocks, taken)
         stepped = np.ones(count, np.bool_)
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
         if len(restarted):

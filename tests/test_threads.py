@@ -122,7 +122,7 @@ def test_a_thread_is_waited_for_while_it_has_a_block(at_work: bool):
         taken[2 + thread] = 0
         done.append(thread)
 
-    threads.in_threads(work, 2, taken)
+    threads.share_blocks(work, taken)
     assert done == ([1] if at_work else []), "once its blocks are done it may be anywhere"
     over.set()
     threads.in_threads(lambda thread: None if thread else begun.wait(60), 2)

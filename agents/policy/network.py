@@ -22,7 +22,7 @@ from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import allocating, compiled, inlined
-from beltarm_env.kernels.threads import in_threads, none_taken, take_block, usual_threads
+from beltarm_env.kernels.threads import none_taken, share_blocks, take_block, usual_threads
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LEAST = 32  # rows for which it pays to wake a thread
@@ -85,10 +85,9 @@ class NetworkPolicy:
         inputs = np.array(observation, np.float32, order="C")
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
-        threads = min(usual_threads(), max(count // _LEAST, 1))
-        taken = none_taken(threads)
+        taken = none_taken(min(usual_threads(), max(count // _LEAST, 1)))
         same = self.network, inputs, memory.reshape(count, -1), self.widest, residuals, taken
-        in_threads(lambda thread: _evaluate_tiles(*same, thread), threads, taken)
+        share_blocks(lambda thread: _evaluate_tiles(*same, thread), taken)
         return residuals, memory if self.network.kind != _FEEDFORWARD else None
 
 

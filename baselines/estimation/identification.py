@@ -32,7 +32,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled
-from beltarm_env.kernels.threads import in_threads, none_taken, usual_threads
+from beltarm_env.kernels.threads import none_taken, share_blocks, usual_threads
 
 Memory = TypeVar("Memory")
 
@@ -156,7 +156,7 @@ class ArmIdentifier:
         before = notes if belief is None else belief.notes
         rooms, taken = self._shared(count)
         same = self.design, inputs, before, belief is not None, notes, taken
-        in_threads(lambda thread: identify_all(*same, thread, *rooms[thread]), len(taken) // 2, taken)
+        share_blocks(lambda thread: identify_all(*same, thread, *rooms[thread]), taken)
         tracks = notes.tracks
         if self._felt:
             tracks = tracks._replace(mean=tracks.mean[:, :size].copy())
@@ -176,7 +176,7 @@ class ArmIdentifier:
         result = empty_estimate(len(belief.count))
         rooms, taken = self._shared(len(belief.count))
         same = self.design, belief.notes, result, taken
-        in_threads(lambda thread: estimate_all(*same, thread, rooms[thread][0]), len(taken) // 2, taken)
+        share_blocks(lambda thread: estimate_all(*same, thread, rooms[thread][0]), taken)
         return result
 
     def other_torques(self, belief: Belief, states: Floats) -> Floats:

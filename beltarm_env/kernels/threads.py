@@ -28,7 +28,7 @@ MAX_THREADS = 256
 LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 30, 4
 """For which it pays to wake a thread: of arms with an ideal drive, and with drives as they are built."""
 _BACK = 1 << 32
-_PATIENCE = 30_000  # looks at whether another thread is at work, some 50 us: to be woken takes half as long
+_PATIENCE = 30_000  # looks at whether others are at work: about as long as it takes to be woken
 
 Item = TypeVar("Item")
 
@@ -53,22 +53,37 @@ def none_taken(threads: int) -> Integers:
     return np.zeros(2 * threads, np.int64)
 
 
-def in_threads(work: Callable[[int], object], threads: int, taken: Integers | None = None) -> None:
+def in_threads(work: Callable[[int], object], threads: int) -> None:
     """Call a function in several threads, this one among them.
 
     Args:
         work: Called with the index of a thread; it ends when nothing is left to do, also for the others.
         threads: Their number.
-        taken: Of `take_block`, if `work` is a kernel that takes its blocks by it. Once all blocks are done this thread
-            goes on, and does not wait until others have Python's lock and can tell.
     """
+    _in_threads(work, threads, lambda: True)
+
+
+def share_blocks(work: Callable[[int], object], taken: Integers) -> None:
+    """Call a kernel in several threads, this one among them, as `in_threads`.
+
+    Once all blocks are done this thread goes on, and does not wait until others have Python's lock and can tell.
+
+    Args:
+        work: Called with the index of a thread; a kernel that takes its blocks by `take_block`.
+        taken: Of `none_taken`, for as many threads.
+    """
+    threads = len(taken) // 2
+    _in_threads(work, threads, lambda: bool(taken[threads:].any()))
+
+
+def _in_threads(work: Callable[[int], object], threads: int, at_work: Callable[[], bool]) -> None:
     shares = [_Share(work, thread) for thread in range(1, threads)]
     for share in shares:
         _inbox(os.getpid(), share.thread).put(share)
     waits = True
     try:
         work(0)
-        waits = taken is None or bool(taken[threads:].any())
+        waits = at_work()
     finally:
         errors = [share.end(waits) for share in shares]
     for error in errors:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
 from beltarm_env.kernels.layout import aligned_zeros
+from eval.speed.timing import times_in_turns
 
 _LANES = 256  # few enough that they stay in the fastest cache
 _ROUNDS = 2000
@@ -35,24 +33,13 @@ def _multiply_and_add(values: Floats, rounds: int) -> None:
 def arithmetic() -> float:
     """Measure float64 multiplications and additions of one core, as many of one as of the other [1/ns]."""
     values = aligned_zeros(_CHAINS * _LANES)
-    took = _shortest(lambda: _multiply_and_add(values, _ROUNDS))
-    return 2 * _DEPTH * _CHAINS * _LANES * _ROUNDS / took
+    took = times_in_turns([lambda: _multiply_and_add(values, _ROUNDS)], _REPETITIONS).min()
+    return 1e-9 * 2 * _DEPTH * _CHAINS * _LANES * _ROUNDS / took
 
 
 def copying() -> float:
     """Measure the bytes that one core reads and writes when it copies [1/ns]."""
     source = np.zeros(_COPIED, np.uint8)
     target = np.empty_like(source)
-    took = _shortest(lambda: np.copyto(target, source))
-    return 2 * _COPIED / took
-
-
-def _shortest(run: Callable[[], object]) -> float:
-    """Shortest of some times [ns]; the first call is not one of them."""
-    run()
-    times = []
-    for _ in range(_REPETITIONS):
-        began = time.perf_counter_ns()
-        run()
-        times.append(time.perf_counter_ns() - began)
-    return float(min(times))
+    took = times_in_turns([lambda: np.copyto(target, source)], _REPETITIONS).min()
+    return 1e-9 * 2 * _COPIED / took

@@ -32,7 +32,8 @@ from eval.speed.timing import numbers
 
 PARTS = ("motion", "sensing", "cost", "observation")
 _ARMS, _STEPS = 50, 8
-_WARM_UP = 5  # steps, so that arms are in motion
+WARM_UP = 5
+"""Steps that are not counted or timed, so that arms are in motion."""
 _SLOW = ("division", "root")
 
 
@@ -155,7 +156,7 @@ def efforts(randomization: Randomization) -> dict[str, Effort]:
     env = BeltArmVectorEnv(_ARMS, randomization=randomization)
     env.reset(seed=0)
     env.action_space.seed(0)
-    torques = [env.action_space.sample()[:, 0] for _ in range(_WARM_UP + _STEPS)]
+    torques = [env.action_space.sample()[:, 0] for _ in range(WARM_UP + _STEPS)]
     driven, rows = env._batch.driven, at.rows(env._batch.blocks, 0, at.ROWS, _ARMS)
     setattr(tile, "np", SimpleNamespace(float32=lambda number: number))  # noqa: B010 - NumPy's would not be traced
     setattr(math, "sqrt", partial(_TRACE.apply, "root", math.sqrt))  # noqa: B010
@@ -164,19 +165,20 @@ def efforts(randomization: Randomization) -> dict[str, Effort]:
         block: Any = Memory([Traced(rows[arm, k // LANES]) for k in range(at.ROWS * LANES)], of_arm=True)
         scratch, work, room = _room(SCRATCH_ROWS), _room(DRIVEN_WORK_ROWS), _room(tile.TILE_ROWS)
         held, observation = scratch[ACTION * LANES :], np.zeros((1, size()), np.float32)
+        parts = (
+            partial(advance_driven_block, block, work, held, 1, LUMPED),
+            partial(sense_block, block, 1, ENCODER, driven),
+            partial(charge, block, scratch, 1, TRAPEZOID, driven),
+            partial(observe_block, block, room, observation, TRAPEZOID, ENCODER, driven),
+        )
         for step, torque in enumerate(torques):
             held[0] = Traced(torque[arm])
             _TRACE.end()
-            advance_driven_block(block, work, held, 1, LUMPED)
-            found = [_TRACE.end()]
-            sense_block(block, 1, ENCODER, driven)
-            found.append(_TRACE.end())
-            charge(block, scratch, 1, TRAPEZOID, driven)
-            found.append(_TRACE.end())
-            observe_block(block, room, observation, TRAPEZOID, ENCODER, driven)
-            found.append(_TRACE.end())
-            if step >= _WARM_UP:
-                totals = {name: totals[name] + effort for name, effort in zip(PARTS, found, strict=True)}
+            for name, part in zip(PARTS, parts, strict=True):
+                part()
+                effort = _TRACE.end()
+                if step >= WARM_UP:
+                    totals[name] = totals[name] + effort
     return {name: Effort(*total / (_ARMS * _STEPS)) for name, total in totals.items()}
 
 

@@ -23,10 +23,9 @@ from beltarm_env.physics.models import LUMPED
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import TRAPEZOID
 from eval.speed.limits import arithmetic, copying
-from eval.speed.operations import PARTS, Effort, efforts_of_kernels
+from eval.speed.operations import PARTS, WARM_UP, Effort, efforts_of_kernels
 
 _ACTIONS = 16
-_WARM_UP = 5  # steps, so that arms are in motion
 
 
 @compiled
@@ -85,7 +84,7 @@ def parts(arms: int, steps: int, repetitions: int, randomization: Randomization)
     for _ in range(repetitions + 1):
         for name, run in runs.items():
             env.reset(seed=0)
-            for k in range(_WARM_UP):
+            for k in range(WARM_UP):
                 env.step(actions[k])
             began = time.perf_counter()
             for k in range(steps):
