@@ -7,8 +7,8 @@ import numpy as np
 from beltarm_env.metrics import SHOWN
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Kind, Method
-from eval.comparison.pairs import LEFT
-from eval.comparison.results import Comparison, MethodOutcome, make_comparison, make_outcome
+from eval.comparison.pairs import LEFT, Metrics
+from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison
 from eval.comparison.sets import SetLabel
 
 ORIGIN = {
@@ -26,6 +26,11 @@ ORIGIN = {
 }
 
 
+def outcome_of(method: Method, split: str, metrics: Metrics, action_times: tuple[float, float]) -> MethodOutcome:
+    """The outcome of a method with these metrics."""
+    return MethodOutcome(method, split, metrics, estimated([metrics])[0], action_times)
+
+
 def outcome(
     name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
 ) -> MethodOutcome:
@@ -35,7 +40,7 @@ def outcome(
     values = np.broadcast_to(np.asarray(costs) * scenarios, (seeds, 24)) + noise
     metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, 24))}
     metrics["failure_share"] = metrics["saturated_share"] = np.zeros((seeds, 24))
-    return make_outcome(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
+    return outcome_of(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
 
 
 def made(*outcomes: MethodOutcome, failures: list[Failure] | None = None) -> Comparison:

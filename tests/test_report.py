@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from outcomes import made, outcome
+from outcomes import made, outcome, outcome_of
 
 from baselines import CONTROLLERS
 from baselines.models.modes import held_mode
@@ -26,7 +26,7 @@ from beltarm_env.rollout import Recording, rollout
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Method, classical_methods
 from eval.comparison.pairs import LEFT, SENSITIVE, Pair, measure
-from eval.comparison.results import Comparison, MethodOutcome, make_outcome
+from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set
 from eval.comparison.splits import SPLITS, Split
@@ -259,7 +259,7 @@ def test_what_is_slower_than_the_control_period_is_marked():
 def test_samples_and_sensitivity_stand_beside_the_effort():
     (method,) = [known for known in classical_methods() if known.name == "zvd"]
     metrics = outcome("zvd", "classical", 1.0).metrics | {SENSITIVE: np.eye(1, 24)}
-    table = effort_table(made(make_outcome(method, "nominal", metrics, (40.0, 50.0)), outcome("pid", "classical", 2.0)))
+    table = effort_table(made(outcome_of(method, "nominal", metrics, (40.0, 50.0)), outcome("pid", "classical", 2.0)))
     (known, unknown) = table.ranked
     steps = method.training["simulator_steps"][0] / 1e6
     assert [cell.text for cell in known.cells[:3]] == ["–", f"{steps:.1f}", f"{steps:.1f}"]
@@ -372,7 +372,7 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
 
 def measured(name: str, split: Split) -> MethodOutcome:
     (method,) = [known for known in classical_methods() if known.name == name]
-    return make_outcome(method, split.name, measure(Pair(method, split, 8)), (40.0, 2000.0))
+    return outcome_of(method, split.name, measure(Pair(method, split, 8)), (40.0, 2000.0))
 
 
 def test_scenes_are_of_chosen_scenarios_and_what_was_measured():

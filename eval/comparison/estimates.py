@@ -7,8 +7,10 @@ for both; a classical controller has a single row.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from scipy.stats import bootstrap
 from beltarm_env.metrics import METRICS
 
 Floats = NDArray[np.float64]
+Found = TypeVar("Found")
 
 RESAMPLES = 2000
 LEAST_P = 2 / (RESAMPLES + 1)
@@ -146,12 +149,25 @@ def paired(values: Floats, other: Floats) -> Paired:
 
 def all_paired(tables: Sequence[tuple[Floats, Floats]]) -> list[Paired]:
     """Compare several pairs of methods, as `paired` does each, in less time."""
-    differences = [values - other.mean(axis=0, keepdims=True) for values, other in tables]
-    found: dict[int, Paired] = {}
-    for shape in {difference.shape for difference in differences}:
-        places = [k for k, difference in enumerate(differences) if difference.shape == shape]
-        found |= zip(places, _paired(np.stack([differences[k] for k in places])), strict=True)
-    return [found[k] for k in range(len(tables))]
+    return together(_differences(tables), _paired)
+
+
+def mean_differences(tables: Sequence[tuple[Floats, Floats]]) -> list[Estimate]:
+    """Estimate the mean difference of several pairs of methods; the others' seeds are averaged per scenario."""
+    return together(_differences(tables), partial(estimates, mean=True))
+
+
+def together(tables: Sequence[Floats], found: Callable[[Floats], list[Found]]) -> list[Found]:
+    """Return what is found in some tables, in their order, asked once for all tables of a shape."""
+    results: dict[int, Found] = {}
+    for shape in {table.shape for table in tables}:
+        places = [k for k, table in enumerate(tables) if table.shape == shape]
+        results |= zip(places, found(np.stack([tables[k] for k in places])), strict=True)
+    return [results[k] for k in range(len(tables))]
+
+
+def _differences(tables: Sequence[tuple[Floats, Floats]]) -> list[Floats]:
+    return [values - other.mean(axis=0, keepdims=True) for values, other in tables]
 
 
 def _paired(differences: Floats) -> list[Paired]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from typing import Any, Literal, NamedTuple
 
@@ -15,7 +16,7 @@ from baselines.tools.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, SHOWN
 from eval.comparison import splits
-from eval.comparison.estimates import Estimate, Paired, all_paired, estimates, holm, profile
+from eval.comparison.estimates import Estimate, Paired, all_paired, estimates, holm, profile, together
 from eval.comparison.failures import Failure
 from eval.comparison.methods import PRIMARY, Method, policies_of
 from eval.comparison.pairs import LEFT, SENSITIVE, Metrics
@@ -70,16 +71,15 @@ class MethodOutcome:
         return float(self.metrics[SENSITIVE].mean()) if SENSITIVE in self.metrics else None
 
 
-def make_outcome(
-    method: Method, split: str, metrics: Metrics, action_times: tuple[float, float], latency: float = 0.0
-) -> MethodOutcome:
-    """Estimate the metrics of one method on one split."""
-    found = dict[str, Estimate]()
+def estimated(found: Sequence[Metrics]) -> list[dict[str, Estimate]]:
+    """Estimate the metrics that are shown, each of several methods and splits."""
+    by_name: list[dict[str, Estimate]] = [{} for _ in found]
     for share in (False, True):
-        names = [name for name in SHOWN if METRICS[name].share == share]
-        found |= zip(names, estimates(np.stack([metrics[name] for name in names]), mean=share), strict=True)
-    in_order = {name: found[name] for name in SHOWN}
-    return MethodOutcome(method, split, metrics, in_order, action_times, latency)
+        cells = [(k, name) for k in range(len(found)) for name in SHOWN if METRICS[name].share == share]
+        estimates_of = together([found[k][name] for k, name in cells], partial(estimates, mean=share))
+        for (k, name), estimate in zip(cells, estimates_of, strict=True):
+            by_name[k][name] = estimate
+    return [{name: of_one[name] for name in SHOWN} for of_one in by_name]
 
 
 class Profiles(NamedTuple):
@@ -166,8 +166,7 @@ def make_comparison(
 ) -> Comparison:
     """Compare the outcomes with one another."""
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
-    best = {split: _against(found, _best_opponent(found)) for split, found in by_split.items()}
-    base = {split: _against(found, _bases(found)) for split, found in by_split.items()}
+    best, base = _against(by_split, _best_opponent), _against(by_split, _bases)
     marks = {split: {name: _marks(o, name, best[split]) for name in PAIRED_METRICS} for split, o in by_split.items()}
     return Comparison(outcomes, best, base, marks, failures, scenario_set, provenance)
 
@@ -188,19 +187,31 @@ def _bases(outcomes: list[MethodOutcome]) -> dict[str, MethodOutcome]:
     return {o.method.name: by_name[o.method.base] for o in outcomes if o.method.base in by_name}
 
 
-def _against(outcomes: list[MethodOutcome], opponents: dict[str, MethodOutcome]) -> dict[str, dict[str, Paired]]:
-    """Ranked methods of one split against their opponents, by method and metric.
+def _against(
+    by_split: dict[str, list[MethodOutcome]], opponents: Callable[[list[MethodOutcome]], dict[str, MethodOutcome]]
+) -> Against:
+    """Ranked methods against their opponents on every split, by split, method and metric.
 
-    All comparisons in one metric are a family for Holm's correction: one question, asked of every method.
+    All comparisons in one metric on one split are a family for Holm's correction: one question, asked of every method.
     """
-    pairs = [(one, other) for one in outcomes if one.ranked and (other := opponents.get(one.method.name))]
-    tables = [(one.metrics[name], other.metrics[name]) for one, other in pairs for name in PAIRED_METRICS]
-    compared = iter(all_paired(tables))
-    found = {one.method.name: {name: next(compared) for name in PAIRED_METRICS} for one, _ in pairs}
-    for name in PAIRED_METRICS:
-        adjusted = holm([of_method[name].p for of_method in found.values()])
-        for of_method, p in zip(found.values(), adjusted, strict=True):
-            of_method[name] = replace(of_method[name], p_holm=p)
+    pairs = [
+        (one, other)
+        for outcomes in by_split.values()
+        for against in [opponents(outcomes)]
+        for one in outcomes
+        if one.ranked and (other := against.get(one.method.name))
+    ]
+    compared = iter(
+        all_paired([(one.metrics[name], other.metrics[name]) for one, other in pairs for name in PAIRED_METRICS])
+    )
+    found: Against = {split: {} for split in by_split}
+    for one, _ in pairs:
+        found[one.split][one.method.name] = {name: next(compared) for name in PAIRED_METRICS}
+    for of_split in found.values():
+        for name in PAIRED_METRICS:
+            adjusted = holm([of_method[name].p for of_method in of_split.values()])
+            for of_method, p in zip(of_split.values(), adjusted, strict=True):
+                of_method[name] = replace(of_method[name], p_holm=p)
     return found
 
 

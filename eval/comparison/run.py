@@ -25,13 +25,13 @@ from eval.comparison.methods import (
     privileged_method,
     shipped_policies,
 )
-from eval.comparison.pairs import Pair, run_pairs
+from eval.comparison.pairs import Metrics, Pair, run_pairs
 from eval.comparison.results import (
     COMPUTING_TIME,
     Comparison,
     MethodOutcome,
+    estimated,
     make_comparison,
-    make_outcome,
     provenance,
 )
 from eval.comparison.scenarios import require_same_physics
@@ -208,11 +208,16 @@ def _outcomes(
             f"interrupted: {_kept(pairs, folder)} of {len(pairs)} pairs of method and split are kept in {folder}; the "
             "same command continues from there"
         ) from None
-    outcomes, failures = [], []
+    measured, failures = list[tuple[_Run, ActionTimes, Metrics]](), list[Failure]()
     for run in runs:
         result = run.pair if isinstance(run.pair, Failure) else next(results)
         if isinstance(result, Failure):
             failures.append(result)
         elif not isinstance(run.times, Failure):
-            outcomes.append(make_outcome(run.method, run.split.name, result, run.times, run.latency))
+            measured.append((run, run.times, result))
+    found = estimated([metrics for _, _, metrics in measured])
+    outcomes = [
+        MethodOutcome(run.method, run.split.name, metrics, estimates, times, run.latency)
+        for (run, times, metrics), estimates in zip(measured, found, strict=True)
+    ]
     return outcomes, failures

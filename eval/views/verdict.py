@@ -9,12 +9,12 @@ drops the worst quarter of the arms. docs/protocol.md fixed this before the test
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from baselines import CONTROLLERS
-from eval.comparison.estimates import Estimate, Paired, estimate, holm, paired
+from eval.comparison.estimates import Estimate, Paired, all_paired, holm, mean_differences
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.style.metrics import with_unit
@@ -96,7 +96,8 @@ def verdict(comparison: Comparison) -> Verdict:
         sentences.append(_everywhere(fought["cost"]))
     sentences += _of_tip(fought, home)
     own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
-    sentences += [_costs(_duel(one, best), home) for one in own if (best := comparison.best_classical(home))]
+    best = comparison.best_classical(home)
+    sentences += [_costs(duel, home) for duel in _fought([(one, best) for one in own if best], "cost")]
     return Verdict(tuple(sentences), fought)
 
 
@@ -105,24 +106,25 @@ def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
     pair = comparison.rivals()
     if pair is None:
         return {}
-    found: dict[str, Duel] = {}
+    pairs = []
     for split in comparison.splits():
         by_name = {outcome.method.name: outcome for outcome in comparison.on(split)}
         one, other = (by_name.get(rival.method.name) for rival in pair)
         if one and other:
-            found[split] = _duel(one, other, metric)
-    adjusted = holm([duel.middle.p for duel in found.values()])
+            pairs.append((one, other))
+    found = _fought(pairs, metric)
+    adjusted = holm([duel.middle.p for duel in found])
     return {
-        split: replace(duel, middle=replace(duel.middle, p_holm=p))
-        for (split, duel), p in zip(found.items(), adjusted, strict=True)
+        duel.challenger.split: replace(duel, middle=replace(duel.middle, p_holm=p))
+        for duel, p in zip(found, adjusted, strict=True)
     }
 
 
-def _duel(one: MethodOutcome, other: MethodOutcome, metric: str = "cost") -> Duel:
-    values, theirs = one.metrics[metric], other.metrics[metric]
-    mean = estimate(values - theirs.mean(axis=0, keepdims=True), mean=True)
-    found = paired(values, theirs)
-    return Duel(one, other, metric, replace(found, p_holm=found.p), mean)
+def _fought(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -> list[Duel]:
+    """Duels of pairs in one metric, not corrected for their number."""
+    tables = [(one.metrics[metric], other.metrics[metric]) for one, other in pairs]
+    compared = zip(pairs, all_paired(tables), mean_differences(tables), strict=True)
+    return [Duel(one, other, metric, replace(found, p_holm=found.p), mean) for (one, other), found, mean in compared]
 
 
 def _answer(duel: Duel, comparison: Comparison) -> str:
