@@ -13,7 +13,8 @@ half the time.
 
 **Arrays.** numba counts who refers to an array, by an atomic operation wherever a kernel takes a view of one: a tenth
 of the time that a filter takes. A kernel that makes no arrays needs none of this, because its caller holds them. Only
-those that are marked `allocating`, and their parts, count.
+those that are marked `allocating` count, and those of their parts that make or return arrays. All other parts are the
+same in all kernels.
 
 **Cache.** numba keeps compiled kernels on disk, and takes one for fresh as long as the file that defines it is
 unchanged. A kernel also holds what it inlines from other files, so here the names of the cached files carry a SHA-256
@@ -81,7 +82,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def allocating(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Compile a kernel that makes arrays, or calls what does, cached on disk."""
+    """Compile a kernel that makes arrays, raises exceptions with values, or calls what does, cached on disk."""
     return function if _PLAIN else cast("Callable[_P, _R]", _Allocating(function))
 
 
@@ -113,7 +114,7 @@ class _Inlined:
 
     @cached_property
     def _parts(self) -> _Parts:
-        return _Parts(self.py_func, forceinline=True)
+        return _Parts(self.py_func, False, forceinline=True)
 
     @property
     def _numba_type_(self) -> Any:
@@ -137,15 +138,14 @@ class _Kernel(CPUDispatcher):
             with _collecting_seldom():
                 return super().compile(sig)
         except NumbaError as error:
-            if not self._counts:
-                error.add_note("A kernel that makes arrays, or raises exceptions with values, is marked `allocating`.")
+            error.add_note("What makes arrays, or raises exceptions with values, is marked `allocating`.")
             raise
         finally:
             self._cache.end_turn()
 
     @cached_property
     def _parts(self) -> _Parts:
-        return _Parts(self.py_func)
+        return _Parts(self.py_func, self._counts)
 
     @property
     def _numba_type_(self) -> Any:
@@ -175,25 +175,59 @@ class _Allocating(_Kernel):
 class _Parts:
     """A function that kernels call: a part of those that make arrays, and one of those that do not."""
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        self._function, self._options = function, options
+    def __init__(self, function: Callable[..., Any], makes_arrays: bool, **options: Any) -> None:
+        self._function, self._makes_arrays, self._options = function, makes_arrays, options
         self._made: dict[bool, _Part] = {}
 
     def for_caller(self) -> _Part:
         """Return the part for the kernel that numba compiles at the moment."""
         flags = ConfigStack.top_or_none()
-        counts = flags is not None and bool(flags.nrt)
+        return self._part(flags is not None and bool(flags.nrt))
+
+    def _part(self, counts: bool) -> _Part:
         if counts not in self._made:
-            self._made[counts] = _Part(self._function, targetoptions={**self._options, "_nrt": counts})
+            options = {**self._options, "_nrt": counts}
+            instead = self._part(False) if counts and not self._makes_arrays else None
+            self._made[counts] = _Part(self._function, targetoptions=options, instead=instead)
         return self._made[counts]
 
 
 class _Part(CPUDispatcher):
-    """A function that kernels call, for some of them."""
+    """A function that kernels call, for some of them.
 
-    def __init__(self, function: Callable[..., Any], *_: Any, targetoptions: dict[str, Any] | None = None) -> None:
+    Args:
+        function: What Python would run.
+        targetoptions: Of numba.
+        instead: Part that does not count, for callers that do: it serves them as well where it returns no array.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *_: Any,
+        targetoptions: dict[str, Any] | None = None,
+        instead: _Part | None = None,
+    ) -> None:
         options = {**_OPTIONS, "no_cpython_wrapper": True, **(targetoptions or {})}
         super().__init__(function, targetoptions=options, pipeline_class=_PartCompiler)
+        self._instead: Any = instead
+
+    def compile(self, sig: Any) -> Any:
+        """Return what stands for the function with arguments of some types, translated if it is not yet."""
+        found = self._without_counting(sig)
+        if found is None:
+            return super().compile(sig)
+        self.overloads[tuple(sig)] = found
+        return found.entry_point
+
+    def _without_counting(self, sig: Any) -> Any:
+        """Translation that does not count, if there may be one and it returns no array."""
+        if self._instead is None:
+            return None
+        self._instead.compile(sig)
+        found = self._instead.overloads[tuple(sig)]
+        returned = self.targetctx.data_model_manager[found.signature.return_type]
+        return None if returned.contains_nrt_meminfo() else found
 
     def add_overload(self, cres: Any) -> None:
         self.overloads[tuple(cres.signature.args)] = cres

@@ -47,7 +47,7 @@ class Problem(NamedTuple):
     slope: Floats  # half the cost's slope in v is slope[:5] z + slope[5] + slope[6] v    (N, 7)
 
 
-@inlined
+@allocating
 def empty_problem(steps: int) -> Problem:
     """Unset problem over a number of steps."""
     return Problem(

@@ -45,7 +45,7 @@ from baselines.planning.riccati import no_cost
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, compiled, inlined
+from beltarm_env.jit import allocating, compiled
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
@@ -124,7 +124,7 @@ def _solve(
         _solve_sized(states + 1, trial, weights, torque, limit, before, change, gain, curvature)
 
 
-@inlined
+@allocating
 def _solve_sized(
     size: int,
     trial: Trial,
