@@ -380,7 +380,7 @@ def test_a_changed_physics_is_noticed(change: Callable[[Split], Split]):
 
 def test_a_fresh_set_is_checked_by_the_development_set(monkeypatch: pytest.MonkeyPatch):
     require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
-    monkeypatch.setattr(scenarios, "motions", lambda split: np.ones((3, 6)))
+    monkeypatch.setattr(scenarios, "motions", lambda splits: np.ones((len(splits), 3, 6)))
     with pytest.raises(ValueError, match="on split nominal the arms move otherwise"):
         require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
 

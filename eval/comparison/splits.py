@@ -146,6 +146,18 @@ class Split:
         return rollout(controller, 1, **self.arguments(slice(scenario, scenario + 1)))
 
 
+def beside_one_another(splits: Sequence[Split]) -> list[list[int]]:
+    """Group splits, by their places, so that those of a group can run in a batch."""
+    groups: list[list[int]] = []
+    for k, split in enumerate(splits):
+        group = next((group for group in groups if splits[group[0]].runs_beside(split)), None)
+        if group is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    return groups
+
+
 def side_by_side(chosen: Sequence[tuple[Split, slice]]) -> Split:
     """Put scenarios of splits that run beside the first into one that has no name, as they follow one another."""
     table, moves, delays = (

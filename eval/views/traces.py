@@ -13,7 +13,7 @@ from beltarm_env.rollout import Recording, rollout
 from eval.comparison.estimates import interquartile_mean
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
-from eval.comparison.splits import Split, side_by_side
+from eval.comparison.splits import Split, beside_one_another, side_by_side
 from eval.style.colours import COLOURS
 
 Traces = dict[str, dict[str, Recording]]
@@ -118,14 +118,10 @@ def _side_by_side(cases: list[_Case], seed: int) -> list[Recording | None]:
     Every shipped method moves an arm in the same way in any batch; a user's own may not, to the last digit, or fail.
     """
     found: list[Recording | None] = [None] * len(cases)
-    left = list(range(len(cases)))
-    while left:
-        first = cases[left[0]]
-        group = [k for k in left if cases[k].split.runs_beside(first.split)]
-        left = [k for k in left if k not in group]
+    for group in beside_one_another([case.split for case in cases]):
         if len(group) == 1:
             continue
-        run = partial(_together, [cases[k] for k in group], seed)
+        first, run = cases[group[0]], partial(_together, [cases[k] for k in group], seed)
         together = run_controller(first.outcome.method, first.split.name, run)
         if not isinstance(together, Failure):
             for arm, k in enumerate(group):
