@@ -16,6 +16,7 @@ from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.jit import code_for
+from beltarm_env.kernels.layout import Driven
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
@@ -165,6 +166,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         self._ready = False  # reset at least once
         self._running = False  # within an episode
         self._step_arm: Callable[..., Any] | None = None  # for the drive of the arm of the episode that runs
+        self._steps: dict[Driven, Callable[..., Any]] = {}  # for each drive that an episode had
         self._renderer = None
 
     def reset(
@@ -205,7 +207,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             ValueError: If the action has another shape or is not finite.
         """
         step_arm = self._step_arm or self._prepared()
-        usual = type(action) is _array and action.dtype is _SINGLE and action.ndim == 1 == len(action)
+        usual = type(action) is _array and action.dtype is _SINGLE and action.shape == (1,)
         fraction: float = action.item() if usual else _as_action(action).item()
         if not -_HUGE < fraction < _HUGE:
             raise ValueError(f"action must be finite, got {action!r}")
@@ -226,11 +228,19 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         return result, reward, terminated, truncated, info
 
     def _prepared(self) -> Callable[..., Any]:
-        """Prepare the kernel for the steps of the episode that runs: what is the same in all of them is given once."""
+        """Return what steps the arm of the episode that runs, prepared once for every drive."""
         if not self._running:
             raise ResetNeeded("no episode is running: call reset() before step()")
+        driven = self._batch.driven
+        if driven not in self._steps:
+            self._steps[driven] = self._step_for(driven)
+        self._step_arm = self._steps[driven]
+        return self._step_arm
+
+    def _step_for(self, driven: Driven) -> Callable[..., Any]:
+        """Prepare the kernel: what is the same in all steps is given once."""
         batch = self._batch
-        settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
+        settings = batch.profile, batch.tier, batch.model, driven, batch.engine is None
         same = batch.blocks, batch.scratch, batch.tile, *settings
         observed = partial(code_for(step_arm, *same, 0.0, np.empty(self._size, np.float32)), *same)
 
@@ -238,12 +248,11 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             batch.advance_in_engine(np.array([fraction]))
             return observed(fraction, result)
 
-        self._step_arm = observed if batch.engine is None else moved_by_engine
-        return self._step_arm
+        return observed if batch.engine is None else moved_by_engine
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy is made of: machine code cannot be copied."""
-        return {**self.__dict__, "_step_arm": None}
+        return {**self.__dict__, "_step_arm": None, "_steps": {}}
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Draw the arm: a frame of shape (height, width, 3), or None after updating the window."""

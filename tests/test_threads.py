@@ -144,7 +144,7 @@ def take(taken: NDArray[np.int64], thread: int, blocks: int) -> int:
 
 def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
-    assert [threads.threads_for(blocks, False, 4) for blocks in (1, 59, 60, 90, 1000)] == [1, 1, 2, 3, 4]
+    assert [threads.threads_for(blocks, False, 4) for blocks in (1, 29, 30, 45, 1000)] == [1, 1, 2, 3, 4]
     assert [threads.threads_for(blocks, True, 2) for blocks in (1, 7, 8, 30)] == [1, 1, 2, 2]
 
 

@@ -25,7 +25,7 @@ from beltarm_env.jit import inlined
 Integers = NDArray[np.int64]
 
 MAX_THREADS = 256
-LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 30, 4
+LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 15, 4
 """For which it pays to wake a thread: of arms with an ideal drive, and with drives as they are built."""
 _BACK = 1 << 32
 _PATIENCE = 30_000  # looks at whether others are at work: about as long as it takes to be woken

@@ -23,16 +23,20 @@ from eval.speed.timing import Row, ratios, times_in_turns
 
 _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
 _ROLLED_OUT = 1024  # arms
+_CORES = cpu_count()
 
 
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
-    """Speed of the vector environment, beside CartPole's: lumped arm, behind drives as they are built, full arm.
+    """Speed of the vector environment, beside CartPole's: ideal drives, on one core and on all, built ones, full arm.
 
     Random torques over the whole limit stop and start the motor in nearly every sample, which no controller does: so
     drives are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
     stepped = {
         "vector step": batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
+        f"vector step, {_CORES} threads": batch_steps(
+            "BeltArm-v0", arms, steps, randomization="ideal", num_threads=_CORES
+        ),
         "vector step, all effects of the drive": batch_steps("BeltArm-v0", arms, steps, randomization="train"),
         "vector step of the full arm": batch_steps(
             "BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"
@@ -85,12 +89,11 @@ def _in_one_thread(run: Callable[[], object]) -> Callable[[], None]:
 
 def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomization) -> Row:
     """Speed of the vector environment with as many threads as cores, beside one thread."""
-    cores = cpu_count()
     settings = {"randomization": randomization}
-    runs = [batch_steps("BeltArm-v0", arms, steps, num_threads=threads, **settings) for threads in (1, cores)]
+    runs = [batch_steps("BeltArm-v0", arms, steps, num_threads=threads, **settings) for threads in (1, _CORES)]
     alone, together = times_in_turns(runs, repetitions).T / steps
     drives = "" if randomization == "ideal" else ", all effects of the drive"
-    name = f"vector step{drives}, {cores} threads, N = {arms}"
+    name = f"vector step{drives}, {_CORES} threads, N = {arms}"
     return Row(name, _rate(arms, together), f"1 thread: {_rate(arms, alone)}", *ratios(together, alone))
 
 
