@@ -32,7 +32,14 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from baselines.estimation.tracking import QUANTUM, ObserverDesign, Track, correct_arms, finish_arms, predict_arms
+from baselines.estimation.tracking import (
+    QUANTUM,
+    ObserverDesign,
+    Track,
+    acting_torques,
+    begin_arms,
+    correct_arms,
+)
 from baselines.models.actuator import dead_time
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.reading import Reading
@@ -122,19 +129,18 @@ class StickSlipObserver:
             reading: Measurements, and the torque commanded since the last sample.
             begins: Which arms begin an episode, at rest where their encoder is; shape (n,).
         """
-        count = len(begins)
+        count, commands = len(begins), reading.last_command
         simulation = estimate.simulation if estimate else ArmSimulation(self.params, count)
-        states, ahead, disturbances = np.zeros((count, simulation.size)), np.empty((count, X)), np.zeros(count)
+        torques, disturbances = np.empty(count), np.zeros(count)
         if estimate is None:
-            begins = np.ones(count, np.bool_)
+            begins, states = np.ones(count, np.bool_), np.zeros((count, simulation.size))
         else:
-            room, limits = simulation.room, simulation.limits
-            predict_arms(room, limits, estimate.arm, estimate.disturbance, reading.last_command, states)
+            acting_torques(commands, begins, estimate.arm, estimate.disturbance, torques)
+            states = simulation.advance(estimate.arm, torques)
             self._correct(estimate, reading, begins, states, disturbances)
-        angles, commands = reading.motor_angle, reading.last_command
-        finish_arms(
-            self.design, simulation.room, simulation.limits, angles, commands, begins, disturbances, states, ahead
-        )
+        begin_arms(simulation.room.blocks, reading.motor_angle, begins, states, disturbances)
+        acting_torques(commands, begins, states, disturbances, torques)
+        ahead = simulation.ahead(states, torques, np.full(count, self.design.delay))
         return Estimate(states, ahead, disturbances, simulation)
 
     def _correct(

@@ -19,11 +19,9 @@ from beltarm_env.kernels.simulate import (
     Room,
     X,
     advance_arm,
-    advance_arms,
     hold_friction,
     load_arm,
     look_ahead,
-    look_ahead_arms,
     rest_arm,
 )
 from beltarm_env.physics.models import LUMPED
@@ -114,15 +112,11 @@ def track_arm(design: ObserverDesign, now: Sample, begins: bool, track: Track) -
     look_ahead(track.room, track.state, torque, limit, design.delay, LUMPED, track.ahead, track.moved)
 
 
-@allocating
-def predict_arms(
-    room: Room, limits: Floats, last: Floats, disturbances: Floats, commands: Floats, states: Floats
-) -> None:
-    """Write the predicted states of n arms, shape (n, size), from those of the last sample and its commands [N m]."""
-    torques = np.empty(len(last))
-    for i in range(len(last)):
-        torques[i] = acting_torque(commands[i], last[i, 1], disturbances[i])
-    advance_arms(room, last, torques, limits, LUMPED, states)
+@compiled
+def acting_torques(commands: Floats, begins: Flags, states: Floats, disturbances: Floats, torques: Floats) -> None:
+    """Write the torques that act on n arms [N m], see `acting_torque`; those that begin have no command yet."""
+    for i in range(len(states)):
+        torques[i] = acting_torque(0.0 if begins[i] else commands[i], states[i, 1], disturbances[i])
 
 
 @compiled
@@ -134,24 +128,10 @@ def correct_arms(
         disturbances[i] = 0.0 if begins[i] else correct(design, states[i], last[i], motor_angles[i])
 
 
-@allocating
-def finish_arms(
-    design: ObserverDesign,
-    room: Room,
-    limits: Floats,
-    motor_angles: Floats,
-    commands: Floats,
-    begins: Flags,
-    disturbances: Floats,
-    states: Floats,
-    ahead: Floats,
-) -> None:
-    """Put arms that begin at rest, and write x of n arms at the time at which their commands act, shape (n, 4)."""
-    count = len(states)
-    torques, samples = np.empty(count), np.full(count, design.delay)
-    for i in range(count):
+@compiled
+def begin_arms(blocks: Floats, motor_angles: Floats, begins: Flags, states: Floats, disturbances: Floats) -> None:
+    """Put those of n arms that begin at rest where their encoders are [rad], without a disturbance."""
+    for i in range(len(states)):
         if begins[i]:
-            rest_arm(room.blocks[i // LANES], i % LANES, motor_angles[i], states[i])
+            rest_arm(blocks[i // LANES], i % LANES, motor_angles[i], states[i])
             disturbances[i] = 0.0
-        torques[i] = acting_torque(0.0 if begins[i] else commands[i], states[i, 1], disturbances[i])
-    look_ahead_arms(room, states, torques, limits, samples, LUMPED, ahead)

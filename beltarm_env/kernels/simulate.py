@@ -206,10 +206,16 @@ def look_ahead_arms(
     room: Room, states: Floats, torques: Floats, limits: Floats, samples: Floats, model: Model, ahead: Floats
 ) -> None:
     """Write x of n arms at times to come, shape (n, 4); see `ArmSimulation.ahead`."""
-    before, after = states.copy(), np.empty(states.shape)
-    ahead[:] = states[:, :X]
-    for k in range(math.ceil(samples.max())):
+    count, size = states.shape
+    before, after, longest = np.empty((count, size)), np.empty((count, size)), 0.0
+    for i in range(count):
+        for column in range(size):
+            before[i, column] = states[i, column]
+        for column in range(X):
+            ahead[i, column] = states[i, column]
+        longest = max(longest, samples[i])
+    for k in range(math.ceil(longest)):
         advance_arms(room, before, torques, limits, model, after)
-        for i in range(len(states)):
+        for i in range(count):
             move_towards(ahead[i], before[i], after[i], samples[i], k)
         before, after = after, before
