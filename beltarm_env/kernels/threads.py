@@ -77,6 +77,9 @@ def share_blocks(work: Callable[[int], object], taken: Integers) -> None:
 
 
 def _in_threads(work: Callable[[int], object], threads: int, at_work: Callable[[], bool]) -> None:
+    if threads == 1:
+        work(0)
+        return
     shares = [_Share(work, thread) for thread in range(1, threads)]
     for share in shares:
         _inbox(os.getpid(), share.thread).put(share)
