@@ -46,10 +46,10 @@ def save_sizes(folder: Path, repetitions: int, console: Console) -> None:
         for k, size in enumerate(SIZES):
             show(k, len(SIZES))
             rates.append(_rates(list(steppers.values()), size, repetitions))
-    table = np.median(rates, axis=1)
+    page = _page(list(steppers), np.median(rates, axis=1), repetitions)  # names the commit, before a file of it changes
     folder.mkdir(parents=True, exist_ok=True)
     save_figure(_draw(list(steppers), np.array(rates)), folder / "sizes.png", bbox_inches="tight")
-    write_text(folder / "sizes.md", _page(list(steppers), table, repetitions))
+    write_text(folder / "sizes.md", page)
 
 
 @contextmanager
