@@ -181,3 +181,4 @@ def test_what_tells_no_number_is_a_thread_for_each_core(told: str, monkeypatch: 
     assert 1 <= threads.usual_threads() <= min(os.cpu_count() or 1, threads.MAX_THREADS)
     monkeypatch.setenv("OMP_NUM_THREADS", "9999")
     assert threads.usual_threads() == threads.MAX_THREADS
+    assert [threads.usual_threads(most) for most in (0, 1, 3, 9999)] == [1, 1, 3, threads.MAX_THREADS]

@@ -85,7 +85,7 @@ class NetworkPolicy:
         inputs = np.array(observation, np.float32, order="C")
         memory = np.array(begun(state, episode_start, (count, *self.memory)), np.float32, order="C")
         residuals = np.empty((count, 1), np.float32)
-        taken = none_taken(min(usual_threads(), max(count // _LEAST, 1)))
+        taken = none_taken(usual_threads(count // _LEAST))
         same = self.network, inputs, memory.reshape(count, -1), self.widest, residuals, taken
         share_blocks(lambda thread: _evaluate_tiles(*same, thread), taken)
         return residuals, memory if self.network.kind != _FEEDFORWARD else None

@@ -192,7 +192,7 @@ class ArmIdentifier:
 
     def _shared(self, count: int) -> tuple[list[tuple[Workspace, Floats]], Integers]:
         """Return room for each of the threads that work for a number of arms, and what they have taken: nothing."""
-        threads = min(usual_threads(), max(count // ARMS, 1))
+        threads = usual_threads(count // ARMS)
         while len(self._rooms) < threads:
             self._rooms.append(vector_workspace(self._felt))
         return self._rooms, none_taken(threads)

@@ -33,14 +33,19 @@ _PATIENCE = 30_000  # looks at whether others are at work: about as long as it t
 Item = TypeVar("Item")
 
 
-def usual_threads() -> int:
+def usual_threads(most: int = MAX_THREADS) -> int:
     """Return how many threads to use where no argument says so: OMP_NUM_THREADS, or one for each core that is there.
 
     Programs that run several processes at a time set this variable in each, as joblib does.
+
+    Args:
+        most: Threads that there is work for; for a single one the system is not asked.
     """
+    if most <= 1:
+        return 1
     told = os.environ.get("OMP_NUM_THREADS", "")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(int(told) if told.isdecimal() and int(told) > 0 else cores, MAX_THREADS)
+    return min(int(told) if told.isdecimal() and int(told) > 0 else cores, most, MAX_THREADS)
 
 
 def threads_for(blocks: int, built: bool, most: int) -> int:
@@ -102,7 +107,7 @@ def each_in_threads(work: Callable[[Item], object], items: Sequence[Item]) -> No
         for item in left:
             work(item)
 
-    in_threads(work_off, min(usual_threads(), max(len(items), 1)))
+    in_threads(work_off, usual_threads(len(items)))
 
 
 class _Share:
