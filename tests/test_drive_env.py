@@ -50,6 +50,17 @@ def test_each_arm_of_a_mixed_batch_moves_as_it_does_alone(model: Any):
     assert batch.motor_torques.tolist() == [env.motor_torque for env in alone]
 
 
+def test_an_episode_is_the_same_whatever_drives_the_arms_before_had():
+    used, drives = BeltArmEnv(), [{}, UPPER_ENDS, {}, UPPER_ENDS]
+    for params in drives:
+        new = BeltArmEnv()
+        for env in (used, new):
+            env.reset(seed=1, options={"params": params})
+            for action in commands(40)[:, 0]:
+                env.step(action)
+        assert used.state.tolist() == new.state.tolist() and used.motor_torque == new.motor_torque
+
+
 @pytest.mark.parametrize("name", [name for name in DRIVE_EFFECTS if name != "friction_drift"])
 def test_every_effect_moves_the_arm_otherwise(name: str):
     ideal, built = BeltArmEnv(), BeltArmEnv()
