@@ -208,7 +208,7 @@ def look_ahead_arms(
     """Write x of n arms at times to come, shape (n, 4); see `ArmSimulation.ahead`."""
     count, size = states.shape
     before, after, longest = np.empty((count, size)), np.empty((count, size)), 0.0
-    for i in range(count):
+    for i in range(count):  # entry by entry: copies and slices of whole arrays take numba long to translate
         for column in range(size):
             before[i, column] = states[i, column]
         for column in range(X):
