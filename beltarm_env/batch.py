@@ -17,7 +17,6 @@ from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart
 from beltarm_env.kernels.layout import BUILT, IDEAL
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
-from beltarm_env.kernels.threads import MAX_THREADS
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
@@ -26,6 +25,7 @@ from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
 from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.task.streams import Streams, wrapping
+from beltarm_env.threads.blocks import MAX_THREADS
 from beltarm_env.timing import CONTROL_PERIOD
 
 if TYPE_CHECKING:
@@ -130,8 +130,9 @@ class ArmBatch:
         num_threads: int = 1,
     ) -> None:
         self.num_arms = num_arms
-        self.rooms = [new_scratch() for _ in range(_whole("num_threads", num_threads, 1, MAX_THREADS))]
-        self.scratch, self.tile = self.rooms[0]
+        self.num_threads = _whole("num_threads", num_threads, 1, MAX_THREADS)
+        self.rooms = new_scratch(self.num_threads)
+        self.scratch, self.tile = self.rooms[0][0], self.rooms[1][0]
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
         _choice("model", model, tuple(MODELS))

@@ -60,17 +60,18 @@ except ImportError:  # Windows, where all of them compile
     fcntl = None
 
 ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
+PLAIN = bool(getattr(config, "DISABLE_JIT", 0))
+"""Whether all functions are left as they are."""
 _OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True}
 _SELDOM = 100_000, 50, 100  # objects made until cycles are looked for, and how much less often among older ones
 _WIDEST = '"prefer-vector-width"="512"'
-_PLAIN = bool(getattr(config, "DISABLE_JIT", 0))
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
 def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a scalar equation for inlining into kernels."""
-    return function if _PLAIN else cast("Callable[_P, _R]", _Inlined(function))
+    return function if PLAIN else cast("Callable[_P, _R]", _Inlined(function))
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -78,12 +79,12 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     Where it does nonetheless, compiling it raises a NumbaError.
     """
-    return function if _PLAIN else cast("Callable[_P, _R]", _Kernel(function))
+    return function if PLAIN else cast("Callable[_P, _R]", _Kernel(function))
 
 
 def allocating(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a kernel that makes arrays, raises exceptions with values, or calls what does, cached on disk."""
-    return function if _PLAIN else cast("Callable[_P, _R]", _Allocating(function))
+    return function if PLAIN else cast("Callable[_P, _R]", _Allocating(function))
 
 
 def code_for(kernel: Callable[..., _R], *arguments: Any) -> Callable[..., _R]:
@@ -92,7 +93,7 @@ def code_for(kernel: Callable[..., _R], *arguments: Any) -> Callable[..., _R]:
     numba finds out the types of its arguments at each call, which takes longer than a short kernel runs. This code does
     not, and crashes on others: for calls whose arguments are the caller's own.
     """
-    return kernel if _PLAIN else cast("_Kernel", kernel).compile(tuple(map(numba.typeof, arguments)))
+    return kernel if PLAIN else cast("_Kernel", kernel).compile(tuple(map(numba.typeof, arguments)))
 
 
 class _Inlined:

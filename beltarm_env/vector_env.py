@@ -18,7 +18,6 @@ from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
-from beltarm_env.kernels.threads import none_taken, share_blocks, threads_for
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
 from beltarm_env.task.draws import DRAWS
@@ -26,6 +25,8 @@ from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
+from beltarm_env.threads.blocks import none_taken, threads_for
+from beltarm_env.threads.standby import standing_by
 
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 _WITH_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
@@ -178,13 +179,8 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             batch.advance_in_engine(fractions)
         settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
         into = fractions, result, rewards, terminated, truncated, terms
-        threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, len(batch.rooms))
-        taken = none_taken(threads)
-
-        def step_blocks(thread: int) -> None:
-            step_arms(batch.blocks, taken, thread, *batch.rooms[thread], *into, *settings)
-
-        share_blocks(step_blocks, taken)
+        threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, batch.num_threads)
+        step_arms(batch.blocks, none_taken(threads), standing_by(threads), *batch.rooms, *into, *settings)
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE

@@ -12,6 +12,7 @@ FLOORS = {
         *(
             "arrays sources timing",
             "jit",
+            "threads",
             "arm",
             "physics",
             "observation metrics",

@@ -16,8 +16,8 @@ from agents.policy.bundle import load_controller
 from baselines import CONTROLLERS
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.jit import compiled
-from beltarm_env.kernels import threads
 from beltarm_env.rollout import rollout
+from beltarm_env.threads import blocks, calls
 
 ARMS = 700  # six blocks
 STEPS = 40
@@ -27,8 +27,8 @@ POLICIES = Path(__file__).resolve().parents[1] / "agents" / "policies"
 @pytest.fixture(autouse=True)
 def eager(monkeypatch: pytest.MonkeyPatch):
     """However few the blocks, all threads are used."""
-    monkeypatch.setattr(threads, "LEAST_BLOCKS", 1)
-    monkeypatch.setattr(threads, "LEAST_BUILT_BLOCKS", 1)
+    monkeypatch.setattr(blocks, "LEAST_BLOCKS", 1)
+    monkeypatch.setattr(blocks, "LEAST_BUILT_BLOCKS", 1)
 
 
 def played(env: BeltArmVectorEnv, steps: int = STEPS) -> bytes:
@@ -81,12 +81,12 @@ def test_what_another_thread_raises_is_raised_here_once_all_are_done():
         raise ValueError(f"of thread {thread}")
 
     with pytest.raises(KeyError, match="of this thread"):
-        threads.in_threads(work, 2)
+        calls.in_threads(work, 2)
     assert done == [1], "nobody works on while the caller goes on"
     begun.clear()
     with pytest.raises(ValueError, match="of thread 1"):
-        threads.in_threads(lambda thread: work(thread) if thread else begun.wait(60), 2)
-    threads.in_threads(lambda thread: done.append(thread), 1)
+        calls.in_threads(lambda thread: work(thread) if thread else begun.wait(60), 2)
+    calls.in_threads(lambda thread: done.append(thread), 1)
     assert done == [1, 1, 0]
 
 
@@ -99,18 +99,18 @@ def test_a_thread_that_is_late_finds_nothing_left():
         (over if thread else begun).wait(60)
 
     with ThreadPoolExecutor(1) as pool:
-        occupied = pool.submit(threads.in_threads, occupy, 2)
+        occupied = pool.submit(calls.in_threads, occupy, 2)
         assert begun.wait(60)
-        threads.in_threads(done.append, 2)
+        calls.in_threads(done.append, 2)
         over.set()
         occupied.result()
-    threads.in_threads(lambda thread: over.wait(60), 2)
+    calls.in_threads(lambda thread: over.wait(60), 2)
     assert done == [0], "its share is not waited for, and not begun later"
 
 
 @pytest.mark.parametrize("at_work", [True, False])
 def test_a_thread_is_waited_for_while_it_has_a_block(at_work: bool):
-    begun, over, done, taken = Event(), Event(), list[int](), threads.none_taken(2)
+    begun, over, done, taken = Event(), Event(), list[int](), blocks.none_taken(2)
 
     def work(thread: int) -> None:
         if thread == 0:
@@ -122,30 +122,30 @@ def test_a_thread_is_waited_for_while_it_has_a_block(at_work: bool):
         taken[2 + thread] = 0
         done.append(thread)
 
-    threads.share_blocks(work, taken)
+    calls.share_blocks(work, taken)
     assert done == ([1] if at_work else []), "once its blocks are done it may be anywhere"
     over.set()
-    threads.in_threads(lambda thread: None if thread else begun.wait(60), 2)
+    calls.in_threads(lambda thread: None if thread else begun.wait(60), 2)
 
 
 def test_a_kernel_waits_a_little_and_not_for_ever():
-    taken = threads.none_taken(2)
+    taken = blocks.none_taken(2)
     taken[3] = 1  # a thread that another program keeps from its core
-    blocks = [take(taken, 0, 5) for _ in range(6)]
-    assert sorted(blocks) == [-1, 0, 1, 2, 3, 4] and blocks[-1] == -1
-    assert taken[2:].tolist() == [0, 1]
-    assert take(taken, 1, 5) == -1 and taken[2:].tolist() == [0, 0]
+    found = [take(taken, 0, 5) for _ in range(6)]
+    assert sorted(found) == [-1, 0, 1, 2, 3, 4] and found[-1] == -1
+    assert taken[2:4].tolist() == [0, 1]
+    assert take(taken, 1, 5) == -1 and taken[2:4].tolist() == [0, 0]
 
 
 @compiled
-def take(taken: NDArray[np.int64], thread: int, blocks: int) -> int:
-    return threads.take_block(taken, thread, blocks)
+def take(taken: NDArray[np.int64], thread: int, count: int) -> int:
+    return blocks.take_block(taken, thread, count)
 
 
 def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
-    assert [threads.threads_for(blocks, False, 4) for blocks in (1, 29, 30, 45, 1000)] == [1, 1, 2, 3, 4]
-    assert [threads.threads_for(blocks, True, 2) for blocks in (1, 7, 8, 30)] == [1, 1, 2, 2]
+    assert [blocks.threads_for(count, False, 4) for count in (1, 15, 16, 24, 1000)] == [1, 1, 2, 3, 4]
+    assert [blocks.threads_for(count, True, 2) for count in (1, 3, 4, 30)] == [1, 1, 2, 2]
 
 
 @pytest.mark.parametrize("number", [0, 257, 1.5, True, "2"])
@@ -159,7 +159,7 @@ def test_controllers_drive_arms_the_same_whatever_their_number(name: str, monkey
     driven: list[bytes] = []
     for number in (1, 3):
         monkeypatch.setenv("OMP_NUM_THREADS", str(number))
-        assert threads.usual_threads() == number
+        assert blocks.usual_threads() == number
         controller = CONTROLLERS[name]() if name in CONTROLLERS else load_controller(POLICIES / name / "seed0")[0]
         driven.append(rollout(controller, 100, seed=3, randomization="train").state.tobytes())
     assert driven[0] == driven[1]
@@ -169,16 +169,16 @@ def test_each_item_is_worked_on_once(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "4")
     for count in (0, 1, 500):
         done: list[int] = []
-        threads.each_in_threads(done.append, range(count))
+        calls.each_in_threads(done.append, range(count))
         assert sorted(done) == list(range(count))
     with pytest.raises(ZeroDivisionError):
-        threads.each_in_threads(lambda item: 1 // item, [3, 2, 1, 0])
+        calls.each_in_threads(lambda item: 1 // item, [3, 2, 1, 0])
 
 
 @pytest.mark.parametrize("told", ["", "0", "-2", "many"])
 def test_what_tells_no_number_is_a_thread_for_each_core(told: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("OMP_NUM_THREADS", told)
-    assert 1 <= threads.usual_threads() <= min(os.cpu_count() or 1, threads.MAX_THREADS)
+    assert 1 <= blocks.usual_threads() <= min(os.cpu_count() or 1, blocks.MAX_THREADS)
     monkeypatch.setenv("OMP_NUM_THREADS", "9999")
-    assert threads.usual_threads() == threads.MAX_THREADS
-    assert [threads.usual_threads(most) for most in (0, 1, 3, 9999)] == [1, 1, 3, threads.MAX_THREADS]
+    assert blocks.usual_threads() == blocks.MAX_THREADS
+    assert [blocks.usual_threads(most) for most in (0, 1, 3, 9999)] == [1, 1, 3, blocks.MAX_THREADS]

@@ -22,7 +22,8 @@ from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
 from beltarm_env.jit import allocating, compiled, inlined
-from beltarm_env.kernels.threads import none_taken, share_blocks, take_block, usual_threads
+from beltarm_env.threads.blocks import none_taken, take_block, usual_threads
+from beltarm_env.threads.calls import share_blocks
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LEAST = 32  # rows for which it pays to wake a thread

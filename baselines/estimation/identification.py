@@ -32,7 +32,8 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import compiled
-from beltarm_env.kernels.threads import none_taken, share_blocks, usual_threads
+from beltarm_env.threads.blocks import none_taken, usual_threads
+from beltarm_env.threads.calls import share_blocks
 
 Memory = TypeVar("Memory")
 

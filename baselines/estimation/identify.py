@@ -27,7 +27,7 @@ from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.jit import compiled
 from beltarm_env.kernels.layout import LANES
-from beltarm_env.kernels.threads import take_block
+from beltarm_env.threads.blocks import take_block
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""

@@ -31,8 +31,8 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Flags, Floats, Integers
 from beltarm_env.jit import allocating, inlined
-from beltarm_env.kernels.threads import each_in_threads
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
+from beltarm_env.threads.calls import each_in_threads
 
 GAIN, TORQUE = 4, 9
 """Columns of a plan's row at which the gain and the torque begin; the reference comes first."""

@@ -18,7 +18,7 @@ from beltarm_env.kernels.layout import (
     IDEAL,
     LANES,
     Driven,
-    aligned_zeros,
+    aligned_rows,
     drive_among,
     load_move,
     load_plant,
@@ -26,12 +26,13 @@ from beltarm_env.kernels.layout import (
 )
 from beltarm_env.kernels.observe import observe_block
 from beltarm_env.kernels.sense import sense_block
-from beltarm_env.kernels.threads import take_block
 from beltarm_env.kernels.tile import TILE_ROWS
 from beltarm_env.physics.kinematics import outside_workspace, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.task.cost import MAX_COST, step_cost
 from beltarm_env.task.reference import TRAPEZOID, reference_at
+from beltarm_env.threads.blocks import take_block
+from beltarm_env.threads.standby import share
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 Floats = NDArray[np.float64]
@@ -49,9 +50,10 @@ _WORK = TRUNCATED + 1  # rows of `advance`
 SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
 
 
-def new_scratch() -> tuple[Floats, Singles]:
-    """Allocate the memory that the kernels work in, one block at a time; once, because allocation takes time."""
-    return aligned_zeros(SCRATCH_ROWS * LANES), aligned_zeros(-(-TILE_ROWS // 2) * LANES).view(np.float32)
+def new_scratch(threads: int) -> tuple[Floats, Singles]:
+    """Allocate what the kernels work in, a row for each thread; once, because allocation takes time."""
+    tiles = aligned_rows(threads, -(-TILE_ROWS // 2) * LANES).view(np.float32)
+    return aligned_rows(threads, SCRATCH_ROWS * LANES), tiles
 
 
 @inlined
@@ -130,9 +132,9 @@ def _step_block(
 def step_arms(
     blocks: Floats,
     taken: Integers,
-    thread: int,
+    boxes: Integers,
     scratch: Floats,
-    tile: Singles,
+    tiles: Singles,
     actions: Floats,
     observations: Singles,
     rewards: Floats,
@@ -147,14 +149,12 @@ def step_arms(
 ) -> None:
     """Step N arms by one control period, results written in place.
 
-    Several threads may do so at a time, each with a `scratch` and `tile` of its own.
-
     Args:
         blocks: The arms, as `layout` describes.
-        taken: What has been taken of each thread's share, see `take_block`.
-        thread: Index of this one.
+        taken: Of `threads.none_taken`, for as many threads as there are.
+        boxes: Of `standby.standing_by`: the threads that share the work with this one.
         scratch: From `new_scratch`.
-        tile: From `new_scratch`.
+        tiles: From `new_scratch`.
         actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
         observations: Shape (N, size).
         rewards: Shape (N,).
@@ -167,6 +167,26 @@ def step_arms(
         driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
     """
+    into = observations, rewards, terminated, truncated, terms
+    settings = profile, tier, model, driven, integrate
+    share(_step_some, (blocks, taken, scratch, tiles, actions, into, settings), taken, boxes)
+
+
+@compiled
+def _step_some(
+    thread: int,
+    blocks: Floats,
+    taken: Integers,
+    scratches: Floats,
+    tiles: Singles,
+    actions: Floats,
+    into: tuple[Singles, Floats, Flags, Flags, Floats],
+    settings: tuple[int, int, Model, Driven, bool],
+) -> None:
+    """Step the arms of the blocks that one of the threads takes."""
+    scratch, tile = scratches[thread], tiles[thread]
+    observations, rewards, terminated, truncated, terms = into
+    profile, tier, model, driven, integrate = settings
     while True:
         k = take_block(taken, thread, len(blocks))
         if k < 0:
@@ -219,8 +239,8 @@ def step_arm(
 
     Args:
         blocks: The arm, as `layout` describes.
-        scratch: From `new_scratch`.
-        tile: From `new_scratch`.
+        scratch: Row of `new_scratch`.
+        tile: Row of `new_scratch`.
         profile: Index into `reference.PROFILES`.
         tier: Index into `observation.SENSORS`.
         model: Whose equations of motion.

@@ -16,9 +16,9 @@ from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
 from beltarm_env.arrays import Floats
-from beltarm_env.kernels.threads import usual_threads
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import Randomization
+from beltarm_env.threads.blocks import usual_threads
 from eval.speed.timing import Row, ratios, times_in_turns
 
 _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
