@@ -10,6 +10,7 @@ from __future__ import annotations
 import atexit
 import os
 import time
+from collections.abc import Callable
 from functools import cache
 from queue import SimpleQueue
 from threading import Thread
@@ -41,14 +42,15 @@ _NOBODY = np.empty((0, _WORDS), np.int64)
 
 def standing_by(threads: int) -> Integers:
     """Return the boxes of so many threads, less the one that calls, and wake those that sleep."""
-    if threads == 1:
+    if threads == 1 or PLAIN:
         return _NOBODY
     process = os.getpid()
     boxes = _boxes(process)[1:threads]
     for number, box in enumerate(boxes, 1):
         if box[_AWAKE] == 0:
+            bell = _bell(process, number)
             box[_AWAKE] = 1
-            _bell(process, number).put(None)
+            bell.put(None)
     return boxes
 
 
@@ -65,15 +67,18 @@ def _bell(process: int, number: int) -> SimpleQueue[None]:
     """What wakes a thread, which begins with it."""
     bell: SimpleQueue[None] = SimpleQueue()
     box = _boxes(process)[number]
-    Thread(target=_stand_by, args=(box, number, bell), name=f"beltarm-standby-{number}", daemon=True).start()
+    # Not in that thread: a process that is forked while it compiles can compile nothing any more.
+    serve = code_for(_serve, box, number, _LONG)
+    name = f"beltarm-standby-{number}"
+    Thread(target=_stand_by, args=(serve, box, number, bell), name=name, daemon=True).start()
     return bell
 
 
-def _stand_by(box: Integers, number: int, bell: SimpleQueue[None]) -> None:
-    serve = code_for(_serve, box, number, _LONG)
+def _stand_by(serve: Callable[..., None], box: Integers, number: int, bell: SimpleQueue[None]) -> None:
     while not box[_DISMISSED]:
         asleep = time.perf_counter()
         bell.get()
+        box[_AWAKE] = 1
         serve(box, number, _LONG if time.perf_counter() - asleep < _SOON else _SHORT)
 
 
