@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -26,7 +27,7 @@ from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
 from beltarm_env.threads.blocks import none_taken, threads_for
-from beltarm_env.threads.standby import standing_by
+from beltarm_env.threads.standby import SOON, standing_by
 
 TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 _WITH_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
@@ -114,6 +115,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         self._streams: Streams | None = None  # of random numbers, one per arm, from the first reset on
         self._ready = False  # all arms reset at least once
         self._ended = _NONE  # arms whose episode ended in the last step
+        self._stepped = 0.0  # when the last step was done [s]
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -179,8 +181,10 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             batch.advance_in_engine(fractions)
         settings = batch.profile, batch.tier, batch.model, batch.driven, batch.engine is None
         into = fractions, result, rewards, terminated, truncated, terms
-        threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, batch.num_threads)
+        seldom = time.perf_counter() - self._stepped > SOON
+        threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, seldom, batch.num_threads)
         step_arms(batch.blocks, none_taken(threads), standing_by(threads), *batch.rooms, *into, *settings)
+        self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long
         restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE

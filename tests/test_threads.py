@@ -28,6 +28,7 @@ POLICIES = Path(__file__).resolve().parents[1] / "agents" / "policies"
 def eager(monkeypatch: pytest.MonkeyPatch):
     """However few the blocks, all threads are used."""
     monkeypatch.setattr(blocks, "LEAST_BLOCKS", 1)
+    monkeypatch.setattr(blocks, "LEAST_SELDOM_BLOCKS", 1)
     monkeypatch.setattr(blocks, "LEAST_BUILT_BLOCKS", 1)
 
 
@@ -144,8 +145,9 @@ def take(taken: NDArray[np.int64], thread: int, count: int) -> int:
 
 def test_small_batches_use_fewer(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
-    assert [blocks.threads_for(count, False, 4) for count in (1, 15, 16, 24, 1000)] == [1, 1, 2, 3, 4]
-    assert [blocks.threads_for(count, True, 2) for count in (1, 3, 4, 30)] == [1, 1, 2, 2]
+    assert [blocks.threads_for(count, False, False, 4) for count in (1, 15, 16, 24, 1000)] == [1, 1, 2, 3, 4]
+    assert [blocks.threads_for(count, False, True, 4) for count in (1, 59, 60, 90, 1000)] == [1, 1, 2, 3, 4]
+    assert [blocks.threads_for(count, True, True, 2) for count in (1, 3, 4, 30)] == [1, 1, 2, 2]
 
 
 @pytest.mark.parametrize("number", [0, 257, 1.5, True, "2"])

@@ -15,8 +15,9 @@ from beltarm_env.jit import inlined
 from beltarm_env.threads.words import Integers, add, look
 
 MAX_THREADS = 256
-LEAST_BLOCKS, LEAST_BUILT_BLOCKS = 8, 2
-"""For which a thread pays: of arms with an ideal drive, and with drives as they are built."""
+LEAST_BLOCKS, LEAST_SELDOM_BLOCKS, LEAST_BUILT_BLOCKS = 8, 30, 2
+"""For which a thread pays: of arms with an ideal drive that are stepped often, or seldom, so that it must be woken each
+time; and with drives as they are built."""
 _BACK = 1 << 32
 _PATIENCE = 30_000  # looks at whether others are at work: about as long as it takes to be woken
 
@@ -36,9 +37,17 @@ def usual_threads(most: int = MAX_THREADS) -> int:
     return min(int(told) if told.isdecimal() and int(told) > 0 else cores, most, MAX_THREADS)
 
 
-def threads_for(blocks: int, built: bool, most: int) -> int:
-    """Return how many threads to use for some blocks, of drives as they are built or not; at most so many."""
-    return min(most, max(1, blocks // (LEAST_BUILT_BLOCKS if built else LEAST_BLOCKS)))
+def threads_for(blocks: int, built: bool, seldom: bool, most: int) -> int:
+    """Return how many threads to use.
+
+    Args:
+        blocks: Of arms.
+        built: Whether drives as they are built are among them.
+        seldom: Whether they are stepped so seldom that threads sleep in between.
+        most: Threads that there are.
+    """
+    least = LEAST_BUILT_BLOCKS if built else (LEAST_SELDOM_BLOCKS if seldom else LEAST_BLOCKS)
+    return min(most, max(1, blocks // least))
 
 
 def none_taken(threads: int) -> Integers:

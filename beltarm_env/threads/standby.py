@@ -33,7 +33,8 @@ _NONE, _FILLED, _TAKEN = range(3)
 
 _LONG, _SHORT = 20_000, 2_000
 """Looks for an offer if one is soon expected, for some 0.3 ms, and if not."""
-_SOON = 1e-3  # s
+SOON = 1e-3
+"""Time within which a call must follow another for the next to be soon expected [s]."""
 _EXIT = 1.0  # s
 
 _RUNS = ir.FunctionType(ir.VoidType(), [WORD, WORD])
@@ -79,7 +80,7 @@ def _stand_by(serve: Callable[..., None], box: Integers, number: int, bell: Simp
         asleep = time.perf_counter()
         bell.get()
         box[_AWAKE] = 1
-        serve(box, number, _LONG if time.perf_counter() - asleep < _SOON else _SHORT)
+        serve(box, number, _LONG if time.perf_counter() - asleep < SOON else _SHORT)
 
 
 def _dismiss(process: int, boxes: Integers) -> None:
