@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from beltarm_env.jit import PLAIN, compiled
-from beltarm_env.kernels.layout import aligned_zeros
 from beltarm_env.threads import standby
 from beltarm_env.threads.blocks import none_taken, take_block
 from beltarm_env.threads.standby import share, standing_by
@@ -52,7 +51,7 @@ def computed(rounds: int) -> float:
 
 def done(threads: int, rounds: int = ROUNDS) -> Integers:
     """Share work, and return which thread took each part."""
-    values, by_whom = aligned_zeros(PARTS), np.full(PARTS, -1)
+    values, by_whom = np.zeros(PARTS), np.full(PARTS, -1)
     shared_work(none_taken(threads), standing_by(threads), values, by_whom, rounds)
     assert (values == computed(rounds)).all(), "each part once, and all of them"
     assert ((by_whom >= 0) & (by_whom < threads)).all()

@@ -133,7 +133,7 @@ def step_arms(
     blocks: Floats,
     taken: Integers,
     boxes: Integers,
-    scratch: Floats,
+    scratches: Floats,
     tiles: Singles,
     actions: Floats,
     observations: Singles,
@@ -151,9 +151,9 @@ def step_arms(
 
     Args:
         blocks: The arms, as `layout` describes.
-        taken: Of `threads.none_taken`, for as many threads as there are.
-        boxes: Of `standby.standing_by`: the threads that share the work with this one.
-        scratch: From `new_scratch`.
+        taken: Of `none_taken`, for as many threads as there are.
+        boxes: Of `standing_by`: the threads that share the work with this one.
+        scratches: From `new_scratch`.
         tiles: From `new_scratch`.
         actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
         observations: Shape (N, size).
@@ -169,7 +169,7 @@ def step_arms(
     """
     into = observations, rewards, terminated, truncated, terms
     settings = profile, tier, model, driven, integrate
-    share(_step_some, (blocks, taken, scratch, tiles, actions, into, settings), taken, boxes)
+    share(_step_some, (blocks, taken, scratches, tiles, actions, into, settings), taken, boxes)
 
 
 @compiled
