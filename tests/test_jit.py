@@ -1,7 +1,6 @@
 """Compiled kernels are those of the sources, wherever the cache lies."""
 
 import os
-import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -10,22 +9,22 @@ from pathlib import Path
 
 import pytest
 
-from beltarm_env import jit
+from beltarm_env.jit import ANNOUNCEMENT
+from beltarm_env.jit.cache import SignatureFiles
 from beltarm_env.sources import sources_digest
 
-EQUATION = "from toy.jit import inlined\n\n@inlined\ndef friction(speed):\n    return {factor} * speed\n"
-KERNEL = "from toy.jit import compiled\nfrom toy.laws.law import friction\n\n@compiled\ndef torque(speed):\n    return friction(speed)\n"  # noqa: E501
+EQUATION = "from beltarm_env.jit import inlined\n\n@inlined\ndef friction(speed):\n    return {factor} * speed\n"
+KERNEL = "from beltarm_env.jit import compiled\nfrom toy.laws.law import friction\n\n@compiled\ndef torque(speed):\n    return friction(speed)\n"  # noqa: E501
 RUN = "from toy.kernel import torque; print(torque(2.0), len(torque.stats.cache_hits))"
 
 
 @pytest.fixture
 def toy(tmp_path: Path) -> Path:
-    """A package with a kernel that inlines an equation from a sub-folder, compiled as this project's."""
+    """A package of a user with a kernel that inlines an equation from a sub-folder."""
     folder = tmp_path / "toy"
     (folder / "laws").mkdir(parents=True)
     for package in (folder, folder / "laws"):
         (package / "__init__.py").touch()
-    shutil.copy(Path(jit.__file__), folder / "jit.py")
     (folder / "laws" / "law.py").write_text(EQUATION.format(factor=1.0))
     (folder / "kernel.py").write_text(KERNEL)
     return folder
@@ -93,7 +92,7 @@ if __name__ == "__main__":
 def test_compilation_is_announced_once_and_by_no_worker(toy: Path):
     assert done(toy, PLAIN, NUMBA_DISABLE_JIT="1").stderr == ""
     assert done(toy, WORKER, NUMBA_CACHE_DIR=str(toy / "other")).stderr == ""
-    assert done(toy, TWICE).stderr == f"{jit.ANNOUNCEMENT}\n"
+    assert done(toy, TWICE).stderr == f"{ANNOUNCEMENT}\n"
     assert done(toy, TWICE).stderr == ""
 
 
@@ -127,7 +126,7 @@ for speed in (2.0, "fast"):
     assert done(toy, code).stdout == "321 5 6\n" * 2
 
 
-REFUSING = "from toy.jit import allocating\n\n@allocating\ndef friction(speed):\n    if speed < 0.0:\n        raise ValueError('backwards', speed)\n    return speed\n"  # noqa: E501
+REFUSING = "from beltarm_env.jit import allocating\n\n@allocating\ndef friction(speed):\n    if speed < 0.0:\n        raise ValueError('backwards', speed)\n    return speed\n"  # noqa: E501
 TRIED = """
 from toy.kernel import torque
 from toy.laws.law import friction
@@ -146,7 +145,7 @@ def test_what_a_part_raises_arrives_compiled_and_from_the_cache(toy: Path):
 
 
 def test_processes_that_compile_at_a_time_do_not_overwrite_their_kernels(tmp_path: Path):
-    one, other = (jit._SignatureFiles(tmp_path, "law") for _ in range(2))
+    one, other = (SignatureFiles(tmp_path, "law") for _ in range(2))
     one.save("float64", "code for float64")
     other.save("int64", "code for int64")
     assert one.load("int64") == "code for int64" and other.load("float64") == "code for float64"
@@ -186,7 +185,7 @@ def test_a_kernel_of_another_signature_is_not_taken_for_ones_own(tmp_path: Path)
 
         __hash__ = str.__hash__
 
-    files = jit._SignatureFiles(tmp_path, "law")
+    files = SignatureFiles(tmp_path, "law")
     files.save("float64", "code")
     assert files.load(Twin("float64")) is None
 
@@ -206,7 +205,7 @@ def test_kernels_ask_for_the_widest_vectors(toy: Path):
 
 VIEWS = """
 import numpy as np
-from toy.jit import allocating, compiled, inlined
+from beltarm_env.jit import allocating, compiled, inlined
 
 @compiled
 def total(rows):
@@ -274,3 +273,71 @@ def test_a_kernel_that_makes_arrays_without_saying_so_is_refused(toy: Path):
     with pytest.raises(subprocess.CalledProcessError) as raised:
         done(toy, "import numpy as np; from toy.kernel import forgetful; forgetful(np.ones((3, 2)))")
     assert "makes arrays, or raises exceptions with values, is marked `allocating`." in raised.value.stderr
+
+
+SHARING = """
+import numpy as np
+from beltarm_env.jit import allocating, compiled, inlined, shared
+
+@shared
+def total(row, factor):
+    result = 0.0
+    for value in row:
+        result += factor * np.exp(value)
+    return result
+
+@inlined
+def half(row):
+    return total(row, 0.5)
+
+@compiled
+def mean(row):
+    return total(row, 1.0) / len(row) + half(row)
+
+@allocating
+def normed(row):
+    both = np.empty(len(row))
+    for i in range(len(row)):
+        both[i] = 1.0 / total(row, 1.0)
+    return both
+
+@shared
+def same(row):
+    return row
+
+@allocating
+def copied(row):
+    return same(row).copy()
+"""
+USING = "import numpy as np; from toy.kernel import mean, normed, total; row = np.zeros(4); "
+SHARED = USING + "print(mean(row), *normed(row), total(row, 2.0), *[len(f.stats.cache_misses) for f in (total, mean)])"
+
+
+def test_a_shared_kernel_is_compiled_once_and_called_by_the_others(toy: Path):
+    (toy / "kernel.py").write_text(SHARING)
+    code = f"{SHARED}; print(*[b'exp' in f.overloads[f.signatures[0]].library._get_compiled_object() for f in (total, mean)])"  # noqa: E501
+    ran = done(toy, code).stdout.splitlines()
+    assert ran == ["3.0 0.25 0.25 0.25 0.25 8.0 1 1", "True False"]
+    assert len(list(toy.rglob("kernel.total-*.nbc"))) == 1
+    assert done(toy, SHARED).stdout == "3.0 0.25 0.25 0.25 0.25 8.0 0 0\n", "from the cache"
+    plain = USING + "print(mean(row), *normed(row), total(row, 2.0))"
+    assert done(toy, plain, NUMBA_DISABLE_JIT="1").stdout == "3.0 0.25 0.25 0.25 0.25 8.0\n"
+
+
+def test_a_kernel_from_the_cache_finds_the_shared_one_whatever_became_of_its_file(toy: Path):
+    (toy / "kernel.py").write_text(SHARING)
+    code = USING + "print(mean(row), *[sum(f.stats.cache_misses.values()) for f in (total, mean)])"
+    assert done(toy, code).stdout == "3.0 1 1\n"
+    (kept,) = toy.rglob("kernel.total-*.nbc")
+    kept.unlink()
+    assert done(toy, code).stdout == "3.0 1 0\n"
+    kept.write_bytes(b"damaged")
+    assert done(toy, code).stdout == "3.0 1 0\n"
+    assert done(toy, code).stdout == "3.0 0 0\n"
+
+
+def test_a_shared_kernel_that_returns_an_array_is_refused(toy: Path):
+    (toy / "kernel.py").write_text(SHARING)
+    with pytest.raises(subprocess.CalledProcessError) as raised:
+        done(toy, "import numpy as np; from toy.kernel import copied; copied(np.ones(3))")
+    assert "same returns an array: mark it `allocating`, not `shared`" in raised.value.stderr

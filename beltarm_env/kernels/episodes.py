@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import plant_of
-from beltarm_env.jit import allocating, compiled
+from beltarm_env.jit import allocating, compiled, shared
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import begin_drive
 from beltarm_env.kernels.layout import (
@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-@compiled
+@shared
 def begin_episodes(
     blocks: Floats,
     arms: NDArray[np.intp],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.jit import compiled, inlined, shared
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, Driven, load_move, load_plant
 from beltarm_env.kernels.sense import encoder_reading, put_tier_entries
@@ -80,7 +80,7 @@ def _put_all(block: Floats, tile: Singles, count: int, profile: int) -> None:
         _put_common_entries(block, tile, j, profile)
 
 
-@compiled
+@shared
 def observe_block(block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven) -> None:
     """Write the scaled and clipped observations of the first arms of a block.
 

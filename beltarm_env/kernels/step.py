@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.jit import compiled, inlined, shared
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
@@ -103,7 +103,7 @@ def charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Dri
         _charge_profile(block, scratch, count, profile, driven)
 
 
-@compiled
+@shared
 def _step_block(
     block: Floats,
     scratch: Floats,
