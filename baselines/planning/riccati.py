@@ -94,21 +94,25 @@ def step_back(size: int, to_go: CostToGo, f: Floats, slope: Floats, gain: Floats
 
     Args:
         size: n, a literal.
-        to_go: As `slope_in_input` left it.
+        to_go: As `slope_in_input` left it; its products are changed, too.
         f: F, shape (n, n).
         slope: From `slope_in_input`.
         gain: Shape (n,).
         constant: [N m].
     """
     rest = slope[size] + slope[size + 1] * constant
+    for m in range(size):  # what the sums below have in common
+        to_go.by_offset[m] += to_go.by_input[m] * constant
+        for j in range(size):
+            to_go.by_state[m, j] -= to_go.by_input[m] * gain[j]
     for i in range(size):
         total = -gain[i] * rest
         for m in range(size):
-            total += f[m, i] * (to_go.by_offset[m] + to_go.by_input[m] * constant)
+            total += f[m, i] * to_go.by_offset[m]
         to_go.vector[i] = total
     for i in range(size):
         for j in range(i + 1):
             total = -gain[i] * (slope[j] - slope[size + 1] * gain[j])
             for m in range(size):
-                total += f[m, i] * (to_go.by_state[m, j] - to_go.by_input[m] * gain[j])
+                total += f[m, i] * to_go.by_state[m, j]
             to_go.matrix[i, j] = to_go.matrix[j, i] = total
