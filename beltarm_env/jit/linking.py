@@ -42,11 +42,15 @@ class Elsewhere(_PartLibrary):
 class _WholeLibrary(_WideLibrary):
     """Code of a kernel, linked from its parts."""
 
+    required: tuple[Callable[[], object], ...] = ()
+    """What loads the shared kernels that it calls."""
+
     def finalize(self) -> None:
         found: dict[Any, None] = {}
         _collect(self._linking_libraries, found)
-        for library in [library for library in found if isinstance(library, Elsewhere)]:
-            self._reload_init.add(library.require)  # which numba calls as it loads this code
+        elsewhere = [library for library in found if isinstance(library, Elsewhere)]
+        self.required = tuple(library.require for library in elsewhere)
+        for library in elsewhere:
             del found[library]
         # Callers first: LLVM leaves out what nothing calls yet.
         self._linking_libraries = list(found)[::-1]
@@ -85,6 +89,7 @@ class _WholeLowering(NativeLowering):
         state.library = _WholeLibrary(code, state.func_id.func_qualname)
         state.library.enable_object_caching()
         super().run_pass(state)
+        state.reload_init.extend(state.library.required)  # which numba calls as it loads this code
         for variable in state.library._final_module.global_variables:
             environment = lookup_environment(variable.name)  # what a part needs to raise
             if environment is not None:
