@@ -44,6 +44,7 @@ def done(toy: Path, code: str = RUN, **environment: str) -> subprocess.Completed
         capture_output=True,
         text=True,
         check=True,
+        timeout=300,
     )
 
 
@@ -334,6 +335,133 @@ def test_a_kernel_from_the_cache_finds_the_shared_one_whatever_became_of_its_fil
     kept.write_bytes(b"damaged")
     assert done(toy, code).stdout == "3.0 1 0\n"
     assert done(toy, code).stdout == "3.0 0 0\n"
+
+
+ALIKE = """
+from typing import NamedTuple
+from beltarm_env.jit import compiled, shared
+
+def pairs(*names):
+    return NamedTuple("Pair", [(name, float) for name in names])
+
+One, Other = pairs("x", "y"), pairs("y", "x")
+
+@shared
+def digits(pair):
+    return 10.0 * pair.x + pair.y
+
+@compiled
+def both(one, other):
+    return digits(one), digits(other)
+
+@compiled
+def last(other):
+    return digits(other)
+"""
+
+
+def test_types_of_the_same_name_have_their_own_machine_code(toy: Path):
+    (toy / "kernel.py").write_text(ALIKE)
+    code = "from toy.kernel import *; print(*both(One(1.0, 2.0), Other(2.0, 1.0)), last(Other(4.0, 3.0)))"
+    assert [done(toy, code).stdout for _ in range(2)] == ["12.0 12.0 34.0\n"] * 2
+
+
+SCRIPT = """
+import multiprocessing
+from beltarm_env.jit import compiled, shared
+
+@shared
+def größe(x):
+    return {factor} * x
+
+@compiled
+def twice(x):
+    return größe(x) + größe(x)
+
+if __name__ == "__main__":
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        print(twice(1.0), pool.apply(twice, (1.0,)))
+"""
+IMPORTING = """
+from beltarm_env.jit import shared
+from script import twice
+
+@shared
+def größe(x):
+    return -x
+
+print(twice(1.0), größe(1.0))
+"""
+
+
+def test_a_script_has_the_shared_kernels_that_it_has_as_a_module(toy: Path):
+    (toy / "script.py").write_text(SCRIPT.format(factor=3.0))
+    (toy / "other.py").write_text(IMPORTING)
+    for name, printed in (("script", "6.0 6.0\n"), ("other", "6.0 -1.0\n")):
+        ran = subprocess.run([sys.executable, toy / f"{name}.py"], capture_output=True, text=True, timeout=300)
+        assert ran.stdout == printed, ran.stderr
+
+
+REFUSED = """
+import numba
+import numpy as np
+from beltarm_env.jit import compiled, shared
+
+@shared
+def factorial(n):
+    return 1 if n < 2 else n * factorial(n - 1)
+
+def scaling(factor):
+    @shared
+    def scaled(x):
+        return factor * x
+    return scaled
+
+double = scaling(2.0)
+
+@compiled
+def doubled(x):
+    return double(x)
+
+@shared
+def total(row):
+    result = 0.0
+    for value in row:
+        result += value
+    return result
+
+@numba.njit
+def foreign(row):
+    return total(row)
+"""
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ("factorial(3)", "factorial calls itself, and so cannot be `shared`"),
+        ("doubled(1.0)", "scaling.<locals>.scaled is not what its module has by that name: mark it `compiled`"),
+        (
+            "foreign(np.ones(3))",
+            "a kernel that is `shared` is called by those of beltarm_env.jit, not by others of numba's",
+        ),
+    ],
+)
+def test_calls_of_shared_kernels_that_cannot_be_are_refused(call: str, message: str, toy: Path):
+    (toy / "kernel.py").write_text(REFUSED)
+    for _ in range(2):
+        with pytest.raises(subprocess.CalledProcessError) as raised:
+            done(toy, f"from toy.kernel import *; {call}")
+        assert message in raised.value.stderr
+    assert not list(toy.rglob("*.lock"))
+
+
+def test_a_shared_kernel_is_strict_whoever_calls_it_first(toy: Path):
+    """A caller that lets sums be reordered must not leave such a kernel in the cache."""
+    (toy / "kernel.py").write_text(REFUSED.replace("@numba.njit", "@numba.njit(fastmath=True)"))
+    code = "from contextlib import suppress\nfrom toy.kernel import *\nwith suppress(TypeError): foreign(np.ones(3))\n"
+    code += "print(any('fast' in text for text in total.inspect_llvm().values()), total.signatures != [])"
+    assert done(toy, code).stdout == "False True\n"
 
 
 def test_a_shared_kernel_that_returns_an_array_is_refused(toy: Path):

@@ -13,9 +13,8 @@ is all. The kernel that Python calls is linked from its parts, and only this who
 half the time.
 
 **Shared kernels.** Where several kernels call a long one, like the motion of the arms, each would be compiled with it
-anew. A kernel that is marked `shared` is compiled once, and the others call its machine code. They know it by a name
-that is made of its own and its types, and LLVM is told where that is in a process. A kernel from the cache first loads
-those that it calls.
+anew. A kernel that is marked `shared` is compiled once, and the others call its machine code. They know it by a name of
+which LLVM is told where it is in a process. A kernel from the cache first loads those that it calls.
 
 **Arrays.** numba counts who refers to an array, by an atomic operation wherever a kernel takes a view of one: a tenth
 of the time that a filter takes. A kernel that makes no arrays needs none of this, because its caller holds them. Only

@@ -57,6 +57,10 @@ class ContentKeyedCache(FunctionCache):
             found = self._load_overload(sig, target_context)
         return found
 
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        # With the module's name: of two by which a file is run or imported, each has its own shared kernels.
+        return (*super()._index_key(sig, codegen), self._py_func.__module__)
+
     def end_turn(self) -> None:
         """Let other processes look up what this one has compiled, or failed to."""
         if self._turn is not None:

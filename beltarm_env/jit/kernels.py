@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import gc
-import hashlib
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
 from functools import cached_property, partial, update_wrapper
 from typing import Any, ParamSpec, TypeVar, cast
+from uuid import uuid4
 
 import llvmlite.binding as llvm
 import numba
 from numba.core import config
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaError, TypingError
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import ConfigStack
@@ -27,7 +29,9 @@ _OPTIONS = {
     "boundscheck": None,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
-    "forceinline": False,  # else a part that one of `inlined` calls would be as well
+    # Else as whatever calls it:
+    "forceinline": False,
+    "fastmath": False,
 }
 _SELDOM = 100_000, 50, 100  # objects made until cycles are looked for, and how much less often among older ones
 _P = ParamSpec("_P")
@@ -153,16 +157,25 @@ class _Shared(_Kernel):
         return self.py_func.__qualname__
 
     def compile(self, sig: Any) -> Any:
-        """Return machine code for arguments of some types, and tell LLVM where it is."""
-        code = super().compile(sig)
-        found = self.overloads[tuple(sig)]
-        llvm.add_symbol(self.symbol(sig), found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
-        return code
+        """Return machine code for arguments of some types, from the cache or compiled."""
+        with global_compiler_lock:
+            if self.is_compiling:  # it would wait for itself
+                raise TypingError(f"{self.py_func.__name__} calls itself, and so cannot be `shared`")
+            return super().compile(sig)
 
-    def symbol(self, sig: Any) -> str:
-        """Return the name by which kernels call it with arguments of some types."""
-        types = hashlib.sha256(repr(tuple(sig)).encode()).hexdigest()[:16]
-        return f"{self.__module__}.{self.py_func.__qualname__}.{types}"
+    def provide(self, types: Any, name: str) -> None:
+        """Tell LLVM where machine code for arguments of some types is, and by which name a kernel calls it."""
+        self.compile(types)
+        found = self.overloads[types]
+        llvm.add_symbol(name, found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+
+    @property
+    def is_found_by_name(self) -> bool:
+        """Whether it is what its module has by its name, so that a kernel from the cache finds it."""
+        found: Any = sys.modules[self.__module__]
+        for name in self.py_func.__qualname__.split("."):
+            found = getattr(found, name, None)
+        return found is self
 
     @cached_property
     def _callers(self) -> _Call:
@@ -182,19 +195,27 @@ class _Call(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Return what stands for the kernel with arguments of some types, compiled if it is not yet."""
-        sig, context = tuple(sig), self._kernel.targetctx
-        if sig not in self.overloads:
-            self._kernel.compile(sig)
-            found = self._kernel.overloads[sig]
-            if _holds_array(context, found.signature.return_type):  # it counts none, and its callers may
-                raise TypingError(f"{self.py_func.__name__} returns an array: mark it `allocating`, not `shared`")
+        kernel, types = self._kernel, tuple(sig)
+        if types not in self.overloads:
+            # Kept with the code of those that call it: nothing else has that name, in no process.
+            name = f"beltarm.{uuid4().hex}"
+            kernel.provide(types, name)
+            found = kernel.overloads[types]
+            self._require_callable(found.signature.return_type)
             called = copy(found.fndesc)
-            called.mangled_name = self._kernel.symbol(sig)
-            library = Elsewhere(context.codegen(), called.mangled_name, partial(self._kernel.compile, sig))
+            called.mangled_name = name
+            library = Elsewhere(kernel.targetctx.codegen(), name, partial(kernel.provide, types, name))
             entry = object()
-            context.insert_user_function(entry, called, [library])
-            self.overloads[sig] = found._replace(entry_point=entry, fndesc=called, library=library)
-        return self.overloads[sig].entry_point
+            kernel.targetctx.insert_user_function(entry, called, [library])
+            self.overloads[types] = found._replace(entry_point=entry, fndesc=called, library=library)
+        return self.overloads[types].entry_point
+
+    def _require_callable(self, returned: Any) -> None:
+        what = self.py_func.__qualname__
+        if not self._kernel.is_found_by_name:
+            raise TypingError(f"{what} is not what its module has by that name: mark it `compiled`, not `shared`")
+        if _holds_array(self._kernel.targetctx, returned):  # it counts none, and its callers may
+            raise TypingError(f"{what} returns an array: mark it `allocating`, not `shared`")
 
 
 class _Parts:

@@ -38,6 +38,9 @@ class Elsewhere(_PartLibrary):
         super().__init__(codegen, name)
         self.require = require
 
+    def _get_module_for_linking(self) -> Any:
+        raise TypeError("a kernel that is `shared` is called by those of beltarm_env.jit, not by others of numba's")
+
 
 class _WholeLibrary(_WideLibrary):
     """Code of a kernel, linked from its parts."""
