@@ -19,7 +19,6 @@ from commands import stopped
 from jsonschema import Draft202012Validator
 
 from beltarm_env.metrics import TORQUE_QUALITY, TORQUES, heading
-from beltarm_env.task.seeds import MAPS
 from eval import compare
 from eval.comparison.failures import Failure
 from eval.comparison.methods import (
@@ -57,7 +56,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
         for name, values in {"_STIFFNESS": [0.5, 1.2], "_PAYLOAD": [0.0, 0.5], "_FRICTION": [0.5, 1.8]}.items():
             patch.setattr(maps, name, values)
         patch.setattr(maps, "_DELAY", [0.0, 2.0])
-        patch.setattr(maps, "MAPS", MAPS._replace(size=2))
+        patch.setattr(maps, "MAPS", maps.MAPS._replace(size=2))
         assert stopped(compare.main, (*FEW, "--maps", "--out", "out", "--jobs", "1"), folder)[0] == 0
     return folder / "out", output.getvalue()
 
