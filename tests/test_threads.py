@@ -3,6 +3,8 @@
 import copy
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -184,3 +186,39 @@ def test_what_tells_no_number_is_a_thread_for_each_core(told: str, monkeypatch: 
     monkeypatch.setenv("OMP_NUM_THREADS", "9999")
     assert blocks.usual_threads() == blocks.MAX_THREADS
     assert [blocks.usual_threads(most) for most in (0, 1, 3, 9999)] == [1, 1, 3, blocks.MAX_THREADS]
+
+
+NO_THREADS = """
+import sys, threading
+import numpy as np
+from baselines import CONTROLLERS
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.rollout import rollout
+
+def refuse(self):
+    raise RuntimeError("can't start new thread")  # what Python says where the system allows none
+
+if "refused" in sys.argv:
+    threading.Thread.start = refuse
+env = BeltArmVectorEnv(4096, num_threads=3)
+env.reset(seed=1)
+for _ in range(5):
+    rewards = env.step(np.full((4096, 1), 0.3))[1]
+costs = rollout(CONTROLLERS["adaptive"](), 40, seed=3).metrics()["cost"]
+print(rewards.sum().hex(), np.sum(costs).hex())
+"""
+
+
+def test_where_the_system_allows_no_thread_the_numbers_are_the_same():
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", NO_THREADS, word],
+            env={**os.environ, "OMP_NUM_THREADS": "3"},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        ).stdout
+        for word in ("allowed", "refused")
+    ]
+    assert said[0] == said[1]

@@ -48,7 +48,10 @@ def _in_threads(work: Callable[[int], object], threads: int, at_work: Callable[[
         return
     shares = [_Share(work, thread) for thread in range(1, threads)]
     for share in shares:
-        _inbox(os.getpid(), share.thread).put(share)
+        inbox = _inbox(os.getpid(), share.thread)
+        if inbox is None:
+            break  # the threads that there are do its work
+        inbox.put(share)
     waits = True
     try:
         work(0)
@@ -96,11 +99,24 @@ class _Share:
 
 
 @cache
-def _inbox(_process: int, thread: int) -> SimpleQueue[_Share]:
-    """Where a thread of this process finds its work; one that was forked from it has none of its threads."""
+def _inbox(_process: int, thread: int) -> SimpleQueue[_Share] | None:
+    """Where a thread of this process finds its work; one that was forked from it has none of its threads.
+
+    Returns:
+        None if the system allows no new thread.
+    """
     inbox: SimpleQueue[_Share] = SimpleQueue()
-    Thread(target=_work_off, args=(inbox,), name=f"beltarm-{thread}", daemon=True).start()
-    return inbox
+    started = start(Thread(target=_work_off, args=(inbox,), name=f"beltarm-{thread}", daemon=True))
+    return inbox if started else None
+
+
+def start(thread: Thread) -> bool:
+    """Start a thread, and return whether the system allows one more."""
+    try:
+        thread.start()
+    except RuntimeError:
+        return False
+    return True
 
 
 def _work_off(inbox: SimpleQueue[_Share]) -> None:

@@ -23,6 +23,7 @@ from numba.core import cgutils
 
 from beltarm_env.jit import PLAIN, code_for, compiled
 from beltarm_env.threads.blocks import MAX_THREADS
+from beltarm_env.threads.calls import start
 from beltarm_env.threads.words import WORD, Integers, address, exchange, look, operation, wait, write
 
 # Words of the box of a thread, two cache lines of its own: processors fetch lines in pairs.
@@ -42,7 +43,10 @@ _NOBODY = np.empty((0, _WORDS), np.int64)
 
 
 def standing_by(threads: int) -> Integers:
-    """Return the boxes of so many threads, less the one that calls, and wake those that sleep."""
+    """Return the boxes of so many threads, less the one that calls, and wake those that sleep.
+
+    Of fewer, where the system allows no more threads.
+    """
     if threads == 1 or PLAIN:
         return _NOBODY
     process = os.getpid()
@@ -50,6 +54,8 @@ def standing_by(threads: int) -> Integers:
     for number, box in enumerate(boxes, 1):
         if box[_AWAKE] == 0:
             bell = _bell(process, number)
+            if bell is None:
+                return boxes[: number - 1]
             box[_AWAKE] = 1
             bell.put(None)
     return boxes
@@ -64,15 +70,15 @@ def _boxes(process: int) -> Integers:
 
 
 @cache
-def _bell(process: int, number: int) -> SimpleQueue[None]:
-    """What wakes a thread, which begins with it."""
+def _bell(process: int, number: int) -> SimpleQueue[None] | None:
+    """What wakes a thread, which begins with it; None if the system allows no new one."""
     bell: SimpleQueue[None] = SimpleQueue()
     box = _boxes(process)[number]
     # Not in that thread: a process that is forked while it compiles can compile nothing any more.
     serve = code_for(_serve, box, number, _LONG)
     name = f"beltarm-standby-{number}"
-    Thread(target=_stand_by, args=(serve, box, number, bell), name=name, daemon=True).start()
-    return bell
+    started = start(Thread(target=_stand_by, args=(serve, box, number, bell), name=name, daemon=True))
+    return bell if started else None
 
 
 def _stand_by(serve: Callable[..., None], box: Integers, number: int, bell: SimpleQueue[None]) -> None:
