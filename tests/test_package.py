@@ -193,9 +193,7 @@ def test_wheel_asks_for_its_dependencies_alone(wheel: Path):
         (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
         lines = archive.read(name).decode().splitlines()
     needed = [line.removeprefix("Requires-Dist: ") for line in lines if line.startswith("Requires-Dist: ")]
-    always = {
-        requirement.split(">")[0].split("=")[0].strip() for requirement in needed if "extra ==" not in requirement
-    }
+    always = {re.split("[<>=]", requirement)[0].strip() for requirement in needed if "extra ==" not in requirement}
     assert always == DEPENDENCIES
 
 
