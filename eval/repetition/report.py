@@ -108,12 +108,13 @@ def as_json(results: list[RepetitionResult], seed: int) -> str:
 
 def save_picture(results: list[RepetitionResult], path: Path) -> None:
     """Draw the cost over the repetitions, over each arm's first and as it is, for all kinds of arms."""
-    figure, grid = plt.subplots(2, len(KINDS), figsize=(11, 7.2), sharey="row", squeeze=False, layout="constrained")
+    size = (5 * len(KINDS), 7.4)
+    figure, grid = plt.subplots(2, len(KINDS), figsize=size, sharey="row", squeeze=False, layout="constrained")
     labels = {}
     for column, (kind, of_kind) in enumerate(KINDS.items()):
         relative, whole = grid[:, column]
         first = _costs(results, kind, TORQUE)[0]
-        relative.set_title(f"{kind}: {of_kind.description}", fontsize=10)
+        relative.set_title(f"{kind}\n{of_kind.description}", fontsize=10)
         labels[relative] = _draw(relative, results, kind, (TORQUE, ARM, "adaptive", "privileged"), 0.01 * first)
         whole.set_yscale("log")
         labels[whole] = _draw(whole, results, kind, (TORQUE, MOTOR, "paper", "adaptive"), np.ones_like(first))
