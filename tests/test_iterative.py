@@ -26,6 +26,7 @@ from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_S
 from beltarm_env.task.reference import MoveShape
 from eval.comparison.splits import SPLITS
 from eval.iterative import main
+from eval.repetition import report
 from eval.repetition.study import KINDS, metrics, repeated
 
 ROOT = Path(__file__).parents[1]
@@ -333,10 +334,14 @@ def test_motors_error_is_that_of_the_joint():
 
 
 @pytest.mark.slow
-def test_report_of_a_run(tmp_path: Path):
+def test_report_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(report, "commit", lambda: "changed" if [*tmp_path.glob("out/*")] else "as measured")
     assert stopped(main, ("--arms", "4", "--repetitions", "2", "--out", "out"), tmp_path) == (0, "")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cost.png", "results.json", "summary.md"]
-    rows = json.loads((tmp_path / "out/results.json").read_text())["rows"]
+    results = json.loads((tmp_path / "out/results.json").read_text())
+    rows, page = results["rows"], (tmp_path / "out/summary.md").read_text()
+    assert results["provenance"]["commit"] == "as measured"
+    assert "commit as measured" in page
     assert len(rows) == len(KINDS) * (3 * 2 + 3)
     for row in rows:
         assert row["episodes"] == 4
@@ -345,7 +350,6 @@ def test_report_of_a_run(tmp_path: Path):
     for split in KINDS:
         assert costs[split, "iterative", 1] == costs[split, "arm alone", 1] == costs[split, "adaptive", None]
         assert costs[split, "motor", 1] == costs[split, "paper", None]
-    page = (tmp_path / "out/summary.md").read_text()
     for split in KINDS:
         assert f"\n| {split} | first of `iterative` | " in page
         assert f"\n| {split} | `privileged` | " in page
