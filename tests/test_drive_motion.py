@@ -81,6 +81,19 @@ def test_stick_slip_with_all_effects(number: int, model: str):
     assert worst < 1e-6
 
 
+def test_random_torques_keep_the_motor_slow_and_rarely_stop_it():
+    rng = np.random.default_rng(1)
+    arm = driven_arm(ArmParams(**ARMS[0]), AT_45, "lumped")
+    slow = quiet = 0
+    for _ in range(200):
+        changes, speed = len(arm.mode_changes), abs(arm.state[1])
+        arm.sample(rng.uniform(-arm.params.torque_limit, arm.params.torque_limit))
+        slow += speed < 10.0
+        quiet += len(arm.mode_changes) == changes
+    assert slow > 100
+    assert 100 < quiet < 200
+
+
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("number", range(2))
 def test_breaking_away_while_the_torque_still_rises(number: int, model: str):
