@@ -1,6 +1,7 @@
 """Iterative learning: the norm-optimal change against independent solutions, the controllers, and the command."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -386,3 +387,11 @@ def test_committed_report_is_of_the_stated_seeds_and_arms():
     assert not stored["provenance"]["commit"].endswith("-dirty")
     assert stored["provenance"]["seed"] == 4_100_000
     assert stored["provenance"]["command"] == "python eval/iterative.py --out docs/iterative"
+
+
+def test_costs_in_the_text_are_those_of_the_committed_report():
+    rows = json.loads((ROOT / "docs/iterative/results.json").read_text())["rows"]
+    text = (ROOT / "docs/baselines.md").read_text().split("## Learning from repetitions")[1].split("\n## ")[0]
+    costs = {int(number) for number in re.findall(r"\b(?!100\b)[12]\d\d\b", text)}
+    assert costs
+    assert costs <= {round(row["metrics"]["cost"]["iqm"]) for row in rows}

@@ -68,9 +68,9 @@ def markdown(results: list[RepetitionResult], seed: int, seconds: float) -> str:
     arms = len(results[0].repetitions[0]["cost"])
     parts = [
         "# Iterative learning",
-        "The same move on the same arm, again and again; encoder observations and nominal constants beforehand. "
-        "Interquartile means over arms, with bootstrap 95 % intervals; lower is better everywhere. Not ranked with the "
-        "other controllers, which meet every arm for the first time.",
+        "The same move on the same arm, again and again; encoder observations and the design model's constants "
+        "beforehand. Interquartile means over arms, with bootstrap 95 % intervals; lower is better everywhere. Not "
+        "ranked with the other controllers, which meet every arm for the first time.",
         f"- `{TORQUE}` learns the arm's constants and the torque (`baselines/iterative/controller.py`); its first "
         f"repetition is `adaptive`.\n- `{ARM}` learns the constants, and plans the move for them.\n- `{MOTOR}` is the "
         "textbook's: the paper's controller with a feed-forward learnt from the motor's error "
