@@ -33,7 +33,7 @@ try:
 except ImportError:  # Windows, where all of them compile
     fcntl = None
 
-ANNOUNCEMENT = "beltarm: compiling, about a minute, once"
+ANNOUNCEMENT = "beltarm: compiling what is used for the first time, seconds to a minute; it is kept"
 
 
 class ContentKeyedCache(FunctionCache):
