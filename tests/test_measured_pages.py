@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -28,3 +30,23 @@ def test_page_names_its_command_and_a_clean_commit(page: Path):
 def test_pages_are_found():
     assert len(MEASURED) >= 20
     assert not any(page.is_relative_to(HISTORY) for page in MEASURED)
+
+
+def test_protocol_lists_commits_that_are_there():
+    """What changed after the results, the committed results among it."""
+    changes = (DOCS / "protocol.md").read_text(encoding="utf-8").split("## Changes made after the results")[1]
+    named = sorted(set(re.findall(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7}\b", changes)))
+    results = json.loads((DOCS / "comparison/results.json").read_text(encoding="utf-8"))
+    assert results["provenance"]["commit"] in named
+    try:
+        whole = git("rev-parse", "--is-shallow-repository").stdout.strip() == "false"
+    except OSError:
+        whole = False
+    if not whole:
+        pytest.skip("the history is not there")
+    missing = [commit for commit in named if git("merge-base", "--is-ancestor", commit, "HEAD").returncode]
+    assert not missing
+
+
+def git(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["git", *words], cwd=DOCS, capture_output=True, text=True, check=False)
