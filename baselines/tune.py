@@ -1,9 +1,9 @@
 """Tune the gains of classical controllers: `python baselines/tune.py NAME`, or `--all` of them.
 
 Every controller gets the same optimiser, arms, objective and budget (see `baselines/tuning/search.py`). A full budget
-is as much as a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with their origin. Each search
-keeps a journal, from which `--resume` continues. A new search begins with untuned gains, never with tuned ones:
-otherwise budgets would add up.
+is 48 million samples, twice what a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with their
+origin. Each search keeps a journal, from which `--resume` continues. A new search begins with untuned gains, never with
+tuned ones: otherwise budgets would add up.
 
 Gains are refused before anything is simulated if their loop lacks modulus and delay margins, on the design model or at
 a corner of the training ranges. `--no-margins` accepts them, for another file with `--out`: the difference in cost is

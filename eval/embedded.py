@@ -1,6 +1,6 @@
 """Show what generated controllers take, and that they are what was compared: `python eval/embedded.py`.
 
-Exports every controller, compiles it and runs it in the loop with arms of the development set. Writes summary.md.
+Exports controllers, compiles each and runs it in the loop with arms of the development set. Writes summary.md.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Config:
     """Show what generated controllers take, and that they are what was compared."""
 
     controllers: tuple[str, ...] = ()
-    """Controllers and folders of policies. Default: all."""
+    """Controllers and folders of policies. Default: classical ones without variants, and a policy of each method."""
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
     out: Path = Path("results/embedded")

@@ -45,9 +45,11 @@ def report(config: Config) -> None:
     require_bounds(config, arms=(4, REPETITION.size), repetitions=(2, 100), seed=(0, None))
     require_writable(config.out)
     results = run_study(config.arms, config.repetitions, config.seed)
+    # before a file of the commit changes
+    data, page = as_json(results, config.seed), markdown(results, config.seed, time.perf_counter() - began)
     save_picture(results, config.out / "cost.png")
-    write_text(config.out / "results.json", as_json(results, config.seed))
-    write_text(config.out / "summary.md", markdown(results, config.seed, time.perf_counter() - began))
+    write_text(config.out / "results.json", data)
+    write_text(config.out / "summary.md", page)
     print(differences_table(results))
     print(f"written to {config.out}: summary.md, results.json, cost.png")
 

@@ -221,6 +221,7 @@ def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for panel, results in zip(panels, study.factors().values(), strict=True):
         legend = panel.get_legend()
         assert legend is not None and len(legend.get_texts()) == len(results)
+        assert not legend.get_window_extent().overlaps(panel.get_window_extent()), "names are beside the curves"
         levels = [float(np.asarray(line.get_ydata())[0]) for line in panel.lines if len(line.get_xdata()) == 2]  # pyright: ignore[reportArgumentType]
         assert levels == [2000.0, 210.0]
     monkeypatch.undo()

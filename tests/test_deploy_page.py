@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from baselines import CONTROLLERS
 from eval.deploy.building import FLAGS, here
-from eval.deploy.controllers import loop_of
+from eval.deploy.controllers import exportable, loop_of
 from eval.deploy.package import write
+from eval.deploy.page import coverage
 
 ROOT = Path(__file__).resolve().parent.parent
 EXTRAS = ("fmpy", "onnx")
@@ -64,3 +66,14 @@ def test_the_level_is_where_the_page_says():
     from baselines.guard.guard import LEVEL
 
     assert f"memory_guard_row[{LEVEL}]" in (ROOT / "docs/deploy.md").read_text(encoding="utf-8")
+
+
+def test_the_table_says_which_controllers_it_lacks():
+    page = (ROOT / "docs/embedded/summary.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\| `(\w+)` \| [\d ]+ of [\d ]+ \|", page, re.MULTILINE)
+    assert shown and coverage(shown) in page
+    for name in CONTROLLERS:
+        assert (name in shown) != (f"`{name}`" in coverage(shown)), name
+    with pytest.raises(ValueError, match="mpc"):
+        loop_of("mpc")
+    assert "measured" not in coverage(exportable())

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from commands import mistake, stopped
 
+from agents.policy.bundle import POLICIES, annotate
 from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.metrics import TORQUE_QUALITY
@@ -17,6 +21,10 @@ from beltarm_env.metrics import heading as of_metric
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval import drive
 from eval.drives.effects import ALL, EFFECTS, IDEAL, heading, with_effect
+from eval.drives.page import training
+from eval.drives.study import choose_methods, trained_on
+
+PAGE = Path(__file__).parents[1] / "docs/drive"
 
 
 def drawn(count: int) -> np.ndarray:
@@ -48,6 +56,34 @@ class TestEffects:
         assert heading("command_latency") == "latency 1.5 samples"
         assert heading("torque_ripple") == "torque ripple 6 mN m"
         assert heading("friction_drift") == "drift of friction ±15 %"
+
+
+def manifest_of(method: str) -> dict[str, Any]:
+    return json.loads((POLICIES / method / "seed0/policy.json").read_text(encoding="utf-8"))
+
+
+class TestTraining:
+    def test_committed_page_says_what_the_policies_say(self):
+        trained = trained_on(choose_methods(()))
+        for method, arms in trained.items():
+            assert arms == manifest_of(method)["provenance"]["config"]["randomization"]
+        provenance = json.loads((PAGE / "results.json").read_text(encoding="utf-8"))["provenance"]
+        assert provenance["trained"] == trained
+        assert training(trained) in (PAGE / "summary.md").read_text(encoding="utf-8")
+
+    @pytest.mark.parametrize("config", [{"randomization": "ideal"}, {}])
+    def test_policies_that_were_trained_otherwise_change_the_page(self, tmp_path: Path, config: dict[str, str]):
+        folder = tmp_path / "other"
+        shutil.copytree(POLICIES / "ppo/seed0", folder)
+        annotate(folder, config=config)
+        (method,) = choose_methods(["ppo"])
+        other = replace(method, name="other", sources=(str(folder),))
+        found = training(trained_on([method, other]))
+        assert found.count(".") == 2, "one sentence for each kind of training"
+        assert training(trained_on([method])) in found
+
+    def test_without_learned_controllers_there_is_nothing_to_say(self):
+        assert training(trained_on(choose_methods(["paper"]))) == ""
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from commands import mistake
@@ -28,7 +29,8 @@ from beltarm_env.task.accelerometer import BIAS, RANGE
 from eval import sensors
 from eval.comparison.methods import learned_methods, shipped_policies
 from eval.comparison.sets import development_set
-from eval.sensing.study import NAMES, Found, Tier, measure
+from eval.sensing.page import draw
+from eval.sensing.study import NAMES, TIERS, Found, Tier, measure
 
 Floats = NDArray[np.float64]
 SEED = 5_210_000  # of the gains' search
@@ -213,6 +215,18 @@ class TestControllers:
         assert read_spec(folder)[0].sensors == "accelerometer" and folder not in shipped_policies()
         with pytest.raises(ValueError, match="the comparison gives all methods the encoder alone"):
             learned_methods([folder])
+
+
+@pytest.mark.parametrize("splits", [1, 9])
+def test_names_are_beside_the_costs(splits: int):
+    names = list(development_set().splits)[:splits]
+    found = Found({"cost": np.full(4, 200.0)}, 0, 1e-3)
+    figure = draw({(name, split, tier): found for name in NAMES for split in names for tier in TIERS})
+    figure.draw_without_rendering()
+    (axis,), (legend,) = figure.axes, figure.legends
+    assert len(legend.get_texts()) == 2 * len(NAMES)
+    assert not legend.get_window_extent().overlaps(axis.get_window_extent())
+    plt.close(figure)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Iterative learning: the norm-optimal change against independent solutions, the controllers, and the command."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +19,16 @@ from baselines.iterative.lesson import Lesson, Notes
 from baselines.iterative.motor_learning import FeedForward, MotorLearningController
 from baselines.models.linear import at_angle, linear_arm
 from baselines.planning.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
-from beltarm_env import ArmParams, BeltArmEnv
-from beltarm_env.arm import params_table
+from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.arm import FIELDS, params_table
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import MoveShape
+from eval.comparison.splits import SPLITS
 from eval.iterative import main
-from eval.repetition.study import metrics, repeated
+from eval.repetition import report
+from eval.repetition.study import KINDS, metrics, repeated
 
 ROOT = Path(__file__).parents[1]
 SEED = 4_200_000
@@ -332,20 +335,23 @@ def test_motors_error_is_that_of_the_joint():
 
 
 @pytest.mark.slow
-def test_report_of_a_run(tmp_path: Path):
+def test_report_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(report, "commit", lambda: "changed" if [*tmp_path.glob("out/*")] else "as measured")
     assert stopped(main, ("--arms", "4", "--repetitions", "2", "--out", "out"), tmp_path) == (0, "")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cost.png", "results.json", "summary.md"]
-    rows = json.loads((tmp_path / "out/results.json").read_text())["rows"]
-    assert len(rows) == 2 * (3 * 2 + 3)
+    results = json.loads((tmp_path / "out/results.json").read_text())
+    rows, page = results["rows"], (tmp_path / "out/summary.md").read_text()
+    assert results["provenance"]["commit"] == "as measured"
+    assert "commit as measured" in page
+    assert len(rows) == len(KINDS) * (3 * 2 + 3)
     for row in rows:
         assert row["episodes"] == 4
         assert all(value["low"] <= value["iqm"] <= value["high"] for value in row["metrics"].values())
     costs = {(row["split"], row["method"], row["repetition"]): row["metrics"]["cost"] for row in rows}
-    for split in ("nominal", "randomized"):
+    for split in KINDS:
         assert costs[split, "iterative", 1] == costs[split, "arm alone", 1] == costs[split, "adaptive", None]
         assert costs[split, "motor", 1] == costs[split, "paper", None]
-    page = (tmp_path / "out/summary.md").read_text()
-    for split in ("nominal", "randomized"):
+    for split in KINDS:
         assert f"\n| {split} | first of `iterative` | " in page
         assert f"\n| {split} | `privileged` | " in page
 
@@ -363,7 +369,29 @@ def test_bad_options_are_one_line(arguments: tuple[str, ...], message: str, tmp_
     assert message in mistake(main, arguments, tmp_path)
 
 
-def test_committed_report_is_of_the_stated_seeds():
+@pytest.mark.parametrize("kind", KINDS)
+def test_arms_vary_as_in_the_split_of_the_same_name(kind: str):
+    env = BeltArmVectorEnv(64, randomization=KINDS[kind].randomization)  # pyright: ignore[reportArgumentType]
+    env.reset(seed=SEED)
+    table = params_table(env.params)
+    varying = {name for name, values in zip(FIELDS, table.T, strict=True) if np.ptp(values)}
+    assert varying == set(SPLITS[kind].ranges)
+    for name, (low, high) in SPLITS[kind].ranges.items():
+        values = table[:, FIELDS.index(name)]
+        assert low <= values.min() and values.max() <= high, name
+
+
+def test_committed_report_is_of_the_stated_seeds_and_arms():
     stored = json.loads((ROOT / "docs/iterative/results.json").read_text())
+    assert {row["split"] for row in stored["rows"]} == set(KINDS)
+    assert not stored["provenance"]["commit"].endswith("-dirty")
     assert stored["provenance"]["seed"] == 4_100_000
     assert stored["provenance"]["command"] == "python eval/iterative.py --out docs/iterative"
+
+
+def test_costs_in_the_text_are_those_of_the_committed_report():
+    rows = json.loads((ROOT / "docs/iterative/results.json").read_text())["rows"]
+    text = (ROOT / "docs/baselines.md").read_text().split("## Learning from repetitions")[1].split("\n## ")[0]
+    costs = {int(number) for number in re.findall(r"\b(?!100\b)[12]\d\d\b", text)}
+    assert costs
+    assert costs <= {round(row["metrics"]["cost"]["iqm"]) for row in rows}

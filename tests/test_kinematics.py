@@ -88,6 +88,13 @@ class TestTip:
         assert x_speed == pytest.approx(-0.5 * math.sin(angle) * speed, abs=1e-14)
 
 
+@pytest.mark.parametrize("degrees", [0, 30, 45, 60, 90])
+def test_a_milliradian_of_torsion_moves_the_tip_by_half_a_millimetre_or_more(degrees: int):
+    at = [88 * math.radians(degrees), 0.0, 0.0, 0.0]
+    still, twisted = (tip(ArmParams(), np.array([*at[:2], torsion, 0.0])) for torsion in (0.0, 1e-3))
+    assert 0.499e-3 < np.linalg.norm(twisted - still) < 0.601e-3
+
+
 class TestTipError:
     @pytest.mark.parametrize("profile", ["trapezoid", "scurve", "quintic"])
     def test_is_zero_at_rest_on_the_reference(self, profile):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from commands import mistake
@@ -18,7 +19,8 @@ from beltarm_env.task.seeds import VALIDATION
 from eval import observers
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
-from eval.observing.study import FilterAlone, Seen, measure, score, watchers
+from eval.observing.page import draw
+from eval.observing.study import ACTING, FilterAlone, Seen, measure, score, watchers
 
 
 def test_scores_of_errors_that_are_known():
@@ -67,6 +69,18 @@ def test_what_is_compared_sees_what_it_says():
     assert isinstance(known["filter"], FilterAlone)
     alone = known["learned alone"]
     assert isinstance(alone, Observer) and not [name for name in inputs_of(alone.knowledge) if "believed" in name]
+
+
+@pytest.mark.parametrize("splits", [1, 9])
+def test_names_are_beside_the_bars(splits: int):
+    seen = Seen(np.full(len(NAMES), 1e-3), np.ones(len(NAMES)), np.ones(len(NAMES)), 4)
+    names = list(development_set().splits)[:splits]
+    figure = draw({(acting, split, watcher): seen for acting in ACTING for split in names for watcher in watchers()})
+    figure.draw_without_rendering()
+    (axis,), (legend,) = figure.axes, figure.legends
+    assert len(legend.get_texts()) == len(watchers())
+    assert not legend.get_window_extent().overlaps(axis.get_window_extent())
+    plt.close(figure)
 
 
 @pytest.mark.slow

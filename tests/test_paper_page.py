@@ -146,6 +146,11 @@ def drives_damping(angle: float) -> float:
     return float(dominant_damping(others))
 
 
+def twice_counted(angle: float) -> float:
+    """Share of M_a1 that M2/G² comes to [%]."""
+    return 100 * nominal_m2(angle) / (PAPER_ARM.gear_ratio**2 * PAPER_ARM.motor_inertia)
+
+
 def claims_of_the_moves(study: PaperStudy) -> Iterator[Claim]:
     def left(view: str, phase: str, place: str = STANDARD) -> float:
         return 100 * study.scenes[place, view].ringing.ratio(phase)
@@ -219,6 +224,10 @@ def claims_of_the_moves(study: PaperStudy) -> Iterator[Claim]:
     )
     yield Claim("{} % of the ringing after the stop are left", (left(AS_ANALYSED, "stop"),))
     yield Claim("{} % of the ringing are left in the last {} s", (left(AS_ANALYSED, "end", TO_0), END_WINDOW))
+    yield Claim(
+        "M2/G² counts twice: {} % of M_a1 with M2({}°), {} % with M2({}°)",
+        (twice_counted(0.0), 0, twice_counted(DEG_90), 90),
+    )
     peaks = (study.scenes[STANDARD, view].suppressed.peak_torque for view in (FRICTION, AS_ANALYSED))
     yield Claim("torque peaks at {} N m with friction and {} N m as analysed", tuple(peaks))
     yield Claim(

@@ -20,8 +20,9 @@ from baselines import TUNABLE, PaperController, PaperGains
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
 from baselines.tune import Config, main
+from baselines.tuning import run
 from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, charged, estimate, hopeless, split_budget
-from baselines.tuning.search import SearchProgress, search
+from baselines.tuning.search import SearchProgress, SearchResult, search
 from baselines.tuning.study import begin_anew, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.jit import ANNOUNCEMENT
@@ -314,6 +315,19 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[st
     before = signal.getsignal(signal.SIGTERM)
     yield arguments
     signal.signal(signal.SIGTERM, before)
+
+
+def test_all_gains_name_the_commit_that_they_were_searched_at(
+    tmp_path: Path, command: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Not one that the first gains, written while the others are searched, have changed."""
+    out = tmp_path / "gains.json"
+    monkeypatch.setattr(run, "commit", lambda: "changed" if out.exists() else "as searched")
+    found = [SearchResult(asdict(TUNABLE[name].gains()), 2.0, 3.0, 8, 100, 1, 0, 0, 0, 1.0) for name in NAMES]
+    monkeypatch.setattr(run, "run_side_by_side", lambda *_, **__: (pair for pair in zip(NAMES, found, strict=True)))
+    command.extend([*NAMES, "--no-margins", "--out", "gains.json"])
+    main()
+    assert [read_file(out)[name]["provenance"]["commit"] for name in NAMES] == ["as searched"] * len(NAMES)
 
 
 def test_margins_need_not_be_asked_for(tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]):

@@ -5,7 +5,7 @@
 
 with nominal parameters. The paper gives no law for the sign of its friction term tau_c; here it is the sign of the
 reference speed, which is known without noise. The torsional velocity theta_s' comes, as in the paper, from a dynamic
-simulation of the arm that runs beside the plant on encoder data.
+simulation of the arm. What that runs on the paper does not say; here it is encoder data.
 
 **Simulation.** Between two samples the encoder tells nothing but the mean speed, so the joint is taken to move at
 constant speed v. The torsion theta_s = theta_1 - phi then oscillates freely,

@@ -65,6 +65,7 @@ def tune(
     read_file(out)
     require_writable(out.parent)
     require_writable(journals)
+    at = commit()  # before the first gains are written, which may be a file of the commit
     stop, errors = StopRequest(), list[str]()
     with (
         Workplace(options, journals) as workplace,
@@ -93,7 +94,7 @@ def tune(
                 workplace.collect(name, journals)
                 if isinstance(found, SearchResult):
                     gains = TUNABLE[name].gains(**found.gains)
-                    origin = _provenance(budget, seed, found) | _margins(TUNABLE[name].controller(gains), condition)
+                    origin = _provenance(budget, seed, found, at) | _margins(TUNABLE[name].controller(gains), condition)
                     write_entry(name, gains, origin, out)
                     rows.show(name, budget, _summary(found))
                 elif not isinstance(found.error, Interrupted):
@@ -112,8 +113,8 @@ def _search_in(
     return search(TUNABLE[name], budget, seed, journal_file(folder, name), channel, condition)
 
 
-def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object]:
-    """Provenance of gains."""
+def _provenance(budget: int, seed: int, found: SearchResult, at: str) -> dict[str, object]:
+    """Provenance of gains that were found at a commit."""
     return {
         "command": command_line(),
         "seed": seed,
@@ -128,7 +129,7 @@ def _provenance(budget: int, seed: int, found: SearchResult) -> dict[str, object
         "measured_on": f"{found.arms} arms of the training ranges, seeds from {GAIN_CHOICE.first}",
         "date": datetime.now(UTC).date().isoformat(),
         "version": __version__,
-        "commit": commit(),
+        "commit": at,
         "seconds": round(found.seconds, 1),
     }
 

@@ -59,7 +59,7 @@ def markdown(found: list[Found], folder: Path, origin: str) -> str:
     save_figure(draw(found), folder / "waterfall.png", dpi=110, bbox_inches="tight")
     arms = len(found[0].metrics["cost"])
     parts = [
-        "# From 1991 to today",
+        "# From the controller of 1991 to the best classical one",
         "What each step from the paper's controller to the best classical one brings on the drive as it is built. "
         f"{arms} arms and drives of the training ranges with random moves (seeds {LOOPS.first} to "
         f"{LOOPS.first + arms - 1}), the same for all. Controllers have their tuned gains; the steps of the "

@@ -39,6 +39,11 @@ from eval.deploy.tiers import (
 )
 
 
+def exportable() -> list[str]:
+    """Names of the classical controllers that are kernels for one arm."""
+    return [name for name, make in CONTROLLERS.items() if hasattr(make(), "kernel")]
+
+
 def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     """Make the loop of a controller.
 
@@ -104,8 +109,8 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
         ValueError: If it has none.
     """
     if not hasattr(controller, "kernel"):
-        able = [other for other, make in CONTROLLERS.items() if hasattr(make(), "kernel")]
-        raise ValueError(f"{name!r} is no kernel for one arm and cannot be exported; these can: {', '.join(able)}")
+        able = ", ".join(exportable())
+        raise ValueError(f"{name!r} is no kernel for one arm and cannot be exported; these can: {able}")
     if plan_samples == 1:
         try:
             return controller.kernel()

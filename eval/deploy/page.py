@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD
 from eval.comparison.sets import SetLabel
+from eval.deploy.controllers import exportable
 from eval.deploy.study import SPREAD, Exported
 from eval.style.markdown_table import markdown_table
 
@@ -68,6 +72,15 @@ def single_table(results: list[Exported]) -> str:
     return markdown_table(["controller", *head], rows)
 
 
+def coverage(shown: Sequence[str]) -> str:
+    """Say which controllers of the project are not on the page, and why."""
+    able = exportable()
+    unable = [f"`{name}`" for name in CONTROLLERS if name not in able]
+    left_out = [f"`{name}`" for name in able if name not in shown]
+    found = [f"Exported as well, but not measured here: {', '.join(left_out)}."] if left_out else []
+    return " ".join([*found, f"Not exported: {', '.join(unable)}, and controllers of your own."])
+
+
 def markdown(results: list[Exported], label: SetLabel, origin: str) -> str:
     """Write the page."""
     single = [found.name for found in results if holds(found)]
@@ -78,6 +91,7 @@ def markdown(results: list[Exported], label: SetLabel, origin: str) -> str:
 
 C99, written by `python eval/export.py CONTROLLER --out DIR` from the kernels that the comparison runs, compiled by this
 machine's compiler with `-O2 -ffp-contract=off` and run in the loop with simulated arms. The guard is in all of them.
+{coverage([found.name for found in results])}
 
 ## The same torques, and how long they take
 

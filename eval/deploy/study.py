@@ -25,7 +25,8 @@ CONTROLLERS = (
     *("paper", "ei", "smooth", "flat", "disturbance", "adrc", "lqg", "robust", "preview", "adaptive"),
     *(str(POLICIES / method / "seed0") for method in ("ppo", "student")),
 )
-"""What is exported: classical controllers, and the first seed of each shipped method."""
+"""What is measured by default: classical controllers without the variants of others, and the first seed of each shipped
+method."""
 SPREAD = 8
 """Samples over which plans are spread, for those that plan while the arm moves."""
 ANYWAY = (SINGLE, "-DBELTARM_SINGLE_ANYWAY")

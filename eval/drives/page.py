@@ -20,11 +20,12 @@ from eval.style.markdown_table import markdown_table
 from eval.style.metrics import rounded
 from eval.style.text import number
 
-_SHIPPED = (
-    "Controllers are as they are shipped. Classical ones are tuned on the training ranges, drives included; `ppo` and "
-    "`student` were trained on arms whose drive is ideal. What the first edition's controllers, all made for an ideal "
-    "drive, came to on such drives is kept in docs/history/first-edition/drive: why there is a second edition."
+_SHIPPED = "Controllers are as they are shipped. Classical ones are tuned on the training ranges, drives included."
+_FIRST_EDITION = (
+    "What the first edition's controllers, all made for an ideal drive, came to on such drives is kept in "
+    "docs/history/first-edition/drive: why there is a second edition."
 )
+_ARMS = {"train": "arms and drives of the training ranges", "ideal": "arms whose drive is ideal"}
 _LEADERS = 3  # controllers that the sentences follow
 
 
@@ -49,6 +50,20 @@ def torques_table(study: DriveStudy) -> str:
     return markdown_table(["torques", *(f"{of_metric(of)}, {heading(at)}" for of, at in columns)], rows)
 
 
+def training(trained: dict[str, str]) -> str:
+    """Sentences on the arms that learned controllers were trained on; empty without such controllers."""
+    found = []
+    for kind in dict.fromkeys(trained.values()):
+        names = [f"`{name}`" for name in trained if trained[name] == kind]
+        arms = _ARMS.get(kind, "arms that their policies do not name")
+        found.append(f"{_listed(names)} {'were' if len(names) > 1 else 'was'} trained on {arms}.")
+    return " ".join(found)
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
 def sentences(study: DriveStudy) -> list[str]:
     """What follows from the numbers."""
 
@@ -58,14 +73,11 @@ def sentences(study: DriveStudy) -> list[str]:
     def ratio(name: str, effect: str) -> float:
         return level(name, effect) / level(name, IDEAL)
 
-    def listed(parts: Sequence[str]) -> str:
-        return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
     leaders = sorted(study.names, key=lambda name: level(name, IDEAL))[:_LEADERS]
     order = sorted(study.names, key=lambda name: level(name, ALL))
-    was = listed([f"`{name}` ({level(name, IDEAL):.0f})" for name in leaders])
-    now = listed([f"{level(name, ALL):.0f} (×{number(ratio(name, ALL), 1)})" for name in leaders])
-    places = listed([f"{order.index(name) + 1}" for name in leaders])
+    was = _listed([f"`{name}` ({level(name, IDEAL):.0f})" for name in leaders])
+    now = _listed([f"{level(name, ALL):.0f} (×{number(ratio(name, ALL), 1)})" for name in leaders])
+    places = _listed([f"{order.index(name) + 1}" for name in leaders])
     found = [
         f"On the ideal drive {was} cost least. With all effects at the upper ends of their ranges they cost {now}, and "
         f"take the places {places} of {len(order)}; the least is `{order[0]}` with {level(order[0], ALL):.0f} "
@@ -82,8 +94,8 @@ def sentences(study: DriveStudy) -> list[str]:
         (name, effect) for effect in EFFECTS if effect != ALL for name in study.names if _falls(study, name, effect)
     ]
     if bent:
-        over = listed([EFFECTS[effect].title for effect in dict.fromkeys(effect for _, effect in bent)])
-        whose = listed([f"`{name}`" for name in dict.fromkeys(name for name, _ in bent)])
+        over = _listed([EFFECTS[effect].title for effect in dict.fromkeys(effect for _, effect in bent)])
+        whose = _listed([f"`{name}`" for name in dict.fromkeys(name for name, _ in bent)])
         found.append(
             f"More of an effect need not cost more: over the {over} the cost of {whose} rises and falls to less than "
             "half. Between the sizes that are shown it may do so as well."
@@ -93,8 +105,8 @@ def sentences(study: DriveStudy) -> list[str]:
     lost = [f"`{name}` {count}" for name, count in lost.items() if count]
     among = f"of {study.arms * len(EFFECTS)} arms each"
     found.append(
-        (f"No effect raises the cost of {listed([f'`{name}`' for name in steady])} by a quarter. " if steady else "")
-        + (f"Arms left the workspace, {among}: {listed(lost)}." if lost else "No arm left the workspace.")
+        (f"No effect raises the cost of {_listed([f'`{name}`' for name in steady])} by a quarter. " if steady else "")
+        + (f"Arms left the workspace, {among}: {_listed(lost)}." if lost else "No arm left the workspace.")
     )
     return found
 
@@ -113,7 +125,7 @@ def markdown(study: DriveStudy, pictures: Sequence[Path], origin: str) -> str:
     parts = [
         "# Controllers on a drive that is not ideal",
         "Cost and vibration over the size of each effect of the drive, one effect at a time and all of them together. "
-        f"{_SHIPPED}",
+        f"{' '.join(filter(None, (_SHIPPED, training(study.trained), _FIRST_EDITION)))}",
         f"{study.arms} arms of the training ranges with random moves (seeds {first} to {last}), the same for every "
         "controller, effect and size. Phases, orders, Stribeck speeds and the signs of the torque constant's error and "
         f"of the drift are drawn from the training ranges; the effects have {sizes} times the upper end of theirs. One "
@@ -145,7 +157,7 @@ def as_json(study: DriveStudy, provenance: dict[str, object]) -> str:
             metrics = {metric: _estimates(outcome.metrics[metric][k]) for metric in SHOWN}
             rows.append(json.dumps({**row, "left_workspace": int(outcome.left[k].sum()), "metrics": metrics}))
     listed = ",\n".join(rows)
-    return f'{{"provenance": {json.dumps(provenance)},\n"rows": [\n{listed}\n]}}\n'
+    return f'{{"provenance": {json.dumps(provenance | {"trained": study.trained})},\n"rows": [\n{listed}\n]}}\n'
 
 
 def _estimates(values: Floats) -> dict[str, float]:

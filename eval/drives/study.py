@@ -6,9 +6,11 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
+from agents.policy.bundle import read_spec
 from baselines.engines.parallel import Channel, Failure, run_side_by_side
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import params_columns
@@ -47,6 +49,7 @@ class DriveStudy:
     sizes: tuple[float, ...]  # the first is 0
     names: list[str]  # of the controllers
     found: dict[tuple[str, str], Outcome]  # by controller and effect
+    trained: dict[str, str]  # of learned ones: the arms that they were trained on, as `--randomization` names them
 
     @property
     def upper_end(self) -> int:
@@ -132,7 +135,14 @@ def run_study(
         for method, effect in pairs
         if effect != IDEAL
     }
-    return DriveStudy(arms, (0.0, *ordered), [method.name for method in methods], found)
+    return DriveStudy(arms, (0.0, *ordered), [method.name for method in methods], found, trained_on(methods))
+
+
+def trained_on(methods: Sequence[Method]) -> dict[str, str]:
+    """Arms that learned methods were trained on, as their policies say; "unknown" where one does not."""
+    policies = {method.name: Path(method.sources[0]) for method in methods if method.kind == "learned"}
+    specs = {name: read_spec(folder)[0] for name, folder in policies.items()}
+    return {name: spec.provenance.get("config", {}).get("randomization", "unknown") for name, spec in specs.items()}
 
 
 def _joined(ideal: Outcome, driven: Outcome) -> Outcome:

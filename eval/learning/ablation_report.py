@@ -36,7 +36,7 @@ COLUMNS = {
 }
 """Title and decimals of the scores that are shown."""
 _ACROSS = 4  # panels side by side
-_TOP = 5  # of the picture, over the base's cost: room for names; what is above has lost arms
+_TOP = 5  # of the picture, over the base's cost; what is above has lost arms
 _DASHES = ("--", ":")
 
 
@@ -183,11 +183,11 @@ def draw(study: AblationStudy, path: Path) -> None:
 def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantResult]) -> None:
     default = study.results[0]
     levels = {default.base: default.runs[0]["validation_of_base"], BEST_CLASSICAL: study.classical_validated}
-    for (name, level), dashes, place in zip(levels.items(), _DASHES, ("bottom", "top"), strict=False):
+    sides = ("center",) if len(levels) == 1 else ("bottom", "top")
+    for (name, level), dashes, side in zip(levels.items(), _DASHES, sides, strict=False):
         axis.axhline(level, color="0.45", lw=1, ls=dashes, zorder=1)
         end = axis.get_yaxis_transform()
-        backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
-        axis.text(0.99, level, name, transform=end, color="0.35", va=place, ha="right", fontsize=7, bbox=backing)
+        axis.text(1.01, level, name, transform=end, color="0.35", va=side, ha="left", fontsize=7)
     for result, colour in zip(results, ("0.2", *COLOURS), strict=False):
         curves = [np.array(run["curve"]) for run in result.runs]
         for curve in curves:
@@ -197,7 +197,8 @@ def _panel(axis: Axes, study: AblationStudy, factor: str, results: list[VariantR
         name = _label(result, factor) if factor else result.variant.label
         axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=name)
     axis.set_title(FACTORS[factor].question if factor else "", fontsize=9, loc="left")
-    axis.legend(fontsize=7, loc="upper right", framealpha=0.9, borderpad=0.3, handlelength=1.2)
+    below = {"loc": "upper left", "bbox_to_anchor": (0, -0.08), "ncols": 2}
+    axis.legend(fontsize=7, frameon=False, borderpad=0.3, handlelength=1.2, **below)
     axis.grid(alpha=0.3, which="both")
     axis.tick_params(labelsize=8)
 

@@ -94,7 +94,7 @@ def size_table(watchers: dict[str, Watcher], times: dict[str, float]) -> str:
 def draw(results: Results) -> Figure:
     """Error of the torsion on every split under the last acting controller."""
     splits, watchers, acting = _splits(results), _watchers(results), ACTING[-1]
-    figure, axis = plt.subplots(figsize=(8.5, 0.52 * len(splits) + 1.4))
+    figure, axis = plt.subplots(figsize=(8.5, 0.52 * len(splits) + 1.7), layout="constrained")
     for k, (watcher, colour) in enumerate(zip(watchers, (BLUE, GREEN, ORANGE), strict=True)):
         errors = [1e3 * results[acting, split, watcher].rms[_TORSION] for split in splits]
         places = np.arange(len(splits)) + 0.26 * (k - 1)
@@ -106,8 +106,7 @@ def draw(results: Results) -> Figure:
     axis.set_xlabel(f"error of the torsion under {acting}, RMS (mrad)")
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
-    axis.legend(frameon=False, fontsize=9, loc="lower right")
-    figure.tight_layout()
+    figure.legend(frameon=False, fontsize=9, loc="outside upper center", ncols=len(watchers))
     return figure
 
 

@@ -68,9 +68,9 @@ def markdown(results: list[RepetitionResult], seed: int, seconds: float) -> str:
     arms = len(results[0].repetitions[0]["cost"])
     parts = [
         "# Iterative learning",
-        "The same move on the same arm, again and again; encoder observations and nominal constants beforehand. "
-        "Interquartile means over arms, with bootstrap 95 % intervals; lower is better everywhere. Not ranked with the "
-        "other controllers, which meet every arm for the first time.",
+        "The same move on the same arm, again and again; encoder observations and the design model's constants "
+        "beforehand. Interquartile means over arms, with bootstrap 95 % intervals; lower is better everywhere. Not "
+        "ranked with the other controllers, which meet every arm for the first time.",
         f"- `{TORQUE}` learns the arm's constants and the torque (`baselines/iterative/controller.py`); its first "
         f"repetition is `adaptive`.\n- `{ARM}` learns the constants, and plans the move for them.\n- `{MOTOR}` is the "
         "textbook's: the paper's controller with a feed-forward learnt from the motor's error "
@@ -108,12 +108,13 @@ def as_json(results: list[RepetitionResult], seed: int) -> str:
 
 def save_picture(results: list[RepetitionResult], path: Path) -> None:
     """Draw the cost over the repetitions, over each arm's first and as it is, for all kinds of arms."""
-    figure, grid = plt.subplots(2, len(KINDS), figsize=(11, 7.2), sharey="row", squeeze=False, layout="constrained")
+    size = (5 * len(KINDS), 7.4)
+    figure, grid = plt.subplots(2, len(KINDS), figsize=size, sharey="row", squeeze=False, layout="constrained")
     labels = {}
     for column, (kind, of_kind) in enumerate(KINDS.items()):
         relative, whole = grid[:, column]
         first = _costs(results, kind, TORQUE)[0]
-        relative.set_title(f"{kind}: {of_kind.description}", fontsize=10)
+        relative.set_title(f"{kind}\n{of_kind.description}", fontsize=10)
         labels[relative] = _draw(relative, results, kind, (TORQUE, ARM, "adaptive", "privileged"), 0.01 * first)
         whole.set_yscale("log")
         labels[whole] = _draw(whole, results, kind, (TORQUE, MOTOR, "paper", "adaptive"), np.ones_like(first))

@@ -41,8 +41,9 @@ class Kind:
 
 
 KINDS = {
-    "nominal": Kind("off", "the nominal arm"),
-    "randomized": Kind("ideal", "arms of the training ranges behind an ideal drive"),
+    "nominal": Kind("off", "the nominal arm behind an ideal drive"),
+    "ideal": Kind("ideal", "arms of the training ranges behind an ideal drive"),
+    "randomized": Kind("train", "arms and drives of the training ranges"),
 }
 
 

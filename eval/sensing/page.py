@@ -53,7 +53,7 @@ def torques_table(results: Results, split: str, times: Times) -> str:
 def draw(results: Results) -> Figure:
     """Cost on every split: without the accelerometer a ring, with it a disc."""
     splits = splits_of(results)
-    figure, axis = plt.subplots(figsize=(8.5, 0.8 * len(splits) + 1.4))
+    figure, axis = plt.subplots(figsize=(8.5, 0.8 * len(splits) + 1.9), layout="constrained")
     for place, split in enumerate(splits):
         for k, name in enumerate(NAMES):
             before, after = (interquartile_mean(results[name, split, tier].metrics["cost"]) for tier in TIERS)
@@ -73,15 +73,14 @@ def draw(results: Results) -> Figure:
         axis.plot([], [], "o-", color=_COLOURS[name], mfc="white", label=f"{name}, encoder")
         axis.plot([], [], "o-", color=_COLOURS[name], label=f"{name}, with the accelerometer")
     axis.set_yticks(range(len(splits)), splits)
-    axis.invert_yaxis()
+    axis.set_ylim(len(splits) - 0.5, -0.5)
     axis.set_xlim(left=0)
     axis.set_xlabel("cost, interquartile mean")
     axis.grid(axis="x", color="0.9", lw=0.6)
     axis.set_axisbelow(True)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
-    axis.legend(frameon=False, fontsize=9, loc="lower right")
-    figure.tight_layout()
+    figure.legend(frameon=False, fontsize=9, loc="outside upper center", ncols=len(NAMES))
     return figure
 
 

@@ -99,9 +99,9 @@ def _page(names: list[str], rates: Floats, repetitions: int) -> str:
         "# Speed over the size of the batch",
         "",
         "Steps per second of vectorised environments, each on one core and called from Python, in turns; the median of"
-        f" {repetitions} repetitions. Actions are random: for a belt arm the hardest input there is, since its motor"
-        " stops and starts in nearly every sample, and each of these instants is located. A CartPole takes one explicit"
-        " Euler step of four numbers.",
+        f" {repetitions} repetitions. Actions are random, which costs a belt arm more than a controller's torques do:"
+        " its motor stays slow, where it stops more often and its drive needs short steps. A CartPole takes one"
+        " explicit Euler step of four numbers.",
         "",
         "EnvPool steps in C++, and gymnax in JAX, which is made for graphics processors; for the last column its whole"
         " loop is compiled, actions drawn in it, so that no agent outside could take part.",

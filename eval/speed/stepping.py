@@ -29,8 +29,8 @@ _CORES = cpu_count()
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
     """Speed of the vector environment, beside CartPole's: ideal drives, on one core and on all, built ones, full arm.
 
-    Random torques over the whole limit stop and start the motor in nearly every sample, which no controller does: so
-    drives are also timed over whole episodes of the paper's controller, its torques recorded before.
+    Random torques over the whole limit keep the motor slow, where steps are short, which no controller does: so drives
+    are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
     stepped = {
         "vector step": batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),

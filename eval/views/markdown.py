@@ -69,7 +69,7 @@ def _primary(said: Verdict) -> list[str]:
     one, other = duel.challenger.method.name, duel.classical.method.name
     least = min(1.0, len(said.duels["cost"]) * LEAST_P)
     how = (
-        f"{one} minus {other}, scenario by scenario: difference of the interquartile means, also as a share of "
+        f"Of {one} minus {other}, scenario by scenario: difference of the interquartile means, also as a share of "
         f"{other}'s value; p value after Holm's correction over all splits; mean difference. *Better* and *worse* take "
         "both: a corrected p value below 0.05, and a mean difference whose 95 % interval is clear of zero on the same "
         f"side. With {RESAMPLES} bootstrap samples no corrected p value is below {least:.3f}. The marks of all other "
