@@ -8,7 +8,7 @@ tells how to use them.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -37,6 +37,8 @@ class Config:
     """Name of a classical controller, folder of a policy, or `arm`."""
     out: Path
     """Folder to write: a new or empty one, or one of an earlier export."""
+    name: str = ""
+    """What functions and files are called, instead of like the controller: for several exports in one program."""
     guard: bool = True
     """Leave out the guard between controller and motor."""
     plan_samples: int = 1
@@ -61,12 +63,15 @@ def export(config: Config) -> None:
     require_bounds(config, episodes=(1, 200), plan_samples=(1, 19))
     require_free(config.out)
     if config.source == ARM:
+        if config.name:
+            raise ValueError(f"--name is for controllers: an FMU is called beltarm; leave out --name {config.name}")
         platforms = write_arm(config.out, ArmParams())
         print(f"written to {config.out}: beltarm.fmu, for {', '.join(platforms)}")
         return
     if config.check:
         here()  # before the work, not after it
     loop = loop_of(config.source, config.guard, config.plan_samples)
+    loop = replace(loop, name=config.name) if config.name else loop
     more = {}
     if config.onnx:
         from agents.policy.onnx_model import onnx_model

@@ -183,7 +183,7 @@ def test_program_calls_nothing_but_exact_functions(exports: Exports, source: str
     here().build([made.folder / f"{made.loop.name}.c"], target, "-c", "-O0")
     listed = subprocess.run([tool, "-u", str(target)], capture_output=True, text=True, check=True).stdout
     called = {line.split()[-1].lstrip("_") for line in listed.splitlines() if line.strip()}
-    assert called <= EXACT | {"memset", "memcpy", "stack_chk_fail", "GLOBAL_OFFSET_TABLE_"}
+    assert called <= EXACT | {"memset", "memcpy", "memcmp", "stack_chk_fail", "GLOBAL_OFFSET_TABLE_"}
     text = (made.folder / f"{made.loop.name}.c").read_text()
     assert not re.search(r"^static [a-z_0-9]+ \w+(\[\d+\])?;", text, re.MULTILINE)  # no memory but the struct
 
@@ -219,7 +219,7 @@ def test_command(tmp_path: Path) -> None:
     assert "written to made: ei.h, ei.c" in done.stdout
     assert re.search(r"(\d+) of \1 torques are equal to the last bit", done.stdout)
     files = contents(tmp_path / "made")
-    assert {"ei.c", "ei.h", "real.h", "arithmetic.h", "in_the_loop.c", "README.md", MANIFEST} == set(files)
+    assert {"ei.c", "ei.h", "in_the_loop.c", "README.md", MANIFEST} == set(files)
     manifest = json.loads(files.pop(MANIFEST))
     assert manifest["format"] == FORMAT and manifest["name"] == "ei"
     assert manifest["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}

@@ -25,11 +25,11 @@ for file in sorted(folder.iterdir()):
     print(f"{file.name:16}{file.stat().st_size / 1024:8.1f} kB")
 
 # %%
-# ``adaptive.c`` and its headers are all that a drive's processor needs. They are translated from the
+# ``adaptive.c`` and ``adaptive.h`` are all that a drive's processor needs. They are translated from the
 # kernels that Python runs. The header says how they are called:
 
 header = (folder / "adaptive.h").read_text()
-print(header[header.index("/* Set up") : header.index("#endif")])
+print(header[header.index("/* Set up") : header.rindex("#ifdef")])
 
 # %%
 # Software in the loop

@@ -41,15 +41,19 @@ class Toolchain:
 
 
 def here() -> Toolchain:
-    """Find a compiler for this machine: that of the environment variable CC, cc, gcc or clang.
+    """Find a compiler for this machine: the command in the environment variable CC, or cc, gcc or clang.
 
     Raises:
         ValueError: If there is none.
     """
-    named = os.environ.get("CC")
-    for name in [named] if named else ["cc", "gcc", "clang"]:
+    named = os.environ.get("CC", "").strip()
+    try:
+        commands = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"]]
+    except ValueError as error:
+        raise ValueError(f"CC={named!r} is no command: {error}") from None
+    for name, *arguments in commands:
         if found := shutil.which(name):
-            return Toolchain((found,))
+            return Toolchain((found, *arguments))
     looked = f"CC={named!r} is not there" if named else "neither cc, gcc nor clang is there"
     raise ValueError(f"no C compiler: {looked}. Install one, name it in CC, or write the sources alone with --no-check")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import tempfile
 from pathlib import Path
@@ -46,7 +47,7 @@ class InTheLoop:
         flags: More for the compiler: `-DBELTARM_SINGLE`, sanitizers.
 
     Raises:
-        ValueError: If the sources do not compile.
+        ValueError: If the sources do not compile, or the program refuses to run.
     """
 
     def __init__(
@@ -69,8 +70,14 @@ class InTheLoop:
             self._made.cleanup()
             raise
         command = [*toolchain.runner, str(program)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._say(f"arms {len(moves)} {counts_per_turn}")
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+        try:
+            self._say(f"arms {len(moves)} {counts_per_turn}")
+            self._answer()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
 
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
@@ -101,14 +108,19 @@ class InTheLoop:
             self._process.stdin.write(line + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise ValueError(f"the program has ended, with status {self._process.wait()}") from None
+            raise self._ended() from None
 
     def _answer(self) -> list[str]:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise ValueError(f"the program has ended, with status {self._process.wait()}")
+            raise self._ended()
         return line.split()
+
+    def _ended(self) -> ValueError:
+        assert self._process.stderr is not None
+        said = self._process.stderr.read().strip()
+        return ValueError(said or f"the program has ended, with status {self._process.wait()}")
 
     def __enter__(self) -> Self:
         """Return the controller."""
@@ -118,8 +130,9 @@ class InTheLoop:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End the program."""
-        for stream in (self._process.stdin, self._process.stdout):
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
             if stream is not None:
-                stream.close()
+                with contextlib.suppress(BrokenPipeError):
+                    stream.close()
         self._process.wait()
         self._made.cleanup()

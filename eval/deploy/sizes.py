@@ -68,12 +68,12 @@ def _stack(source: str, usage: str) -> int:
     """Bound of the stack: the sum along the deepest path of calls, those that were inlined taking none of their own."""
     own = {line.split("\t")[0].rsplit(":", 1)[1]: int(line.split("\t")[1]) for line in usage.splitlines()}
     own = {name.partition(".")[0]: size for name, size in own.items()}
-    bodies = re.split(r"\n(?=static |void |real )", source)
+    bodies = re.split(r"\n(?=static |void |real |int32_t )", source)
     calls: dict[str, set[str]] = {}
     for body in bodies:
         head = re.match(r"[\w *]*?(\w+)\(", body)
         if head:
-            calls[head[1]] = set(re.findall(rf"\b({PREFIX}\w+|begin_move|sample)\(", body)) - {head[1]}
+            calls[head[1]] = set(re.findall(rf"\b({PREFIX}\w+|begin_move|sample|arithmetic_fault)\(", body)) - {head[1]}
     depth: dict[str, int] = {}
 
     def deepest(name: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from beltarm_env.task.reference import MoveShape
 from eval.deploy.loop import begin, empty_device
 from eval.translation.arrays import contiguous
 from eval.translation.program import Function, Program
+from eval.translation.scope import RESERVED
 from eval.translation.types import INT, REAL, Array, Const, Group, Scalar, Value, dtype_of
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
@@ -31,6 +33,43 @@ TEMPLATES = jinja2.Environment(
     undefined=jinja2.StrictUndefined,
     trim_blocks=True,
 )
+MOST_COUNTS = 10_000_000
+"""Of an encoder, per turn of the motor."""
+FAULTS = {
+    "counts": f"counts_per_turn must be a whole number from 1 to {MOST_COUNTS}",
+    "sums": "sums are not rounded to nearest one by one: build without -fassociative-math, -funsafe-math-optimizations "
+    "and x87 arithmetic, and leave the rounding mode as it is",
+    "products": "products are fused with sums: build with -ffp-contract=off",
+    "quotients": "quotients are products with reciprocals: build without -freciprocal-math",
+    "root": "square roots are not rounded to nearest: build without -funsafe-math-optimizations",
+    "constants": "constants are in single precision: build without -fsingle-precision-constant",
+    "numbers": "what is no number or endless, or the sign of zero, is lost: build without -ffinite-math-only and "
+    "-fno-signed-zeros",
+    "tiny": "tiny numbers become zero: link without -ffast-math, and set no flush-to-zero mode",
+}
+"""Why a program gives no torque; its functions return the number of the fault, from 1."""
+TEMPLATES.globals.update(
+    fault=lambda name: 1 + list(FAULTS).index(name), faults=list(FAULTS.values()), most_counts=MOST_COUNTS
+)
+_CPP = (
+    "alignas alignof and and_eq asm bitand bitor catch char8_t char16_t char32_t class co_await co_return "
+    "co_yield compl concept const_cast consteval constexpr constinit decltype delete dynamic_cast explicit export "
+    "friend mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public "
+    "reinterpret_cast requires static_assert static_cast template this thread_local throw try typeid typename "
+    "using virtual wchar_t xor xor_eq"
+)
+TAKEN = {
+    "in_the_loop",
+    "begin_move",
+    "sample",
+    "arithmetic_fault",
+    "plus_rounder",
+    "REAL_EPSILON",
+    "REAL_MIN",
+    *_CPP.split(),
+}
+"""Names that no other has in a program: those of the templates, and keywords of C++."""
+_NAME = re.compile("[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 
 
 @dataclass(frozen=True)
@@ -45,6 +84,23 @@ class Loop:
     memory: Any  # array, or named tuple of arrays
     identifies: bool = False  # whether a filter identifies the arm, which takes double precision
     plans: bool = False  # whether plans are made anew while the arm moves
+
+    def __post_init__(self) -> None:
+        """Check the name.
+
+        Raises:
+            ValueError: If it is no name for functions of C and C++.
+        """
+        if not _NAME.fullmatch(self.name) or not (TAKEN | RESERVED).isdisjoint(self.public):
+            raise ValueError(
+                f"--name must be a name of C and C++, letters and digits with single _ between them, that means "
+                f"nothing else, such as {self.name.lower().strip('_') or 'arm'}_a; got {self.name!r}"
+            )
+
+    @property
+    def public(self) -> set[str]:
+        """Names that its header defines."""
+        return {self.name, *(f"{self.name}_{part}" for part in ("real", "move", "init", "reset", "step"))}
 
 
 def for_one_lane(template: Any, name: str = "") -> Any:
@@ -66,6 +122,7 @@ def sources(loop: Loop) -> dict[str, str]:
         TranslationError: If a kernel cannot be translated; names function, line and construct.
     """
     program = Program(SINGLE_LANE)
+    program.taken |= TAKEN | loop.public
     device = empty_device(1)
     plant, limit = loop.params.plant(), loop.params.torque_limit
     memory = for_one_lane(loop.memory)
@@ -92,8 +149,6 @@ def sources(loop: Loop) -> dict[str, str]:
         "step": stepped,
     }
     return {
-        "real.h": TEMPLATES.get_template("real.h.j2").render(),
-        "arithmetic.h": TEMPLATES.get_template("arithmetic.h.j2").render(),
         f"{loop.name}.h": TEMPLATES.get_template("controller.h.j2").render(given),
         f"{loop.name}.c": TEMPLATES.get_template("controller.c.j2").render(given),
         "in_the_loop.c": TEMPLATES.get_template("in_the_loop.c.j2").render(given),

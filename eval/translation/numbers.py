@@ -139,6 +139,8 @@ def binary(kind: type, left: Any, right: Any) -> Any:
         with np.errstate(all="ignore"):
             return Const(PYTHON_OPERATORS[kind](*values))
     a, b = scalar(left), scalar(right)
+    if kind is ast.Add and isinstance(right, Const) and right.value == ROUNDER and a.dtype == REAL:
+        return Scalar(REAL, f"plus_rounder({bare(a.code)})")  # half of rounding, which no compiler takes away
     if kind is ast.Pow:
         return _power(a, right)
     common = joined(a.dtype, b.dtype)
