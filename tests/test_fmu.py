@@ -1,17 +1,20 @@
 """The arm as an FMU: the environment's motion, bit for bit, and what it refuses."""
 
 import math
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from driven_arms import UPPER_ENDS, drawn_arms, push
+from scipy.integrate import solve_ivp
 
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, state_derivative
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.timing import EPISODE_STEPS
 from eval.deploy.building import here
@@ -43,11 +46,11 @@ def unpacked(path: Path) -> tuple[Path, Any]:
 
 
 class Slave:
-    """Instance that steps by one control period."""
+    """Instance that steps by one control period, unless told."""
 
-    def __init__(self, unpacked: tuple[Path, Any]) -> None:
+    def __init__(self, unpacked: tuple[Path, Any], said: list[str]) -> None:
         folder, description = unpacked
-        self.said: list[str] = []
+        self.said = said
         self.callbacks = fmi2CallbackFunctions()
         self.callbacks.logger = fmi2CallbackLoggerTYPE(self.log)
         self.fmu = FMU2Slave(
@@ -76,7 +79,7 @@ class Slave:
 
 @contextmanager
 def running(unpacked: tuple[Path, Any]) -> Iterator[Slave]:
-    slave = Slave(unpacked)
+    slave = Slave(unpacked, [])
     try:
         yield slave
     finally:
@@ -169,13 +172,162 @@ def test_a_state_that_was_kept_can_be_gone_back_to(unpacked: tuple[Path, Any]):
         assert slave.read(*STATES) == [0.0, 0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("length", [0.001, 0.0, -CONTROL_PERIOD, 1.5 * CONTROL_PERIOD, math.nan])
-def test_a_step_that_is_no_multiple_of_the_period_is_refused(unpacked: tuple[Path, Any], length: float):
+@pytest.mark.parametrize("length", [0.0, -CONTROL_PERIOD, math.nan, math.inf])
+def test_a_step_of_no_length_is_refused(unpacked: tuple[Path, Any], length: float):
     with running(unpacked) as slave:
         slave.begin(ArmParams())
         with pytest.raises(Exception, match="fmi2DoStep failed"):
             slave.step(0.0, 0.1, length)
-        assert slave.said[-1].startswith("communicationStepSize must be a multiple of the control period, 0.0015 s")
+        assert slave.said[-1].startswith("communicationStepSize must be finite and above 0")
+
+
+def test_a_step_from_elsewhere_is_refused(unpacked: tuple[Path, Any]):
+    with running(unpacked) as slave:
+        slave.begin(ArmParams())
+        slave.step(0.0, 0.1, 0.002)
+        with pytest.raises(Exception, match="fmi2DoStep failed"):
+            slave.step(0.001, 0.1, 0.001)
+        assert slave.said[-1].startswith("currentCommunicationPoint must be the end of the last step, 0.002 s")
+        slave.step(0.002, 0.1, 0.001)
+
+
+TICK = 2.0**-12
+"""Length of which times are sums without rounding [s]; a period is no multiple of it."""
+
+
+@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
+def test_motion_does_not_depend_on_how_time_is_divided(unpacked: tuple[Path, Any], params: ArmParams):
+    """Capability canHandleVariableCommunicationStepSize: the torque is held, so all ends are the same, to the bit."""
+    ends = []
+    for ticks in ([200], [1] * 200, [5] * 40, [7] * 28 + [4], [199, 1], [3, 60, 1, 136]):
+        with running(unpacked) as slave:
+            slave.begin(params)
+            at = 0
+            for length in ticks:
+                slave.step(at * TICK, 0.9 * params.torque_limit, length * TICK)
+                at += length
+            ends.append((slave.read(*STATES, "motor_torque", "tip_x", "tip_y"), slave.fmu.getInteger([1])))
+            whole = math.ceil(at * TICK / CONTROL_PERIOD)
+            state = slave.step(at * TICK, 0.0, whole * CONTROL_PERIOD - at * TICK)
+        with running(unpacked) as slave:
+            slave.begin(params)
+            assert slave.step(0.0, 0.9 * params.torque_limit, whole * CONTROL_PERIOD) == state
+    assert ends[0][0][0] > 0 and all(end == ends[0] for end in ends)
+
+
+@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN[:2]])
+def test_a_torque_is_sampled_where_periods_begin(unpacked: tuple[Path, Any], params: ArmParams):
+    """A torque that is set within a period waits for the next; one that is gone by then does nothing."""
+    simulation, period = ArmSimulation(replace(params, friction_drift=0.0)), CONTROL_PERIOD
+    states = simulation.at_rest(np.array([0.0]))
+    with running(unpacked) as slave:
+        slave.begin(replace(params, friction_drift=0.0))
+        for k in range(60):
+            torque, at = push(k), k * period
+            slave.step(at, torque, 0.3 * period)
+            slave.step(at + 0.3 * period, -torque, 0.4 * period)
+            slave.step(at + 0.7 * period, 0.2, (k + 1) * period - (at + 0.7 * period))
+            states = simulation.advance(states, np.array([torque]))
+            assert slave.read(*STATES) == states[0, :4].tolist(), f"step {k}"
+
+
+def test_states_within_a_period_are_those_of_the_equations(unpacked: tuple[Path, Any]):
+    params = ArmParams()
+    x = None
+    for share in (1e-3, 0.1, 0.37, 0.8, 0.999):
+        with running(unpacked) as slave:
+            slave.begin(params)
+            for k in range(20):
+                x = slave.step(k * CONTROL_PERIOD, 0.25)
+            assert x is not None and x[1] > 10  # it slides: its motion has no corner
+            found = slave.step(20 * CONTROL_PERIOD, 0.2, share * CONTROL_PERIOD)
+        span = (0.0, share * CONTROL_PERIOD)
+        true = solve_ivp(lambda _, y: state_derivative(y, 0.2, params), span, x, rtol=1e-11, atol=1e-13).y[:, -1]
+        assert np.abs(found - true).max() < 1e-7 and np.abs(np.array(found) - x).max() > 1e-6
+
+
+@pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
+def test_states_within_a_period_join_those_at_its_ends(unpacked: tuple[Path, Any], params: ArmParams):
+    """Angles change as their speeds say, and the whole period ends where its last instants tend to."""
+    near = 1e-5
+    with running(unpacked) as slave:
+        slave.begin(params)
+        for k in range(60):
+            begun = slave.read(*STATES)
+            seen = {}
+            for share in (near, 0.2, 0.2 + near, 0.6, 0.6 + near, 1 - near):
+                kept = slave.fmu.getFMUState()
+                seen[share] = np.array(slave.step(k * CONTROL_PERIOD, push(k), share * CONTROL_PERIOD))
+                slave.fmu.setFMUState(kept)
+                slave.fmu.freeFMUState(kept)
+            ended = np.array(slave.step(k * CONTROL_PERIOD, push(k)))
+            scale = np.array([1e-3, 0.1, 1e-4, 0.1])
+            assert (np.abs(seen[near] - begun) < scale).all() and (np.abs(seen[1 - near] - ended) < scale).all()
+            for share in (0.2, 0.6):
+                for angle, speed in ((0, 1), (2, 3)):
+                    slope = (seen[share + near] - seen[share])[angle] / (near * CONTROL_PERIOD)
+                    assert slope == pytest.approx(seen[share][speed], rel=1e-3, abs=0.05)
+
+
+def test_a_state_within_a_period_can_be_kept(unpacked: tuple[Path, Any]):
+    """Capabilities canGetAndSetFMUstate and canSerializeFMUstate, and two instances that do not know each other."""
+    with running(unpacked) as slave, running(unpacked) as other:
+        slave.begin(DRIVEN[2])
+        slave.step(0.0, 0.2, 0.0202)
+        kept = slave.fmu.serializeFMUState(slave.fmu.getFMUState())
+        seen = slave.read(*STATES)
+        after = [slave.step(0.0202, -0.1, 0.0005), slave.step(0.0207, -0.1, 0.003)]
+        other.begin(ArmParams())
+        other.step(0.0, 0.1, 0.004)
+        for one in (slave, other):
+            one.fmu.setFMUState(one.fmu.deSerializeFMUstate(kept))
+            assert one.read(*STATES) == seen
+            assert [one.step(0.0202, -0.1, 0.0005), one.step(0.0207, -0.1, 0.003)] == after
+
+
+def test_its_description_claims_what_is_tested(path: Path):
+    """Those that are not told are false, or 0, by the standard."""
+    with zipfile.ZipFile(path) as archive:
+        element = ElementTree.fromstring(archive.read("modelDescription.xml")).find("CoSimulation")
+    assert element is not None
+    assert element.attrib == {
+        "modelIdentifier": "beltarm",
+        "canHandleVariableCommunicationStepSize": "true",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",  # `Slave` gives it none
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "false",
+    }
+
+
+@pytest.mark.parametrize("stop", [0.5, 1.0, 0.1234])
+@pytest.mark.parametrize("interval", [None, 0.002, 0.01])
+def test_a_master_may_stop_and_look_when_it_likes(path: Path, stop: float, interval: float | None):
+    start = {"torque": 0.06}
+    result = fmpy.simulate_fmu(
+        str(path), stop_time=stop, output_interval=interval, start_values=start, output=STATES, logger=lambda *_: None
+    )
+    assert result["time"][-1] == pytest.approx(stop)
+    simulation, states = ArmSimulation(ArmParams()), ArmSimulation(ArmParams()).at_rest(np.array([0.0]))
+    for _ in range(int(stop / CONTROL_PERIOD)):
+        states = simulation.advance(states, np.array([0.06]))
+    late = stop - int(stop / CONTROL_PERIOD) * CONTROL_PERIOD
+    assert result["motor_angle"][-1] == pytest.approx(states[0, 0] + late * states[0, 1], abs=0.01)
+
+
+def test_a_build_that_rounds_differently_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    compiler = " ".join(here().compiler)
+    wrapper = tmp_path / "cc"
+    wrapper.write_text(f'#!/bin/sh\nexec {compiler} "$@" -freciprocal-math -U__RECIPROCAL_MATH__\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CC", str(wrapper))
+    write_fmu(tmp_path / "arm.fmu", ArmParams())
+    unpacked = Path(fmpy.extract(str(tmp_path / "arm.fmu"), str(tmp_path / "unpacked")))
+    said: list[str] = []
+    with pytest.raises(Exception, match="instantiate"):
+        Slave((unpacked, fmpy.read_model_description(unpacked)), said)
+    assert len(said) == 1 and "-freciprocal-math" in said[0]
 
 
 @pytest.mark.parametrize(

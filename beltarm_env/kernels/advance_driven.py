@@ -17,7 +17,7 @@ from beltarm_env.arm import COLUMN, Plant
 from beltarm_env.jit import compiled, inlined, shared
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
-from beltarm_env.kernels.driven_pieces import AFTER, BEFORE, PIECE_ROWS, WHOLE, either, take_pieces
+from beltarm_env.kernels.driven_pieces import AFTER, BEFORE, PIECE_ROWS, WHOLE, either, take_part, take_pieces
 from beltarm_env.kernels.layout import (
     LANES,
     load_drive,
@@ -126,6 +126,21 @@ def advance_built_block(block: Floats, work: Floats, actions: Floats, count: int
     """
     _take_whole_step(block, work, actions, count, model)
     take_pieces(block, work, count, model)
+
+
+@compiled
+def advance_part(block: Floats, work: Floats, actions: Floats, duration: float, model: Model) -> None:
+    """Advance the arm of the first lane by the first `duration` seconds of a control period, whatever its drive.
+
+    An arm with an ideal drive moves as one behind a drive without any effect. Arguments are those of
+    `advance_built_block`.
+    """
+    torque, x = block[at.TORQUE * LANES], load_state(block, at.STATE, 0)
+    _take_whole_step(block, work, actions, 1, model)
+    block[at.TORQUE * LANES] = torque
+    store_state(block, at.STATE, 0, x)
+    work[WHOLE * LANES] = 0.0
+    take_part(block, work, duration, model)
 
 
 @compiled

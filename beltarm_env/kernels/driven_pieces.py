@@ -61,7 +61,22 @@ def take_pieces(block: Floats, work: Floats, count: int, model: Model) -> None:
         count: Number of arms, which are the first.
         model: Whose equations of motion.
     """
-    pending = _gather(block, work, count)
+    _finish(block, work, _gather(block, work, count), model)
+
+
+@compiled
+def take_part(block: Floats, work: Floats, duration: float, model: Model) -> None:
+    """Move the arm of the first lane over the first `duration` seconds of its sample; see `take_pieces`."""
+    pending = _gather(block, work, 1)
+    split = work[_REMAINING * LANES]
+    work[_REMAINING * LANES] = min(split, duration)
+    work[_REMAINING_AFTER * LANES] = max(duration - split, 0.0)
+    _finish(block, work, pending, model)
+
+
+@compiled
+def _finish(block: Floats, work: Floats, pending: int, model: Model) -> None:
+    """Move the arms that are gathered over their pieces."""
     for _ in range(MOST_STEPS):
         if pending == 0:
             break

@@ -25,8 +25,8 @@ from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.timing import EPISODE_TIME
 from eval.deploy.building import Toolchain, here
-from eval.deploy.plant import OUTPUTS, REFUSALS, begin, empty_memory, refusal, step
-from eval.deploy.source import SINGLE_LANE, TEMPLATES, body, fields_of, members
+from eval.deploy.plant import OUTPUTS, REFUSALS, begin, empty_memory, look, refusal, step
+from eval.deploy.source import MOST_COUNTS, SINGLE_LANE, TAKEN, TEMPLATES, body, fields_of, members
 from eval.translation.program import Program
 from eval.translation.types import BOOL, INT, REAL, Scalar
 
@@ -43,7 +43,6 @@ _UNITS = {
 }
 _COMMENT = re.compile(r"^ +(\w+): float = \S+ +# (.*?) *\[([^]]*)\][ ,]*(.*)$", re.MULTILINE)
 _ASSUMED = re.compile(r" *\(a\)")
-_MOST_COUNTS = 10_000_000
 _OWN = {
     ("Linux", "x86_64"): ("linux64", ".so"),
     ("Linux", "aarch64"): ("aarch64-linux", ".so"),
@@ -94,14 +93,14 @@ def variables(params: ArmParams) -> list[Variable]:
     rest = "Joint angle theta_a / G at which the arm rests at the start"
     within = (LOWEST, HIGHEST)
     found.append(Variable("initial_joint_angle", len(found), rest, *fixed, "rad", "exact", 0.0, within))
-    command = "Torque command, held over a step; cut at torque_limit"
+    command = "Torque command, sampled and held over a control period; cut at torque_limit"
     found.append(Variable("torque", len(found), command, "input", "continuous", "N m", start=0.0))
     for name, (unit, what) in OUTPUTS.items():
         if name != "encoder_count":
             found.append(Variable(name, len(found), what, "output", "continuous", unit, "calculated"))
     counts = "Counts of the encoder per turn of the motor"
     found.append(
-        Variable("counts_per_turn", 0, counts, *fixed, "", "exact", ENCODER_COUNTS, (1, _MOST_COUNTS), "Integer")
+        Variable("counts_per_turn", 0, counts, *fixed, "", "exact", ENCODER_COUNTS, (1, MOST_COUNTS), "Integer")
     )
     name, (unit, what) = list(OUTPUTS.items())[-1]
     found.append(Variable(name, 1, what, "output", "discrete", unit, "calculated", type="Integer"))
@@ -111,9 +110,11 @@ def variables(params: ArmParams) -> list[Variable]:
 def fmu_texts(params: ArmParams) -> dict[str, str]:
     """Write the texts of an arm's FMU, by their paths in it."""
     program = Program(SINGLE_LANE)
+    program.taken |= TAKEN
     memory = empty_memory(1)
     arm = members("memory", memory)
-    angle, resolution, torque = (Scalar(REAL, name) for name in ("joint_angle", "resolution", "torque"))
+    given_names = ("joint_angle", "resolution", "torque", "duration")
+    angle, resolution, torque, duration = (Scalar(REAL, name) for name in given_names)
     of_arm = variables(params)
     given = {
         "version": __version__,
@@ -121,6 +122,7 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
         "refusal": body(program, refusal, [arm, angle], INT),
         "begin": body(program, begin, [arm, angle, resolution]),
         "step": body(program, step, [arm, torque], BOOL),
+        "look": body(program, look, [arm, torque, duration]),
         "structs": "\n\n".join(program.struct_texts),
         "tables": "\n\n".join(program.used_tables()),
         "functions": "\n\n".join(program.texts),
@@ -129,7 +131,6 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
         "starts": [f"{variable.start!r}, /* {variable.name} */" for variable in of_arm[: len(FIELDS) + 2]],
         "refusals": REFUSALS,
         "counts_per_turn": ENCODER_COUNTS,
-        "most_counts": _MOST_COUNTS,
         "turn": repr(2 * math.pi),
         "period": repr(CONTROL_PERIOD),
         "stop": f"{EPISODE_TIME:g}",
@@ -143,7 +144,7 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
         named = {
             "modelDescription.xml": "modelDescription.xml",
             "documentation/index.html": "fmu.html",
-            **{f"sources/{name}": name for name in ("real.h", "arithmetic.h", "plant.h", "plant.c", "fmi2.h", "fmu.c")},
+            **{f"sources/{name}": name for name in ("fmi2.h", "fmu.c")},
         }
         return {path: TEMPLATES.get_template(f"{name}.j2").render(given, guid=guid) for path, name in named.items()}
 
@@ -184,7 +185,7 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / Path(name).name).write_text(text, encoding="utf-8")
-        sources = [Path(folder) / name for name in ("plant.c", "fmu.c")]
+        sources = [Path(folder) / "fmu.c"]
         for kind, suffix, toolchain in _toolchains():
             library = Path(folder) / f"beltarm{suffix}"
             position = () if suffix == ".dll" else ("-fPIC",)

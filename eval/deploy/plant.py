@@ -3,6 +3,7 @@
     refusal(constants, bounds)        whether it is an arm, and can be integrated
     begin(memory, joint_angle, ...)   at rest
     step(memory, torque)              one control period later
+    look(memory, torque, duration)    how it moves within the period that comes
 
 The arm is the lumped one, behind its drive as it is built.
 """
@@ -17,7 +18,7 @@ from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled
 from beltarm_env.kernels import layout as at
-from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
+from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, advance_part
 from beltarm_env.kernels.layout import BUILT, LANES, drive_among, load_drive, load_plant, load_state, store_state
 from beltarm_env.kernels.simulate import load_arm
 from beltarm_env.physics.drive import resting
@@ -51,6 +52,7 @@ class Memory(NamedTuple):
 
     constants: Floats  # as the fields of `ArmParams`, shape (len(FIELDS),)
     block: Floats  # the arm as `beltarm_env.kernels.layout` has it
+    within: Floats  # the same, within a sample
     work: Floats
     action: Floats  # torque over its limit, shape (1,)
     outputs: Floats  # shape (len(OUTPUTS),)
@@ -60,6 +62,7 @@ def empty_memory(lanes: int = LANES) -> Memory:
     """Memory of an arm, for a number of lanes per block."""
     return Memory(
         np.zeros(len(FIELDS)),
+        np.zeros(at.ROWS * lanes),
         np.zeros(at.ROWS * lanes),
         np.zeros(DRIVEN_WORK_ROWS * lanes),
         np.zeros(lanes),
@@ -117,7 +120,7 @@ def begin(memory: Memory, joint_angle: float, resolution: float) -> None:
     block[at.RESOLUTION * LANES] = resolution
     plant = load_plant(block, 0)
     store_state(block, at.STATE, 0, resting(joint_angle * plant.gear, plant, load_drive(block, 0)))
-    _measure(memory)
+    _measure(block, memory.outputs)
 
 
 @compiled
@@ -135,13 +138,30 @@ def step(memory: Memory, torque: float) -> bool:
     store_state(block, at.STATE, 0, x)
     block[at.ACTION * LANES] = action
     block[at.STEP * LANES] = min(block[at.STEP * LANES] + 1.0, float(EPISODE_STEPS))
-    _measure(memory)
+    _measure(block, memory.outputs)
     return outside_workspace(x, plant)
 
 
 @compiled
-def _measure(memory: Memory) -> None:
-    block, outputs = memory.block, memory.outputs
+def look(memory: Memory, torque: float, duration: float) -> None:
+    """Measure the arm `duration` seconds into the control period over which a torque command [N m] is held.
+
+    The arm itself stays at the period's beginning, so `step` gives the same however often it was looked at.
+    """
+    block = memory.within
+    for row in range(at.ROWS):
+        block[row * LANES] = memory.block[row * LANES]
+    plant = load_plant(block, 0)
+    action = min(max(torque / plant.torque_limit, -1.0), 1.0)
+    memory.action[0] = action
+    advance_part(block, memory.work, memory.action, duration, LUMPED)
+    store_state(block, at.STATE, 0, contained(load_state(block, at.STATE, 0), plant))
+    block[at.ACTION * LANES] = action
+    _measure(block, memory.outputs)
+
+
+@compiled
+def _measure(block: Floats, outputs: Floats) -> None:
     x, plant = load_state(block, at.STATE, 0), load_plant(block, 0)
     tip = tip_motion(x, plant, drive_among(block, 0, BUILT))
     driven = block[at.DRIVEN * LANES] > 0.0
