@@ -2,8 +2,8 @@
 
 Every controller gets the same optimiser, arms, objective and budget (see `baselines/tuning/search.py`). A full budget
 is 48 million samples, twice what a run of `train/ppo.py` simulates. Gains go to `baselines/gains.json`, with their
-origin. Each search keeps a journal, from which `--resume` continues. A new search begins with untuned gains, never with
-tuned ones: otherwise budgets would add up.
+origin. Each search keeps a journal, from which `--resume` continues, with the options that it had unless others are
+told. A new search begins with untuned gains, never with tuned ones: otherwise budgets would add up.
 
 Gains are refused before anything is simulated if their loop lacks modulus and delay margins, on the design model or at
 a corner of the training ranges. `--no-margins` accepts them, for another file with `--out`: the difference in cost is
@@ -16,7 +16,7 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -31,7 +31,7 @@ from baselines.loops.condition import MarginCondition
 from baselines.tools.command import require_bounds, require_known, run_command
 from baselines.tools.options import Groups
 from baselines.tuning.race import split_budget
-from baselines.tuning.run import tune
+from baselines.tuning.run import begun_options, tune
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class Config(WithStorage):
     all: bool = False
     """Tune every controller that has gains to tune."""
     budget: int = 48_000_000
-    """Simulated samples for each controller. As many as 4 000 000 agent steps of 12 samples."""
+    """Simulated samples for each controller. A run of `train/ppo.py` takes half as many; the gains in
+    baselines/gains.json were found with 8000000."""
     seed: int = 0
     """Seed of the optimiser. The arms are the same for every seed."""
     out: Path = FILE
@@ -77,6 +78,12 @@ class Config(WithStorage):
         names = list(dict.fromkeys(self.names)) or list(TUNABLE)
         return names
 
+    def begun(self) -> dict[str, Any]:
+        """Options with which the searches to be resumed were begun, but for their names and their folder."""
+        if not self.resume:
+            return {}
+        return begun_options(self.chosen(), self.journals, "names", "all", "journals", "resume")
+
 
 def run(config: Config) -> None:
     """Tune; an interruption says how to go on."""
@@ -101,7 +108,7 @@ def run(config: Config) -> None:
 
 def main() -> None:
     """Command line."""
-    run_command(__file__, Config, run, __doc__)
+    run_command(__file__, Config, run, __doc__, Config.begun)
 
 
 if __name__ == "__main__":

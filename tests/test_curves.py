@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +17,18 @@ import pandas as pd
 import pytest
 from commands import mistake
 from matplotlib.axes import Axes
+from optuna.trial import TrialState
+from trainings import StopAfter
 
-from agents.learners import ppo
+from agents.learners import ppo, tuning
 from agents.learners.registry import ALGORITHMS
+from agents.learners.reinforcement import ReinforcementConfig
 from agents.learners.spaces import SPACES
 from agents.learners.tuning import TuningConfig, _search, counted, open_study, training_command, tune
 from agents.policy.bundle import BundleError
+from agents.runs.monitor import News
 from agents.runs.training import train
-from baselines.engines.parallel import Channel, StopRequest
+from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from eval import curves
 from eval.learning.curves import Curve, draw, find_curves
 
@@ -134,7 +141,9 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     assert first.params == config.defaults(), "begins with the script's settings"
     assert len(counted(study)) == 2 and study.best_value == min(t.value for t in study.get_trials() if t.value)
     assert len(first.intermediate_values) > 5
-    assert {path.name for path in tmp_path.iterdir()} == {"sac.csv", "sac.db"}, "runs of trials are not kept"
+    assert {path.name for path in tmp_path.iterdir()} == {"sac.csv", "sac.db", "sac.json"}, (
+        "runs of trials are not kept"
+    )
     assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
     assert training_command(config, study).split()[:2] == result.stdout.split("\n  ")[1].split()[:2]
     words = training_command(config, study).split()
@@ -147,18 +156,88 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
     study.ask()  # left running by an interruption
     again = tune(few(tmp_path, resume=True, trials=3))
     assert len(counted(again)) == 3
-    assert not again.get_trials(states=(optuna.trial.TrialState.RUNNING,))
+    assert not again.get_trials(states=(TrialState.RUNNING,))
 
 
 def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path: Path):
+    """And has it repeated."""
     config, stop = few(tmp_path), StopRequest()
     study = open_study(config)
     for worker in range(2):
         study.ask().set_user_attr("worker", worker)
+    left = config.run({}, 0).out
+    left.mkdir()
     stop.made = True
     _search(config, 0, Channel(stop=stop))
     states = [trial.state for trial in open_study(config).get_trials()]
-    assert states == [optuna.trial.TrialState.FAIL, optuna.trial.TrialState.RUNNING]
+    assert states == [TrialState.FAIL, TrialState.RUNNING, TrialState.WAITING]
+    assert not left.exists()
+
+
+def whole_trials(study: optuna.Study) -> list[tuple[Any, ...]]:
+    """Settings and validation costs of the trials that were not interrupted."""
+    return [(trial.params, trial.value, trial.intermediate_values) for trial in counted(study)]
+
+
+def train_at_once(config: ReinforcementConfig, _: object, channel: Channel) -> None:
+    """Stand for a training: its costs follow from settings and seed alone."""
+    for steps in range(10):
+        if channel.stop.made:
+            raise Interrupted
+        channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
+
+
+def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """By a signal, and by the death of its worker; beyond the ten trials that are drawn without a model, too."""
+    monkeypatch.setattr(tuning, "train", train_at_once)
+
+    def begun_again(config: TuningConfig, looks: int) -> None:
+        tuning._begin(config)
+        _search(config, 0, Channel(stop=StopAfter(looks)))
+
+    whole, parts = (few(tmp_path / name, trials=14) for name in ("whole", "parts"))
+    for config in (whole, parts):
+        config.out.mkdir()
+    begun_again(whole, 10_000)
+    for looks in (30, 1, 15, 60, 2):
+        begun_again(parts, looks)
+        study = open_study(parts)
+        study.sampler = tuning._sampler(parts, study, 0)
+        study.ask(SPACES["sac"])  # and never told
+    begun_again(parts, 10_000)
+    study = open_study(parts)
+    assert whole_trials(study) == whole_trials(open_study(whole))
+    settings = {str(trial.params) for trial in counted(study)}
+    assert len(settings) == len(counted(study)) == 14 < len(study.get_trials())
+
+
+@pytest.mark.slow
+def test_a_search_that_is_killed_and_resumed_is_the_uninterrupted_one(tmp_path: Path):
+    """With the options that it was begun with; no trial is drawn twice, and none leaves its run."""
+    whole = whole_trials(tune(few(tmp_path / "whole", trials=4)))
+    part, script = tmp_path / "part", [sys.executable, str(ROOT / "train/tune.py"), "sac", "--out", "part"]
+    options = ("--trials", "4", "--jobs", "1", "--samples", "2560", "--arms", "4", "--validation-arms", "2")
+    process = subprocess.Popen([*script, *options], cwd=tmp_path, start_new_session=True, stdout=subprocess.DEVNULL)
+    wait_for(part / "sac-trial2" / "validation.csv")
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    result = run("train/tune.py", "sac", "--out", "part", "--resume", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    study = open_study(few(part))
+    assert [trial.state for trial in study.get_trials()].count(TrialState.FAIL) == 1
+    assert whole_trials(study) == whole
+    settings = [str(params) for params, *_ in whole]
+    assert len(set(settings)) == len(settings) == 4
+    assert {path.name for path in part.iterdir()} == {"sac.csv", "sac.db", "sac.json"}
+
+
+def wait_for(path: Path) -> None:
+    deadline = time.monotonic() + 300
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert path.exists()
 
 
 @pytest.mark.parametrize(

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import pytest
 from commands import mistake, stopped
 from PIL import Image
 
 from agents.learners import ppo
-from agents.runs.command_line import main
+from agents.learners.registry import ALGORITHMS
+from agents.runs.checkpoint import RunFolder
+from agents.runs.command_line import COMMAND, begun_options, main
+from baselines.tools.options import parse
+from baselines.tools.resuming import note_options
 from eval import bench, readme, scenarios
 from eval.speed import start_up
 
@@ -74,6 +81,71 @@ def test_resume_goes_on_where_the_run_stopped(trained: Path) -> None:
     arguments = ("--out", str(trained), "--total-steps", "384", "--resume", *TINY)
     assert stopped(train_ppo, arguments, trained) == (0, "")
     assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256", "384"]
+
+
+def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_path: Path) -> None:
+    """All of them: those that may be told anew, and those that would make it another run."""
+    copy = tmp_path / "run"
+    shutil.copytree(trained, copy)
+    before, curve = json.loads((copy / "config.json").read_text()), read_csv(copy / "validation.csv")
+    assert stopped(train_ppo, ("--out", str(copy), "--resume"), tmp_path) == (0, "")
+    assert read_csv(copy / "validation.csv") == curve
+    after = json.loads((copy / "config.json").read_text())
+    own = ("out", "resume")
+    assert all(after["config"][name] == value for name, value in before["config"].items() if name not in own)
+    assert after["identity"] == before["identity"]
+    assert stopped(train_ppo, ("--out", str(copy), "--resume", "--total-steps", "448"), tmp_path) == (0, "")
+    assert stopped(train_ppo, ("--out", str(copy), "--resume"), tmp_path) == (0, "")
+    assert [row["steps"] for row in read_csv(copy / "validation.csv")][-1] == "448"
+    assert "--arms 8, not 16" in mistake(train_ppo, ("--out", str(copy), "--resume", "--arms", "16"), tmp_path)
+
+
+def test_options_noted_that_are_none_are_refused(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    content = json.loads(config.read_text())
+    content["config"]["total_steps"] = "many"
+    config.write_text(json.dumps(content))
+    assert "--total-steps=many" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
+    config.write_text("{}")
+    assert "config.json is damaged" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
+
+
+@pytest.mark.parametrize("noted", [True, False])
+def test_several_seeds_are_resumed_with_the_options_of_their_command(noted: bool, tmp_path: Path) -> None:
+    """Also how many there are; or, of runs whose command was not noted, with those of the first one."""
+    config = ppo.PpoConfig(out=tmp_path / "many", seeds=3, seed=4, total_steps=700_000, hidden=(8,), jobs=2)
+    run = replace(config, out=config.out / "seed4", seeds=1)
+    RunFolder(run.out).note(run)
+    if noted:
+        note_options(config.out / COMMAND, config)
+    told = ("--out", str(config.out), "--resume", *(() if noted else ("--seeds", "3", "--seed", "4", "--jobs", "2")))
+    assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == replace(config, resume=True)
+    told = (*told, "--total-steps", "800000", "--hidden", "16", "16")
+    expected = replace(config, resume=True, total_steps=800_000, hidden=(16, 16))
+    assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == expected
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_option_is_noted_so_that_it_can_be_resumed(name: str, tmp_path: Path) -> None:
+    """With values that are not the defaults."""
+    kind = ALGORITHMS[name].config
+    others: dict[str, Any] = {"out": tmp_path / "run", "resume": True, "overwrite": False}
+    for each in fields(kind):
+        allowed = get_args(get_type_hints(kind)[each.name])
+        if each.name in others:
+            continue
+        if isinstance(each.default, int | float):  # of a flag, the other
+            others[each.name] = type(each.default)(not each.default) if each.default in (0, 1) else 2 * each.default
+        elif isinstance(each.default, tuple):
+            others[each.name] = (7, 9)
+        elif isinstance(each.default, str):
+            others[each.name] = next((word for word in allowed if word != each.default), "another")
+        else:
+            others[each.name] = 3 if int in allowed else "somewhere"
+    config = kind(**others)
+    note_options(config.out / COMMAND, config)
+    assert parse(kind, arguments=("--out", str(config.out), "--resume"), begun=begun_options) == config
 
 
 def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from baselines.tune import Config, main
 from baselines.tuning import run
 from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, charged, estimate, hopeless, split_budget
 from baselines.tuning.search import SearchProgress, SearchResult, search
-from baselines.tuning.study import begin_anew, rounded, space
+from baselines.tuning.study import begin_anew, open_study, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.jit import ANNOUNCEMENT
 from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
@@ -337,6 +337,7 @@ def test_margins_need_not_be_asked_for(tmp_path: Path, command: list[str], capsy
     origin = read_file(tmp_path / "gains.json")[NAMES[0]]["provenance"]
     assert (origin["margins"], origin["refused"]) == ("not asked for", 0)
     command.remove("--no-margins")
+    Path(f"results/tune/{NAMES[0]}.json").unlink()  # else the search goes on without margins
     with pytest.raises(SystemExit):
         command.append("--resume")
         main()
@@ -367,6 +368,52 @@ def test_interrupted_command_leaves_the_file_and_goes_on(
     assert capsys.readouterr().err == ""
     assert journal.stat().st_size > size
     assert read_file(out)[name]["provenance"]["steps"] <= int(budget)
+
+
+def test_a_resumed_search_keeps_the_options_that_it_is_not_told(
+    tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]
+):
+    """Its budget, the margins that it does without, and the file of its gains."""
+    budget = MIN_BUDGET + BATCH
+    command.extend([NAMES[0], "--no-margins", "--budget", str(budget), "--seed", "3", "--out", "gains.json"])
+    main()
+    found = read_file(tmp_path / "gains.json")[NAMES[0]]
+    (tmp_path / "gains.json").unlink()
+    command[1:] = [NAMES[0], "--resume"]
+    main()
+    again = read_file(tmp_path / "gains.json")[NAMES[0]]
+    assert again["gains"] == found["gains"]
+    of = ("budget", "seed", "steps", "margins")
+    assert [again["provenance"][name] for name in of] == [found["provenance"][name] for name in of]
+    command[1:] = [NAMES[0], "--resume", "--seed", "4"]
+    with pytest.raises(SystemExit):
+        main()
+    assert "started with another seed" in capsys.readouterr().err
+    command[1:] = [NAMES[1], "--no-margins", "--budget", str(MIN_BUDGET), "--out", "gains.json"]
+    main()
+    capsys.readouterr()
+    command[1:] = [*NAMES, "--resume"]
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert stopped.value.code == 2 and NAMES[0] in line and NAMES[1] in line
+
+
+def test_a_search_that_is_resumed_draws_no_gains_twice(tmp_path: Path):
+    """Wherever it is interrupted, at the first of its draws too."""
+    journal, kind = tmp_path / "journal", Tunable(Counting, OneGain)
+    for batches in (1, 3, 6):
+
+        def interrupt(state: SearchProgress, batches: int = batches) -> None:
+            if state.steps >= batches * BATCH:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            search(kind, 4 * MIN_BUDGET, 0, journal, Channel(interrupt))
+    search(kind, 4 * MIN_BUDGET, 0, journal)
+    trials = open_study(OneGain, 0, journal).get_trials()
+    gains = [trial.params["vibration"] for trial in trials if trial.params["vibration"] != OneGain().vibration]
+    assert len(set(gains)) == len(gains) > 3
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from agents.learners.tuning import TuningConfig, counted, training_command, trials_as_csv, tune
+from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, trials_as_csv, tune
 from baselines.engines.parallel import StopRequest, stop_on_signals
 from baselines.tools.command import run_command
 from baselines.tools.files import write_text
@@ -40,7 +40,7 @@ def run(config: TuningConfig) -> None:
 
 def main() -> None:
     """Command line."""
-    run_command(__file__, TuningConfig, run, __doc__)
+    run_command(__file__, TuningConfig, run, __doc__, begun_options)
 
 
 if __name__ == "__main__":

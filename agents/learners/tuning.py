@@ -24,6 +24,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
+import numpy as np
 import optuna
 import tyro
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -38,10 +39,12 @@ from baselines.engines.options import SideBySide
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, default_jobs, run_side_by_side
 from baselines.tools.files import require_writable
 from baselines.tools.options import Groups
+from baselines.tools.resuming import note_options, noted_options
 
 _FIRST_SEED, _SEEDS = 50, 50  # training seeds of trials; a run to be reported has one below
 _MOST_TRIALS = 400
 _VALIDATIONS = 10  # per trial
+_REPEATS = "repeats"  # attribute of a trial that repeats an interrupted one: the place of that
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class TuningConfig(SideBySide):
     samples: int = 6_000_000
     """Simulated samples per trial. An agent step takes `hold` of them. Each trial is validated ten times."""
     seed: int = 0
-    """Seed of the search. Trial k trains with seed 50 + k modulo 50."""
+    """Seed of the search. Trial k trains with seed 50 + k modulo 50; those that were interrupted do not count."""
     base: str = "paper"
     """Controller that the agent corrects."""
     arms: int = 512
@@ -69,7 +72,7 @@ class TuningConfig(SideBySide):
     validation_arms: int = 128
     """Arms in each validation."""
     out: Path = Path("results/train-tune")
-    """Folder of the studies, ALGORITHM.db in SQLite, and of their tables, ALGORITHM.csv."""
+    """Folder of the studies, ALGORITHM.db in SQLite, of their options and of their tables, ALGORITHM.csv."""
     resume: bool = False
     """Continue the study in --out."""
 
@@ -77,6 +80,11 @@ class TuningConfig(SideBySide):
     def file(self) -> Path:
         """SQLite file of the study."""
         return self.out / f"{self.algorithm}.db"
+
+    @property
+    def noted(self) -> Path:
+        """Options of the command that began the study, or resumed it last."""
+        return self.out / f"{self.algorithm}.json"
 
     @property
     def table(self) -> Path:
@@ -130,7 +138,16 @@ class TuningConfig(SideBySide):
         return values
 
 
-def open_study(config: TuningConfig, worker: int = 0, storage: Any = None) -> optuna.Study:
+def begun_options(config: TuningConfig) -> dict[str, Any]:
+    """Options that the study to be resumed was begun with, or resumed with last; none where nothing is resumed.
+
+    Raises:
+        ValueError: If the file that notes them is damaged.
+    """
+    return noted_options(config.noted, "algorithm", "out", "resume") if config.resume else {}
+
+
+def open_study(config: TuningConfig, storage: Any = None) -> optuna.Study:
     """Open the study in the SQLite file, or through a proxy of its storage, or begin one.
 
     Raises:
@@ -142,7 +159,6 @@ def open_study(config: TuningConfig, worker: int = 0, storage: Any = None) -> op
             study_name=config.algorithm,
             storage=storage or _sqlite(config),
             load_if_exists=True,
-            sampler=optuna.samplers.TPESampler(seed=100 * config.seed + worker, multivariate=True),
             pruner=optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=_VALIDATIONS // 3),
         )
     except Exception as error:  # SQLAlchemy's, of many kinds
@@ -173,6 +189,7 @@ def tune(
     config.check()
     require_writable(config.out)
     _begin(config)
+    note_options(config.noted, config)
     jobs = config.jobs or default_jobs()
     search = partial(_search, config) if config.engine == "local" else partial(_search_away, config, _served(config))
     workers = {f"worker {number}": partial(search, number) for number in range(jobs)}
@@ -187,16 +204,40 @@ def tune(
 def _begin(config: TuningConfig) -> None:
     """Begin the study with the algorithm's defaults, or mark as failed what an interruption left running."""
     study = open_study(config)
-    _fail_running(study)
+    _give_up_running(config, study)
     if not study.get_trials(deepcopy=False):
         study.enqueue_trial(config.defaults())
 
 
-def _fail_running(study: optuna.Study, worker: int | None = None) -> None:
-    """Mark as failed the running trials of a worker, or of all."""
+def _give_up_running(config: TuningConfig, study: optuna.Study, worker: int | None = None) -> None:
+    """Give up the running trials of a worker that died, or of all, with their folders; they are to be repeated."""
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if worker in (None, trial.user_attrs.get("worker")):
-            study.tell(trial.number, state=TrialState.FAIL)
+            shutil.rmtree(config.run({}, _place(study, trial)).out, ignore_errors=True)
+            _repeat_later(study, trial)
+
+
+def _repeat_later(study: optuna.Study, trial: FrozenTrial | Trial) -> None:
+    """Mark a trial that was interrupted as failed, and put another with its settings and its place in the queue."""
+    place = _place(study, trial)
+    study.tell(trial.number, state=TrialState.FAIL)
+    study.enqueue_trial(trial.params, user_attrs={_REPEATS: place})
+
+
+def _place(study: optuna.Study, trial: FrozenTrial | Trial) -> int:
+    """Place of a trial in a study that is never interrupted, in which none is repeated."""
+    return trial.user_attrs.get(_REPEATS, _places(study, trial.number))
+
+
+def _places(study: optuna.Study, before: int | None = None) -> int:
+    """How many trials there are, or were before one; repeats do not count."""
+    return sum(_REPEATS not in trial.user_attrs for trial in study.get_trials(deepcopy=False)[:before])
+
+
+def _sampler(config: TuningConfig, study: optuna.Study, worker: int) -> optuna.samplers.BaseSampler:
+    """Sampler of a worker's next trial. What it draws follows from the trials before, not from when the study began."""
+    seeds = np.random.SeedSequence([config.seed, worker, _places(study)])
+    return optuna.samplers.TPESampler(seed=int(seeds.generate_state(1)[0]), multivariate=True)
 
 
 def _sqlite(config: TuningConfig) -> optuna.storages.RDBStorage:
@@ -232,27 +273,31 @@ def _search_away(config: TuningConfig, server: tuple[str, int], worker: int, cha
 
 def _search(config: TuningConfig, worker: int, channel: Channel, storage: Any = None) -> None:
     """Run trials until there are enough; a worker whose process died begins again with a new one."""
-    study = open_study(config, worker, storage)
-    _fail_running(study, worker)
+    study = open_study(config, storage)
+    _give_up_running(config, study, worker)
     while not channel.stop.made and len(counted(study)) < config.trials:
+        study.sampler = _sampler(config, study, worker)
         trial = study.ask(SPACES[config.algorithm])
         trial.set_user_attr("worker", worker)
+        run = config.run(trial.params, _place(study, trial))
         try:
-            value = _value(config, trial, channel.stop)
+            value = _value(config, run, trial, channel.stop)
         except optuna.TrialPruned:
             study.tell(trial, state=TrialState.PRUNED)
-        except (Interrupted, ValueError) as error:
+        except Interrupted:
+            _repeat_later(study, trial)
+        except ValueError as error:
             trial.set_user_attr("failure", str(error))
             study.tell(trial, state=TrialState.FAIL)
         else:
             study.tell(trial, value)
             channel.report(f"trial {trial.number}: cost {value:.1f}, best {study.best_value:.1f}")
         finally:
-            shutil.rmtree(config.run({}, trial.number).out, ignore_errors=True)
+            shutil.rmtree(run.out, ignore_errors=True)
 
 
-def _value(config: TuningConfig, trial: Trial, stop: StopRequest) -> float:
-    """Lowest validation cost of a run with the trial's settings."""
+def _value(config: TuningConfig, run: ReinforcementConfig, trial: Trial, stop: StopRequest) -> float:
+    """Lowest validation cost of the run of a trial."""
     costs: list[float] = []
 
     def judge(news: News) -> None:
@@ -264,7 +309,7 @@ def _value(config: TuningConfig, trial: Trial, stop: StopRequest) -> float:
             raise optuna.TrialPruned
 
     make_learner = ALGORITHMS[config.algorithm].make_learner
-    train(config.run(trial.params, trial.number), make_learner, Channel(judge, stop))
+    train(run, make_learner, Channel(judge, stop))
     return min(costs)
 
 

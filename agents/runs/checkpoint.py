@@ -1,6 +1,7 @@
 """Folder of a run, and checkpoints from which it resumes bit for bit.
 
-    config.json       every option, what makes the run this one, and the software that writes it
+    config.json       every option, with which a resumed run goes on where it is told no others, what makes the run this
+                      one, and the software that writes it
     checkpoint.pkl    everything that the next step depends on: the learner (its networks, optimisers, arms, memories
                       and data), random generators, the run's progress, and the software
                       that wrote it; a SHA-256 of all that stands at its end
@@ -21,7 +22,6 @@ import random
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +33,12 @@ from filelock import FileLock, Timeout
 from agents.runs.settings import RunConfig
 from baselines.tools.files import Unsealed, read_sealed, read_text, require_writable, write_sealed, write_text
 from baselines.tools.provenance import software
+from baselines.tools.resuming import note_options
 from baselines.tools.schema import in_a_line, loads
 
 VERSION = 4
 """Format of checkpoints; raise it where a learner's snapshot changes, or a module whose classes are in it moves."""
-CHECKPOINT = Path("checkpoint.pkl")
+CHECKPOINT, CONFIG = Path("checkpoint.pkl"), Path("config.json")
 """Within the folder of a run."""
 _WRITTEN = ("config", "checkpoint", "validation", "policy", "weights", "README")
 """Beginnings of the names of files that a run writes."""
@@ -54,7 +55,7 @@ class RunFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.config = folder / "config.json"
+        self.config = folder / CONFIG
         self.checkpoint = folder / CHECKPOINT
         self.curve = folder / "validation.csv"
         self.best = folder / "best"
@@ -103,8 +104,7 @@ class RunFolder:
             progress: Of the run that is resumed. Its learning curve is written too: a process that was killed may have
                 left that of the checkpoint before.
         """
-        content = {"config": asdict(config), "identity": config.identity(), "written_by": self._software}
-        write_text(self.config, json.dumps(content, indent=2, default=str) + "\n")
+        note_options(self.config, config, identity=config.identity(), written_by=self._software)
         if progress is not None:
             self._write_curve(progress)
 
@@ -136,16 +136,21 @@ class RunFolder:
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{self.config} is damaged ({in_a_line(repr(error))}): choose another --out") from None
         now = json.loads(json.dumps(config.identity(), default=str))
+        if before.get("algorithm") != now["algorithm"]:
+            known = in_a_line(before.get("algorithm"), 80)
+            raise ValueError(
+                f"the run in {self.folder} is of {known}, not of {now['algorithm']}: take its script, or another --out"
+            )
         for name, value in now["options"].items():
             if options.get(name) != value:
                 option = f"--{name.replace('_', '-')}"
                 remedy = "give the same options, or choose another --out"
                 known = in_a_line(options.get(name), 80)
                 raise ValueError(f"the run in {self.folder} has {option} {known}, not {value}: {remedy}")
-        for name in ("algorithm", "base_hash", "layout", "entries"):
+        for name in ("base_hash", "layout", "entries"):
             if before.get(name) != now[name]:
-                what = {"algorithm": "another algorithm", "base_hash": "other gains of the base"}
-                known, remedy = what.get(name, "another observation layout"), _remedy(content.get("written_by"))
+                known = "other gains of the base" if name == "base_hash" else "another observation layout"
+                remedy = _remedy(content.get("written_by"))
                 raise ValueError(f"the run in {self.folder} began with {known}: {remedy}")
 
     def delete_run(self) -> None:

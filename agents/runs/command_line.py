@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.console import Console
 
-from agents.runs.checkpoint import CHECKPOINT, RunFolder
+from agents.runs.checkpoint import CHECKPOINT, CONFIG, RunFolder
 from agents.runs.monitor import Maker, News
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
@@ -33,6 +33,10 @@ from baselines.tools.command import one_line_errors
 from baselines.tools.options import parse
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
+from baselines.tools.resuming import note_options, noted_options
+
+COMMAND = "command.json"
+"""Options of the command that begins several runs, or one elsewhere, in the folder of all of them."""
 
 
 def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
@@ -45,7 +49,7 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
     """
     script = f"train/{kind.algorithm}.py"
     with one_line_errors(script):
-        config: RunConfig = parse(kind, description)
+        config: RunConfig = parse(kind, description, begun=begun_options)
         try:
             config.check()
             run = _run_one if config.seeds == 1 and config.engine == "local" else _run_seeds
@@ -56,6 +60,25 @@ def main(kind: type[Any], make_learner: Maker, description: str | None) -> None:
         except KeyboardInterrupt:
             print(f"stopped at once; to continue from the last checkpoint:\n  {_resume_command(script)}")
             sys.exit(130)
+
+
+def begun_options(config: RunConfig) -> dict[str, Any]:
+    """Options that the runs to be resumed were begun with, or resumed with last; none where nothing is resumed.
+
+    Raises:
+        ValueError: If the file that notes them is damaged.
+    """
+    if not config.resume:
+        return {}
+    told, one_of_several = ("out", "resume", "overwrite"), ("seed", "seeds")
+    for path, but in (
+        (config.out / COMMAND, told),
+        (config.out / CONFIG, told),
+        (config.out / f"seed{config.seed}" / CONFIG, (*told, *one_of_several)),
+    ):
+        if options := noted_options(path, *but):
+            return options
+    return {}
 
 
 def _resume_command(script: str) -> str:
@@ -72,6 +95,9 @@ def _stop_on_signals(stop: StopRequest, console: Console) -> Any:
 def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
     """Run one training, in this process."""
     stop, name = StopRequest(), config.algorithm
+    if not config.resume and (config.out / COMMAND).exists():  # several runs there would be resumed instead of this one
+        RunFolder(config.out).check(config)
+        (config.out / COMMAND).unlink()
     with _stop_on_signals(stop, console), progress_rows([name], config.length, console) as rows:
         channel = Channel(lambda news: _show(rows, console, name, news), stop)
         monitor = train(config, make_learner, channel)
@@ -120,6 +146,7 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
                 folder = RunFolder(run.out)
                 with folder.locked(run):
                     folder.delete_run()
+        note_options(config.out / COMMAND, config)
         tasks = {
             name: workplace.task(name, run.out, partial(run_in, _local(run), make_learner, command_line()), CHECKPOINT)
             for name, run in runs.items()

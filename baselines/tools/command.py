@@ -6,17 +6,23 @@ import difflib
 import os
 import sys
 import traceback
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from gymnasium.error import DependencyNotInstalled
 
 Config = TypeVar("Config")
 
 
-def run_command(file: str, kind: type[Config], work: Callable[[Config], object], description: str | None) -> None:
+def run_command(
+    file: str,
+    kind: type[Config],
+    work: Callable[[Config], object],
+    description: str | None,
+    begun: Callable[[Config], Mapping[str, Any]] | None = None,
+) -> None:
     """Run a command with the options of its command line; errors as in `one_line_errors`.
 
     Args:
@@ -24,6 +30,7 @@ def run_command(file: str, kind: type[Config], work: Callable[[Config], object],
         kind: Its options, a dataclass; where it has an option `traceback`, errors come with theirs.
         work: What it does with them.
         description: What `--help` says.
+        begun: Gives the options that the work to go on with was begun with, see `options.parse`.
     """
     script = f"{Path(file).parent.name}/{Path(file).name}"
     try:
@@ -31,7 +38,7 @@ def run_command(file: str, kind: type[Config], work: Callable[[Config], object],
     except ModuleNotFoundError as error:
         stop_without(script, error)
     with one_line_errors(script):
-        config = parse(kind, description)
+        config = parse(kind, description, begun=begun)
     with one_line_errors(script, whole=getattr(config, "traceback", False)):
         work(config)
 

@@ -15,15 +15,18 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import Field, field, fields, make_dataclass
-from io import BytesIO, TextIOWrapper
+from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import docstring_parser
 import tyro
+
+from baselines.tools.resuming import as_words
+from baselines.tools.schema import in_a_line
 
 Groups = Mapping[str, tuple[str, ...]]
 """Names of options, by the name of their group."""
@@ -34,17 +37,39 @@ _MARKERS = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff, tyro.conf.Omit
 _SAID_OTHERWISE = ("", "''", "None", "True", "False")  # defaults that the option's text says, or its being a flag
 
 
-def parse(kind: type[_Config], description: str | None = None, arguments: Sequence[str] | None = None) -> _Config:
+def parse(
+    kind: type[_Config],
+    description: str | None = None,
+    arguments: Sequence[str] | None = None,
+    begun: Callable[[_Config], Mapping[str, Any]] | None = None,
+) -> _Config:
     """Read options from the command line.
 
     Args:
         kind: The options, a dataclass.
         description: What `--help` begins with; by default the docstring of `kind`.
         arguments: Words to read instead of the command line's.
+        begun: Gives, from what is told, the options that the work to go on with was begun with: they stand for those
+            that are not told.
 
     Raises:
         SystemExit: After `--help`, and for words that are no options.
+        ValueError: If options that the work was begun with cannot be read.
     """
+    told = sys.argv[1:] if arguments is None else arguments
+    config = _read(kind, description, told)
+    words = as_words(kind, begun(config)) if begun else []
+    if not words:
+        return config
+    try:
+        with redirect_stderr(StringIO()):
+            return _read(kind, description, [*words, *told])
+    except SystemExit:
+        noted = in_a_line(" ".join(words))
+        raise ValueError(f"cannot resume with the options noted, {noted}: give them anew with another --out") from None
+
+
+def _read(kind: type[_Config], description: str | None, arguments: Sequence[str]) -> _Config:
     groups = _groups_of(kind)
     with _at_most(WIDTH):
         read: Any = tyro.cli(

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -20,6 +21,7 @@ from baselines.registry import TUNABLE
 from baselines.tools.files import require_writable
 from baselines.tools.progress import progress_rows
 from baselines.tools.provenance import command_line, commit
+from baselines.tools.resuming import note_options, noted_options
 from baselines.tuning.search import SearchProgress, SearchResult, search
 from baselines.tuning.study import begin_anew
 from beltarm_env import __version__
@@ -30,6 +32,26 @@ from beltarm_env.task.seeds import GAIN_CHOICE
 def journal_file(folder: Path, name: str) -> Path:
     """Return the journal of a controller's search."""
     return folder / f"{name}.journal"
+
+
+def noted_file(folder: Path, name: str) -> Path:
+    """Return the file of the options with which a controller's search was begun, or resumed last."""
+    return folder / f"{name}.json"
+
+
+def begun_options(names: Sequence[str], journals: Path, *but: str) -> dict[str, Any]:
+    """Options with which the searches of some controllers were begun, or resumed last, without those in `but`.
+
+    Raises:
+        ValueError: If they are not the same for all, or a file that notes them is damaged.
+    """
+    noted = {name: noted_options(noted_file(journals, name), *but) for name in names}
+    begun = {name: options for name, options in noted.items() if options}
+    first = next(iter(begun), "")
+    for name, options in begun.items():
+        if options != begun[first]:
+            raise ValueError(f"the searches of {first} and {name} have other options: resume them one at a time")
+    return begun.get(first, {})
 
 
 def tune(
@@ -50,7 +72,7 @@ def tune(
         names: Of the controllers, see `TUNABLE`.
         budget: Simulated steps for each.
         seed: Of the optimiser.
-        options: Where the searches run side by side.
+        options: Of the command; they say where the searches run side by side, and are noted for a resumption.
         out: File of gains.
         journals: Folder of the journals.
         resume: Whether to go on with the searches that have a journal.
@@ -78,6 +100,8 @@ def tune(
                 begin_anew(journal_file(journals, name))
         if resume and not any(journal_file(journals, name).exists() for name in names):
             raise ValueError(f"nothing to resume in {journals}: run once without --resume")
+        for name in names:
+            note_options(noted_file(journals, name), options)
         searches = {
             name: workplace.task(
                 name, journals, partial(_search_in, name, budget, seed, condition), journal_file(Path(), name)
