@@ -1,9 +1,12 @@
 # Every target sets up .venv by itself, and only when pyproject.toml or constraints.txt have changed.
 # Each Python has an environment of its own: `make test PYTHON=python3.13` sets up .venv-3.13.
+# make reads options before this file, so options of a command are given in ARGS.
 
 PYTHON ?= python3.11
-VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
-VENV ?= .venv$(addprefix -,$(filter-out 3.11,$(VERSION)))
+# Of Python 3.11 or newer; empty for an older one, and for none. Then what was set up is used only if PYTHON was not told.
+VERSION := $(shell $(PYTHON) -c 'import sys; v = sys.version_info[:2]; print("%d.%d" % v if v >= (3, 11) else "")' 2>/dev/null)
+VENV ?= .venv$(addprefix -,$(filter-out 3.11,$(or $(VERSION),$(if $(filter file,$(origin PYTHON)),,without-python))))
+NEEDS_PYTHON = $(if $(VERSION),,$(error $(PYTHON) is not there, or older than Python 3.11: make $(or $(firstword $(MAKECMDGOALS)),setup) PYTHON=/path/to/python3.11))
 CONSTRAINTS ?= constraints.txt
 EXTRA ?= dev
 BIN := $(VENV)/bin
@@ -15,6 +18,8 @@ TOOLS := .venv-tools
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
+.DEFAULT:
+	$(error there is no '$@', and no target that makes it: `make help` lists the targets)
 .PHONY: help compare train setup test test-all test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
@@ -22,6 +27,7 @@ TOOLS := .venv-tools
 help:  ## Show this list
 	@awk '/^##@/ { printf "\n%s\n", substr($$0, 5) } \
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-11s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
+	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
 
 compare: $(READY)  ## Compare all controllers on 50 scenarios of every split: report.html, pictures in results/compare
 	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 50)
@@ -34,9 +40,7 @@ train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 setup: $(READY)  ## Create .venv with pinned versions; HASHES=1 checks their SHA-256 too
 
 $(READY): pyproject.toml $(CONSTRAINTS)
-	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or make PYTHON=..." >&2; exit 2; }
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "$(PYTHON) is not Python 3.11 or newer: make PYTHON=/path/to/python3.11" >&2; exit 2; }
-	$(PYTHON) -m venv $(VENV)
+	$(NEEDS_PYTHON)$(PYTHON) -m venv $(VENV)
 	$(if $(HASHES),$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement hashes.txt)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
 	@touch $@
@@ -51,7 +55,7 @@ test-lowest: $(LOWEST).txt  ## Run the tests with the lowest versions that pypro
 	$(MAKE) test-all VENV=$(LOWEST) CONSTRAINTS=$(LOWEST).txt EXTRA=test
 
 $(LOWEST).txt: pyproject.toml tests/lowest.py
-	$(PYTHON) tests/lowest.py > $@
+	$(NEEDS_PYTHON)$(PYTHON) tests/lowest.py > $@
 
 fuzz: $(READY)  ## Try ten times as many examples in the property tests, at random; ARGS=--hypothesis-seed=7 repeats
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile fuzz $(ARGS)
@@ -93,7 +97,7 @@ hashes: $(TOOLS)/.ready  ## Write the hashes of all pinned packages to hashes.tx
 		--python-version 3.11 --custom-compile-command 'make hashes' --output-file hashes.txt -
 
 $(TOOLS)/.ready: constraints.txt
-	$(PYTHON) -m venv $(TOOLS)
+	$(NEEDS_PYTHON)$(PYTHON) -m venv $(TOOLS)
 	$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt cyclonedx-bom uv
 	@touch $@
 
@@ -125,21 +129,21 @@ paper: $(READY)  ## Regenerate the paper's figures and tables in docs/paper
 loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines
 	$(BIN)/python eval/baselines.py --out docs/baselines $(ARGS)
 
-tails: $(READY)  ## Tail risk of controllers on 100000 scenarios, in docs/tails: an hour; goes on where it was interrupted
-	$(BIN)/python eval/compare.py --scenario-seed 1 --episodes 100000 --splits randomized \
+tails: $(READY)  ## Tail risk of controllers on 25000 scenarios, in docs/tails: half an hour; goes on where it was interrupted
+	$(BIN)/python eval/compare.py --scenario-seed 1 --episodes 25000 --splits randomized \
 		--methods paper preview adaptive ppo student --out docs/tails $(ARGS)
 
 scaling: $(READY)  ## What tasks side by side take, by engine, in docs/scaling; takes ten minutes
-	$(BIN)/python eval/scaling.py --out docs/scaling $(ARGS)
+	$(BIN)/python eval/scaling.py --methods paper --out docs/scaling $(ARGS)
 
 drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/drive; takes five minutes
 	$(BIN)/python eval/drive.py --out docs/drive $(ARGS)
 
 sensors: $(READY)  ## What an accelerometer buys, in docs/sensors
-	$(BIN)/python eval/sensors.py --out docs/sensors $(ARGS)
+	$(BIN)/python eval/sensors.py --episodes 60 --out docs/sensors $(ARGS)
 
 guard: $(READY)  ## What the guard is worth where something breaks, in docs/guard; takes ten minutes
-	$(BIN)/python eval/faults.py --out docs/guard $(ARGS)
+	$(BIN)/python eval/faults.py --arms 60 --episodes 40 --out docs/guard $(ARGS)
 
 embedded: $(READY)  ## Controllers as programs: equality, time, flash and memory, in docs/embedded; takes ten minutes
 	$(BIN)/python eval/embedded.py --out docs/embedded $(ARGS)
@@ -151,7 +155,7 @@ steps: $(READY)  ## What each step from the paper's controller to the best class
 	$(BIN)/python eval/from_1991.py --out docs/from_1991 $(ARGS)
 
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
-	$(BIN)/python baselines/tune.py --all $(ARGS)
+	$(BIN)/python baselines/tune.py --all --budget 8000000 $(ARGS)
 
 learning: $(READY)  ## Ablations of the training in docs/learning: two hours or more; goes on where it was interrupted
 	$(BIN)/python eval/ablations.py --out docs/learning $(ARGS)
