@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,7 @@ from eval.comparison.methods import shipped_policies
 from eval.loops import price as prices
 from eval.loops.changes import CHANGES, LIMITS
 from eval.loops.costs import blind, built_arms, run_arms
+from eval.loops.gains import gains_table
 from eval.loops.identification import worth
 from eval.loops.scan import scan
 from eval.views.budgets import ModelSteps, budgets, model_steps
@@ -206,3 +208,18 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
 )
 def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
     assert message in mistake(baselines.main, arguments, tmp_path)
+
+
+def test_gains_of_a_tree_that_was_not_committed_are_said_to_be():
+    """On the page of the gains, for each controller, and where the file of gains is documented."""
+    entries = read_file()
+    unclean = {name for name, entry in entries.items() if entry["provenance"]["commit"].endswith("-dirty")}
+    page, guide = (
+        (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("baselines/summary.md", "baselines.md")
+    )
+    for name in entries:
+        origin = gains_table(name).splitlines()[-1]
+        assert ("not committed" in origin) == (name in unclean)
+        assert origin in page
+    (named,) = re.findall(r"For ((?:`[a-z]+`[, and\n]*)+) that commit ends in `-dirty`", guide)
+    assert set(re.findall(r"`([a-z]+)`", named)) == unclean

@@ -79,4 +79,5 @@ def _origin(name: str, of_paper: bool) -> str:
         f"`{p['command']}`, seed {p['seed']}, {p['steps'] / 1e6:g} million samples, {p['trials']} trials, "
         f"{p['date']}, commit {p['commit']}: cost {p['cost_untuned']:g} before, {p['cost']:g} after, on "
         f"{p['measured_on']}."
+        + (" That tree had changes that were not committed." if p["commit"].endswith("-dirty") else "")
     )
