@@ -30,7 +30,7 @@ from baselines.tools.options import Groups
 from baselines.tools.progress import progress_count
 from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
-from eval.comparison.run import choose_methods, compare, fuller
+from eval.comparison.run import choose_methods, compare
 from eval.comparison.scenarios import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.leaderboard.sealed import sealed_set
@@ -51,8 +51,9 @@ class Config(SideBySide):
     }
 
     methods: tuple[str, ...] = ()
-    """Methods to run, by name. Default: all policies, the yardstick, all controllers from --add, and the classical
-    controllers, without those that a simpler one beats everywhere (docs/baselines.md)."""
+    """Which of the project's own methods run, by name; what --add and --policy give always runs. Default: all shipped
+    policies, the yardstick, and the classical controllers, without those that a simpler one beats everywhere
+    (docs/baselines.md)."""
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
     policy: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -69,7 +70,8 @@ class Config(SideBySide):
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
     (docs/guard/summary.md)."""
     out: Path = Path("results/compare")
-    """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept."""
+    """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept. One
+    that has results of more methods, splits or scenarios is left as it is."""
     episodes: int | None = None
     """Scenarios per split, 4 to 500, or with --scenario-seed up to 10000000: the first 500 are the same, and beyond
     them tails are compared. Default: 200."""
@@ -134,8 +136,6 @@ def run(config: Config) -> None:
             if method.identity is None:
                 why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
                 console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
-        if lost := fuller(config.out, [method.name for method in methods], list(scenarios.splits), config.count):
-            console.print(lost, soft_wrap=True)
         with progress_count("pairs of method and split", console) as done:
             comparison = compare(
                 methods,

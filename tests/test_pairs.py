@@ -34,7 +34,7 @@ from eval.comparison.failures import Failure
 from eval.comparison.methods import Method, classical_methods, learned_methods, privileged_method, shipped_policies
 from eval.comparison.pairs import LEFT, Metrics, Pair, measure, read_kept
 from eval.comparison.results import TIMED_NOTE, Comparison
-from eval.comparison.run import choose_methods, fuller
+from eval.comparison.run import choose_methods
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
@@ -285,6 +285,7 @@ def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
     assert len(list(tmp_path.glob("out/pairs/[!.]*"))) == 16
 
 
+TWO = ("--splits", "nominal", "ideal")
 MINE = """
 import numpy as np
 from pathlib import Path
@@ -593,6 +594,18 @@ def test_dominated_methods_run_where_they_are_named():
     assert default[:2] == ["paper", "rigid"] and not {*DOMINATED} & {*default}
 
 
+def test_what_was_asked_for_runs_whatever_else_is_named(tmp_path: Path):
+    """`--methods` chooses among the project's own; what `--add` and `--policy` give runs with them."""
+    (tmp_path / "mine.py").write_text(ENDING)
+    added, policies = (f"{tmp_path}/mine.py:Sound",), (bundle(tmp_path / "a"),)
+    assert [one.name for one in choose_methods(("adaptive",), policies, added)] == ["adaptive", "my-ppo", "Sound"]
+    assert [one.name for one in choose_methods(("adaptive", "Sound"), added=added)] == ["adaptive", "Sound"]
+    assert [one.name for one in choose_methods(("privileged",), added=added)] == ["Sound", "privileged"]
+    assert [one.name for one in choose_methods(("lqg",), policies, guard=True)] == [
+        *("lqg", "lqg+guard", "my-ppo", "my-ppo+guard")
+    ]
+
+
 def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
     spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
     save_bundle(folder, spec, Actor(spec.shape()).weights())
@@ -617,31 +630,33 @@ def test_policies_of_other_sensors_are_refused(tmp_path: Path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_policies_of_ones_own_stand_beside_the_shipped_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """By a name of their own, or that of their algorithm; and a run that has less says what it replaces."""
+    """By a name of their own, or that of their algorithm; also where --methods does not name them."""
     for name in ("mine", "other"):
         bundle(tmp_path / name)
     policies = ("--policy", "mine", "--policy", "tried=other", "--policy", "tried=mine")
-    chosen = (*policies, "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--methods", "paper")
-    code, errors = stopped(compare.main, (*chosen, "my-ppo", "tried", "ppo"), tmp_path)
+    chosen = (*policies, "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--methods", "paper", "ppo")
+    code, errors = stopped(compare.main, chosen, tmp_path)
     assert code == 0, errors
     rows = read_results(tmp_path / "results" / "compare" / "results.json")["rows"]
     shipped = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
-    seeds = {"paper": 1, "ppo": shipped, "my-ppo": 1, "tried": 2}
-    assert {row["method"]: row["seeds"] for row in rows} == seeds
-    assert "fuller" not in capsys.readouterr().out
-    code, _ = stopped(compare.main, (*chosen, "my-ppo"), tmp_path)
-    told = " ".join(capsys.readouterr().out.split())
-    assert code == 0 and "results/compare has fuller results (ppo, tried), which these replace." in told
+    assert {row["method"]: row["seeds"] for row in rows} == {"paper": 1, "ppo": shipped, "my-ppo": 1, "tried": 2}
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_what_a_run_replaces(tmp_path: Path):
-    assert fuller(tmp_path, ["paper"], ["nominal"], 4) == ""
-    arguments = ("--methods", "paper", "zvd", "--splits", "nominal", "ideal", "--episodes", "6", "--jobs", "1")
-    assert stopped(compare.main, (*arguments, "--out", "out"), tmp_path)[0] == 0
-    assert fuller(tmp_path / "out", ["paper", "zvd", "ei"], ["nominal", "ideal"], 6) == ""
-    less = fuller(tmp_path / "out", ["paper"], ["nominal"], 4)
-    assert "(zvd, ideal, 6 scenarios per split)" in less
+def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
+    fixed = ("--jobs", "1", "--out", "out")
+    assert stopped(compare.main, ("--methods", "paper", "zvd", *TWO, "--episodes", "6", *fixed), tmp_path)[0] == 0
+    before = {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")}
+    for narrower, lost in (
+        (("--methods", "paper", *TWO, "--episodes", "6"), "zvd"),
+        (("--methods", "paper", "zvd", "--splits", "ideal", "--episodes", "6"), "nominal"),
+        (("--methods", "paper", "zvd", *TWO, "--episodes", "4"), "6 scenarios per split"),
+    ):
+        line = mistake(compare.main, (*narrower, *fixed), tmp_path)
+        assert f"({lost})" in line and "--out" in line
+    assert {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")} == before
+    wider = ("--methods", "paper", "zvd", "rigid", *TWO, "--episodes", "6")
+    assert stopped(compare.main, (*wider, *fixed), tmp_path)[0] == 0
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -675,10 +690,11 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
         (("--episodes", "501"), "--episodes must lie within 4 and 500, got 501"),
         (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
         (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-        (("--methods", "papr"), "unknown method 'papr'; did you mean paper? Known: paper, rigid,"),
+        (("--methods", "papr"), "unknown method 'papr'; did you mean paper? known: paper, rigid,"),
+        (("--methods", "foo"), "unknown method 'foo'; known: paper, rigid,"),
         (
             ("--splits", "frictoin"),
-            "unknown split 'frictoin'; did you mean friction? Known: nominal, ideal, randomized,",
+            "unknown split 'frictoin'; did you mean friction? known: nominal, ideal, randomized,",
         ),
         (("--methods", "privileged"), "--methods names privileged alone"),
         (("--add", "nowhere.py:Mine"), "there is no file"),

@@ -258,12 +258,12 @@ def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
     """Wanted ones of the known names, in the known order; all if none is named.
 
     Raises:
-        ValueError: On an unknown name, suggesting the nearest.
+        ValueError: On an unknown name, suggesting one that is near.
     """
     known = list(known)
     for name in wanted:
         if name not in known:
-            nearest = difflib.get_close_matches(name, known, 1, 0.4)
-            hint = f"; did you mean {nearest[0]}?" if nearest else ""
-            raise ValueError(f"unknown {kind} {name!r}{hint} Known: {', '.join(known)}")
+            nearest = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {nearest[0]}? " if nearest else ""
+            raise ValueError(f"unknown {kind} {name!r}; {hint}known: {', '.join(known)}")
     return [name for name in known if name in wanted] if wanted else known

@@ -21,6 +21,7 @@ from eval.comparison.methods import (
     added_method,
     chosen,
     classical_methods,
+    is_shipped,
     learned_methods,
     privileged_method,
     shipped_policies,
@@ -53,9 +54,10 @@ def choose_methods(
     """Choose methods by name.
 
     Args:
-        names: Names of the methods; none for all but those that are dominated, see `baselines.registry.DOMINATED`.
-        policies: Policies beside the shipped ones, see `eval.comparison.methods.learned_methods`.
-        added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class.
+        names: Names of the project's own methods; none for all but those that are dominated, see
+            `baselines.registry.DOMINATED`. Names of the user's own change nothing.
+        policies: Policies beside the shipped ones, see `eval.comparison.methods.learned_methods`. They always run.
+        added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class. They always run.
         results: Folder of the comparison, see `eval.comparison.custom.identity`.
         guard: Whether each classical and learned method also runs with the guard.
         time_limit: Time that a controller of the user's own may take for a batch of episodes [s].
@@ -70,31 +72,30 @@ def choose_methods(
         if all_names.count(name) > 1:
             raise ValueError(f"two methods are called {name!r}: give yours another name (a policy: NAME=FOLDER)")
     wanted = chosen("method", names or [name for name in all_names if name not in DOMINATED], all_names)
-    if names and set(wanted) == {PRIVILEGED}:
+    methods = [method for method in known if method.name in wanted or not is_shipped(method)]
+    if names and [method.name for method in methods] == [PRIVILEGED]:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
-    methods = [method for method in known if method.name in wanted]
     if not guard:
         return methods
     twice = [(one, one.with_guard()) if one.kind in ("classical", "learned") else (one,) for one in methods]
     return [method for group in twice for method in group]
 
 
-def fuller(folder: Path, methods: Sequence[str], splits: Sequence[str], episodes: int) -> str:
-    """Words for results in a folder that have more than a run of these methods, splits and scenarios; empty if none."""
-    try:
-        rows = read_results(folder / "results.json")["rows"]
-    except ValueError:
-        return ""  # there are none; those of other scenarios are refused later
+def require_no_more_in(path: Path, methods: Sequence[str], splits: Sequence[str], episodes: int) -> None:
+    """Check that a results.json has nothing that results of these methods, splits and scenarios would lose.
+
+    Raises:
+        ValueError: If it has more, or is damaged.
+    """
+    rows = read_results(path)["rows"]
     more = sorted({row["method"] for row in rows} - {*methods})
     more += sorted({row["split"] for row in rows} - {*splits})
     most = max((row["episodes"] for row in rows), default=0)
     more += [f"{most} scenarios per split"] if most > episodes else []
-    if not more:
-        return ""
-    return (
-        f"{folder} has fuller results ({', '.join(more)}), which these replace. What was run for them is kept: the "
-        "command that made them shows them again at once."
-    )
+    if more:
+        raise ValueError(
+            f"{path} has more ({', '.join(more)}), which this run would replace: give another --out, or remove that file"
+        )
 
 
 def compare(
@@ -125,14 +126,16 @@ def compare(
 
     Raises:
         OSError: If the folder cannot be written to, or a process was killed.
-        ValueError: If the folder has results of other scenarios, or some in which computing time counts as it does not
-            here, the arms do not move as they did when the scenarios were drawn, or no method could be run.
+        ValueError: If the folder has results of other scenarios, more results than these, or some in which computing
+            time counts as it does not here, the arms do not move as they did when the scenarios were drawn, or no method could be run.
         KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept.
     """
     began = time.perf_counter()
     require_writable(folder)
     if (folder / "results.json").exists():
         require_same_set(folder / "results.json", scenarios.label, computing_time)
+        names = [method.name for method in methods]
+        require_no_more_in(folder / "results.json", names, list(scenarios.splits), episodes)
     require_same_physics(scenarios)
     unsound = protocol.failures(methods)
     sound = [method for method in methods if method.name not in unsound]

@@ -64,7 +64,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         loop = Loop(source, title, params, step_of(propose), kernel.design, kernel.memory, identifies, identifies)
         return _behind_guard(loop, propose, source, 0.0) if guard else loop
     if not (Path(source) / MANIFEST).is_file():
-        nearest = difflib.get_close_matches(source, CONTROLLERS, 1, 0.4)
+        nearest = difflib.get_close_matches(source, CONTROLLERS, n=1)
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"
         raise ValueError(f"{source!r} is neither a classical controller nor the folder of a policy; {hint}")
     controller, spec = load_controller(Path(source))
