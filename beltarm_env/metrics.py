@@ -15,6 +15,10 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 SETTLING_BAND = 0.001
 """Both coordinates of the tip error must stay within +- this for the arm to have settled [m]."""
+ARRIVAL_BOUND = 0.015
+"""Mean error of the tip after the move, in which vibration averages out, up to which an arm has arrived [m].
+
+The shortest moves, 15 degrees from an end of the workspace, take the tip 20 mm far: an arm that stays never arrives."""
 REVERSAL_SWING = 0.1
 """Swing of the torque through zero that counts as a reversal, over the torque limit."""
 
@@ -38,6 +42,7 @@ METRICS = {
     "tip_acc_rms": Metric("tip acc. RMS", "m/s²", digits=2),
     "settling_s": Metric("settling", "s", digits=2),
     "failure_share": Metric("not settled", "%", digits=0, share=True),
+    "not_arrived_share": Metric("not arrived", "%", digits=0, share=True),
     "torque_rms": Metric("torque RMS", "N m", digits=3),
     "torque_rate_rms": Metric("torque rate", "N m/s"),
     "torque_reversals_hz": Metric("reversals", "1/s"),
@@ -50,6 +55,9 @@ TORQUE_QUALITY = ("torque_rate_rms", "torque_reversals_hz", "saturated_share")
 """What tells a method that wins by hammering: columns of every table that compares methods."""
 TORQUES = ("torque_rms", *TORQUE_QUALITY)
 """What a motor has to follow."""
+NOT_ARRIVED = "not_arrived_share"
+OF_ARRIVED = ("residual_pp_mm", "residual_radial_pp_mm", "residual_lateral_pp_mm", "settling_s", *TORQUES)
+"""Metrics that say something of arms that have arrived alone: one that never moves is at rest, with no effort."""
 
 
 def heading(name: str) -> str:
@@ -81,8 +89,8 @@ def episode_metrics(
     Returns:
         For each of `METRICS` an array of shape (n,): RMS and largest distance of the tip from its reference (mm);
         peak-to-peak residual vibration, its radial and lateral part, and both together (mm); RMS error of the tip's
-        acceleration (m/s^2); settling time (s); failure (0 or 1); RMS torque (N m) and torque rate (N m/s); reversals
-        of the torque per second; share of samples at the torque limit; cost.
+        acceleration (m/s^2); settling time (s); failure (0 or 1); whether it did not arrive (0 or 1); RMS torque (N m)
+        and torque rate (N m/s); reversals of the torque per second; share of samples at the torque limit; cost.
     """
     distance = np.linalg.norm(tip_error, axis=2)
     acceleration_error = np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD
@@ -99,12 +107,35 @@ def episode_metrics(
         "tip_acc_rms": np.sqrt(np.mean(np.sum(acceleration_error**2, axis=2), axis=0)),
         "settling_s": np.where(failed, EPISODE_TIME, settling),
         "failure_share": failed.astype(np.float64),
+        "not_arrived_share": (~finished | (mean_error(tip_error, move_duration) > ARRIVAL_BOUND)).astype(np.float64),
         "torque_rms": np.sqrt(np.mean(torque**2, axis=0)),
         "torque_rate_rms": np.sqrt(np.mean(torque_rate**2, axis=0)),
         "torque_reversals_hz": torque_reversals(torque, REVERSAL_SWING * torque_limit) / (len(torque) * CONTROL_PERIOD),
         "saturated_share": np.mean(np.abs(torque) >= torque_limit * (1 - 1e-6), axis=0),
         "cost": cost,
     }
+
+
+def mean_error(tip_error: Floats, move_duration: Floats) -> Floats:
+    """Compute the distance of the tip's mean error after the move from none [m].
+
+    Args:
+        tip_error: Shape (T, n, 2) [m].
+        move_duration: Shape (n,) [s].
+
+    Returns:
+        Shape (n,).
+    """
+    time = _times(tip_error)
+    result = np.empty(tip_error.shape[1])
+    for arm, duration in enumerate(move_duration):
+        result[arm] = np.linalg.norm(tip_error[time >= duration, arm].mean(axis=0))
+    return result
+
+
+def _times(tip_error: Floats) -> Floats:
+    """Times of the samples since the move's start [s]."""
+    return np.arange(1.0, len(tip_error) + 1) * np.float64(CONTROL_PERIOD)
 
 
 def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
@@ -120,7 +151,7 @@ def residual_vibration(tip_error: Floats, move_duration: Floats) -> Floats:
     Returns:
         Shape (n, 2) [m].
     """
-    time = (1 + np.arange(len(tip_error))) * CONTROL_PERIOD
+    time = _times(tip_error)
     result = np.empty((tip_error.shape[1], 2))
     for arm, duration in enumerate(move_duration):
         after = time >= duration

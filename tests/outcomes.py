@@ -35,11 +35,11 @@ def outcome(
     name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
 ) -> MethodOutcome:
     """A made-up outcome, of the same scenarios for every method."""
-    scenarios = np.linspace(0.9, 1.1, 24)
-    noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, 24))
-    values = np.broadcast_to(np.asarray(costs) * scenarios, (seeds, 24)) + noise
-    metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, 24))}
-    metrics["failure_share"] = metrics["saturated_share"] = np.zeros((seeds, 24))
+    count = np.size(costs) if np.ndim(costs) else 24
+    noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, count))
+    values = np.broadcast_to(np.asarray(costs) * np.linspace(0.9, 1.1, count), (seeds, count)) + noise
+    metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, count))}
+    metrics |= {name: np.zeros((seeds, count)) for name in ("failure_share", "not_arrived_share", "saturated_share")}
     return outcome_of(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
 
 

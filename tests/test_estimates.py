@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import trim_mean
+from scipy.stats.mstats import trimmed_mean_ci
 
 from eval.comparison.estimates import (
     RESAMPLES,
@@ -183,6 +184,43 @@ def test_p_values_are_about_uniform_where_there_is_no_difference():
     p = [paired(rng.normal(size=(1, 60)), np.zeros((1, 60))).p for _ in range(150)]
     assert np.mean(np.array(p) < 0.05) < 0.12  # 0.05 expected; more has a probability below 1e-3
     assert np.mean(p) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("count", [20, 24, 50])
+@pytest.mark.parametrize(("seeds", "spread"), [(1, 0.0), (5, 0.0), (5, 1.0)])
+@pytest.mark.parametrize("skewed", [False, True])
+def test_false_alarms_are_as_rare_as_they_should_be(count: int, seeds: int, spread: float, skewed: bool):
+    """A bootstrap of five seeds alone, whose policies differ as scenarios do, shows a difference in 10 to 15 %."""
+    rng = np.random.default_rng(10 * count + seeds)
+    scenarios = rng.exponential(size=(400, 1, count)) - 0.738 if skewed else rng.normal(size=(400, 1, count))
+    of_both = 0.5 * rng.normal(size=(400, seeds, count)) if seeds > 1 else 0.0
+    differences = scenarios + spread * rng.normal(size=(400, seeds, 1)) + of_both
+    p = np.array([found.p for found in all_paired([(table, np.zeros((1, count))) for table in differences])])
+    assert np.mean(p < 0.05) < 0.085  # 0.05 at most; more has a probability below 2e-3
+
+
+@pytest.mark.parametrize(("count", "told"), [(4, False), (19, False), (20, True), (24, True)])
+def test_few_scenarios_say_nothing(count: int, told: bool):
+    """Four pairs cannot have a p value below 0.125, however far apart they are."""
+    result = paired(np.linspace(1.0, 2.0, count)[None] - 50, np.linspace(1.0, 2.0, count)[None] + np.eye(1, count))
+    assert result.decides == (result.p < 0.05) == (result.verdict == "better") == told
+    assert result.scenarios == count and result.difference.high < 0
+    assert told or result.p == 1
+
+
+def test_p_values_of_one_seed_are_those_of_a_trimmed_t_test_where_it_is_the_larger():
+    """Where the interval of SciPy's trimmed mean just touches zero, p is 0.05."""
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        values = rng.normal(size=(1, 24))
+        low, high = trimmed_mean_ci(values[0], (0.25, 0.25), alpha=0.05)
+        assert paired(values - low, np.zeros((1, 24))).p >= 0.05 - 1e-9
+        assert paired(values - high, np.zeros((1, 24))).p >= 0.05 - 1e-9
+
+
+def test_nothing_to_compare_is_no_difference():
+    assert paired(np.zeros((1, 0)), np.zeros((1, 0))).verdict == "not compared"
+    assert paired(np.zeros((1, 1)), np.zeros((1, 1))).verdict == "not compared"
 
 
 def test_holm_by_hand():

@@ -19,6 +19,8 @@ from beltarm_env.metrics import (
     settling_time,
     torque_reversals,
 )
+from beltarm_env.rollout import rollout
+from beltarm_env.task.moves import SHORTEST, WORKSPACE
 
 Floats = NDArray[np.float64]
 
@@ -97,6 +99,34 @@ class TestTipError:
         error = np.zeros((EPISODE_STEPS, 2))
         error[10], error[20] = [0.006, 0.0], [0.005, 0.005]
         assert evaluate(tip_error=error)["tip_max_mm"] == pytest.approx(5 * math.sqrt(2))
+
+
+class Still:
+    def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
+        return np.zeros((len(observation), 1), np.float32), None
+
+
+class TestArrival:
+    """An arm arrives if the mean of its error after the move, in each axis, is within a bound."""
+
+    @pytest.mark.parametrize(("offset", "away"), [(0.0, 0), (0.0105, 0), (0.0107, 1), (0.18, 1)])
+    def test_an_offset_beyond_the_bound(self, offset: float, away: int):
+        assert evaluate(tip_error=both(held(offset), held(-offset)))["not_arrived_share"] == away
+
+    def test_vibration_about_the_goal_has_arrived(self):
+        assert evaluate(tip_error=ringing(0.03))["not_arrived_share"] == 0
+
+    def test_an_error_before_the_end_of_the_move_does_not_count(self):
+        assert evaluate(tip_error=np.where(TIME < DURATION - 1e-9, 0.2, 0.0))["not_arrived_share"] == 0
+
+    def test_an_arm_that_left_its_workspace_has_not_arrived(self):
+        assert evaluate(finished=False)["not_arrived_share"] == 1
+
+    def test_the_shortest_move_takes_the_tip_farther_than_the_bound(self):
+        """So no arm arrives that stays where it is."""
+        for move in ({"start": 0.0, "goal": SHORTEST}, {"start": WORKSPACE, "goal": WORKSPACE - SHORTEST}):
+            run = rollout(Still(), 1, options={"move": move})
+            assert run.finished and run.metrics()["not_arrived_share"] == 1
 
 
 class TestResidualVibration:

@@ -14,11 +14,21 @@ from numpy.typing import NDArray
 
 from baselines.tools.provenance import commit
 from beltarm_env import __version__
-from beltarm_env.metrics import METRICS, SHOWN
+from beltarm_env.metrics import METRICS, NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
-from eval.comparison.estimates import Estimate, Paired, all_paired, estimates, holm, profile, together
+from eval.comparison.estimates import (
+    LEAST_SCENARIOS,
+    Estimate,
+    Floats,
+    Paired,
+    all_paired,
+    estimates,
+    holm,
+    profile,
+    together,
+)
 from eval.comparison.failures import Failure
-from eval.comparison.methods import PRIMARY, Method, policies_of
+from eval.comparison.methods import PRIMARY, Method, is_shipped, policies_of
 from eval.comparison.pairs import LEFT, SENSITIVE, Metrics
 from eval.comparison.sets import SetLabel
 
@@ -29,6 +39,9 @@ TIMED_NOTE = (
     "Computing time counts: commands of each method are later than by the drive alone, by the 99th percentile of its "
     "own time per action for one arm."
 )
+MOSTLY = 0.95
+"""Share of its runs that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
+arrives on easy arms alone looks better than it is."""
 _THRESHOLDS = 25  # of a performance profile
 
 Against = dict[str, dict[str, dict[str, Paired]]]
@@ -44,7 +57,7 @@ class MethodOutcome:
     method: Method
     split: str
     metrics: Metrics  # each (seeds, episodes)
-    estimates: dict[str, Estimate]
+    estimates: dict[str, Estimate]  # of `OF_ARRIVED` over scenarios in which all seeds arrive; not numbers for none
     action_times: tuple[float, float]  # median, 99th percentile [us]
     latency: float = 0.0  # of its computing time, which its commands had beyond the drive's [s]
 
@@ -66,20 +79,45 @@ class MethodOutcome:
         return {"runs": settled.size, "not_settled": int(settled.sum()), LEFT: int(left.sum())}
 
     @property
+    def not_arrived(self) -> float:
+        """Share of its runs that do not arrive."""
+        return float(self.metrics[NOT_ARRIVED].mean())
+
+    @property
     def sensitivity(self) -> float | None:
         """Share of episodes that are other ones after a nudge; None where that was not measured."""
         return float(self.metrics[SENSITIVE].mean()) if SENSITIVE in self.metrics else None
 
 
+def arrived(metrics: Metrics) -> NDArray[np.bool_]:
+    """Scenarios in which all training seeds of a method arrive, shape (episodes,)."""
+    return ~np.any(metrics[NOT_ARRIVED], axis=0)
+
+
 def estimated(found: Sequence[Metrics]) -> list[dict[str, Estimate]]:
-    """Estimate the metrics that are shown, each of several methods and splits."""
-    by_name: list[dict[str, Estimate]] = [{} for _ in found]
+    """Estimate the metrics that are shown, each of several methods and splits; see `MethodOutcome.estimates`."""
+    nothing = Estimate(float("nan"), float("nan"), float("nan"))
+    by_name = [dict.fromkeys(SHOWN, nothing) for _ in found]
     for share in (False, True):
-        cells = [(k, name) for k in range(len(found)) for name in SHOWN if METRICS[name].share == share]
-        estimates_of = together([found[k][name] for k, name in cells], partial(estimates, mean=share))
-        for (k, name), estimate in zip(cells, estimates_of, strict=True):
+        cells: list[tuple[int, str, Floats]] = []
+        for k, metrics in enumerate(found):
+            there = arrived(metrics)
+            for name in SHOWN:
+                values = metrics[name][:, there] if name in OF_ARRIVED else metrics[name]
+                if METRICS[name].share == share and values.shape[1] > 1:
+                    cells.append((k, name, values))
+        of_cells = together([values for _, _, values in cells], partial(estimates, mean=share))
+        for (k, name, _), estimate in zip(cells, of_cells, strict=True):
             by_name[k][name] = estimate
-    return [{name: of_one[name] for name in SHOWN} for of_one in by_name]
+    return by_name
+
+
+def tables_of(one: MethodOutcome, other: MethodOutcome, name: str) -> tuple[Floats, Floats]:
+    """Values of two methods in the scenarios in which they are compared: for `OF_ARRIVED` those where both arrive."""
+    if name not in OF_ARRIVED:
+        return one.metrics[name], other.metrics[name]
+    both = arrived(one.metrics) & arrived(other.metrics)
+    return one.metrics[name][:, both], other.metrics[name][:, both]
 
 
 class Profiles(NamedTuple):
@@ -109,7 +147,8 @@ class Comparison:
     @property
     def note(self) -> str:
         """What its numbers are worth."""
-        return self.scenario_set.note + (f" {TIMED_NOTE}" if self.timed else "")
+        own = [outcome.method.name for outcome in self.methods() if not is_shipped(outcome.method)]
+        return self.scenario_set.note_with(own) + (f" {TIMED_NOTE}" if self.timed else "")
 
     def with_failures(self, failures: list[Failure]) -> Comparison:
         """Copy with more failures, one per method and split."""
@@ -201,9 +240,7 @@ def _against(
         for one in outcomes
         if one.ranked and (other := against.get(one.method.name))
     ]
-    compared = iter(
-        all_paired([(one.metrics[name], other.metrics[name]) for one, other in pairs for name in PAIRED_METRICS])
-    )
+    compared = iter(all_paired([tables_of(one, other, name) for one, other in pairs for name in PAIRED_METRICS]))
     found: Against = {split: {} for split in by_split}
     for one, _ in pairs:
         found[one.split][one.method.name] = {name: next(compared) for name in PAIRED_METRICS}
@@ -216,34 +253,48 @@ def _against(
 
 
 def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
-    """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction."""
+    """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction.
+
+    None where there are too few scenarios to say anything.
+    """
     ranked = [outcome for outcome in outcomes if outcome.ranked]
+    if name in OF_ARRIVED:
+        ranked = [outcome for outcome in ranked if outcome.not_arrived <= 1 - MOSTLY]
     best = min(ranked, key=lambda outcome: outcome.estimates[name].iqm, default=None)
-    if best is None:
+    if best is None or best.metrics[name].shape[1] < LEAST_SCENARIOS:
         return {}
+    shown = {outcome.method.name for outcome in ranked}
     pairs = {method: of_method[name] for method, of_method in against_best.items()}
     classical = best_classical(outcomes)
     if best is not classical:
-        others = [outcome for outcome in ranked if outcome is not best]
-        compared = all_paired([(other.metrics[name], best.metrics[name]) for other in others])
+        others = [outcome for outcome in outcomes if outcome.ranked and outcome is not best]
+        compared = all_paired([tables_of(other, best, name) for other in others])
         pairs = {other.method.name: pair for other, pair in zip(others, compared, strict=True)}
         if classical and best.method.name in against_best:  # one test for a pair, whichever way round it is told
             same = against_best[best.method.name][name]
             pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)
         adjusted = holm([pair.p for pair in pairs.values()])
         pairs = {method: replace(pair, p_holm=p) for (method, pair), p in zip(pairs.items(), adjusted, strict=True)}
-    marks: dict[str, Mark] = {method: "tie" for method, pair in pairs.items() if not pair.survives}
+    marks: dict[str, Mark] = {method: "tie" for method, pair in pairs.items() if not pair.survives and method in shown}
     marks[best.method.name] = "best"
     return marks
 
 
 def profiles(outcomes: list[MethodOutcome], metric: str) -> Profiles:
-    """Performance profiles of one split's methods, at thresholds between the least and the largest value of all."""
-    everything = np.concatenate([outcome.metrics[metric].ravel() for outcome in outcomes])
-    least = max(float(everything.min()), 1e-6)
-    thresholds = np.geomspace(least, max(float(everything.max()), least), _THRESHOLDS)
-    thresholds[-1] = max(float(everything.max()), least)  # not a rounding error below
-    return Profiles(thresholds, {o.method.name: profile(o.metrics[metric], thresholds) for o in outcomes})
+    """Performance profiles of one split's methods, at thresholds between the least and the largest value of all.
+
+    In a metric of `OF_ARRIVED`, a run that does not arrive is below no threshold.
+    """
+    tables = {o.method.name: o.metrics[metric] for o in outcomes}
+    if metric in OF_ARRIVED:
+        tables = {o.method.name: np.where(o.metrics[NOT_ARRIVED], np.inf, o.metrics[metric]) for o in outcomes}
+    everything = np.concatenate([table.ravel() for table in tables.values()])
+    everything = everything[np.isfinite(everything)]
+    least = max(float(everything.min(initial=np.inf)), 1e-6) if everything.size else 1.0  # nothing arrives
+    largest = max(float(everything.max(initial=0.0)), least)
+    thresholds = np.geomspace(least, largest, _THRESHOLDS)
+    thresholds[-1] = largest  # not a rounding error below
+    return Profiles(thresholds, {name: profile(table, thresholds) for name, table in tables.items()})
 
 
 def provenance(

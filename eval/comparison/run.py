@@ -94,7 +94,7 @@ def require_no_more_in(path: Path, methods: Sequence[str], splits: Sequence[str]
     more += [f"{most} scenarios per split"] if most > episodes else []
     if more:
         raise ValueError(
-            f"{path} has more ({', '.join(more)}), which this run would replace: give another --out, or remove that file"
+            f"{path} has more ({', '.join(more)}), which this run would lose: give another --out, or remove that file"
         )
 
 
@@ -127,7 +127,8 @@ def compare(
     Raises:
         OSError: If the folder cannot be written to, or a process was killed.
         ValueError: If the folder has results of other scenarios, more results than these, or some in which computing
-            time counts as it does not here, the arms do not move as they did when the scenarios were drawn, or no method could be run.
+            time counts as it does not here, the arms do not move as they did when the scenarios were drawn, or no
+            method could be run.
         KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept.
     """
     began = time.perf_counter()

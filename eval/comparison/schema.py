@@ -14,15 +14,19 @@
   difference, `mean_low` to `mean_high`. Not there in older files.
 - `rows`, one per method and split: `method`; `kind`, "classical", "learned", "added" (a user's own) or "privileged"
   (sees what no other does, never ranked); `split`; `episodes`; `seeds`; `metrics`, by name an interquartile mean `iqm`
-  (of shares: a plain mean) with its 95 % interval, `low` to `high`; `failures`, in how many of all `runs` the tip did
-  not settle and the arm left its workspace; `action_us`, time per action; `training`, simulator steps and wall-clock of
-  tuning or training, per seed (empty: neither); `added_latency_us`, by which its commands were later than the drive's
-  latency because computing time counted (0, or not there in older files: it did not); on the main split `sensitivity`,
-  the share of episodes whose cost changes by more than 1 % after a first torque that differs by 1e-9 N m.
+  (of shares: a plain mean) with its 95 % interval, `low` to `high`, those of `beltarm_env.metrics.OF_ARRIVED` over the
+  scenarios in which all training seeds arrive, and not there where these are none; `failures`, in how many of all
+  `runs` the tip did not settle and the arm left its workspace; `action_us`, time per action; `training`, simulator
+  steps and wall-clock of tuning or training, per seed (empty: neither); `added_latency_us`, by which its commands were
+  later than the drive's latency because computing time counted (0, or not there in older files: it did not); on the
+  main split `sensitivity`, the share of episodes whose cost changes by more than 1 % after a first torque that differs
+  by 1e-9 N m.
 - `paired`, one per comparison on the same scenarios: `method`, `other`, `against` ("best classical" or "base"),
   `split`, and by metric the difference `iqm`, `low`, `high`, the `win_rate` (probability of improvement, `win_rate_low`
-  to `win_rate_high`), `p` and, after Holm's correction within split and metric, `p_holm`, and a `verdict`.
-- `profiles`, one per split and metric: `thresholds`, and by method the share of runs at or below each.
+  to `win_rate_high`), `p` and, after Holm's correction within split and metric, `p_holm`, a `verdict`, and the number
+  of `scenarios` that it is of. A metric is not there where both methods arrive in no two scenarios.
+- `profiles`, one per split and metric: `thresholds`, and by method the share of runs at or below each. A run that does
+  not arrive vibrates by more than any.
 - `failures`, one per method and split that could not be run to the end, with its `message`.
 
 Numbers are finite: NaN and infinities are refused as they are written and as they are read.
@@ -33,6 +37,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from typing import Any, get_args
 
@@ -42,7 +47,7 @@ import pandas as pd
 from baselines.tools.files import read_text, write_atomically, write_text
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, in_a_line, list_of, loads, mapping_of, object_of
 from baselines.tools.schema import check as check_by
-from beltarm_env.metrics import SHOWN
+from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
 from eval.comparison.estimates import Paired
 from eval.comparison.methods import Kind
@@ -87,7 +92,7 @@ def result_row(outcome: MethodOutcome) -> dict[str, Any]:
         "split": outcome.split,
         "episodes": outcome.metrics["cost"].shape[1],
         "seeds": outcome.seeds,
-        "metrics": {name: asdict(value) for name, value in outcome.estimates.items()},
+        "metrics": {name: asdict(value) for name, value in outcome.estimates.items() if isfinite(value.iqm)},
         "failures": outcome.failures,
         "action_us": {"p50": outcome.action_times[0], "p99": outcome.action_times[1]},
         "training": outcome.method.training,
@@ -103,7 +108,7 @@ def _paired_rows(against: Against, word: str, other_of: Any) -> list[dict[str, A
             "other": other_of(split, method),
             "against": word,
             "split": split,
-            "metrics": {name: _pair(pair) for name, pair in pairs.items()},
+            "metrics": {name: _pair(pair) for name, pair in pairs.items() if isfinite(pair.difference.iqm)},
         }
         for split, methods in against.items()
         for method, pairs in methods.items()
@@ -113,7 +118,8 @@ def _paired_rows(against: Against, word: str, other_of: Any) -> list[dict[str, A
 def _pair(pair: Paired) -> dict[str, Any]:
     wins = pair.win_rate
     rates = {"win_rate": wins.iqm, "win_rate_low": wins.low, "win_rate_high": wins.high}
-    return {**asdict(pair.difference), **rates, "p": pair.p, "p_holm": pair.p_holm, "verdict": pair.verdict}
+    tests = {"p": pair.p, "p_holm": pair.p_holm, "verdict": pair.verdict, "scenarios": pair.scenarios}
+    return {**asdict(pair.difference), **rates, **tests}
 
 
 def _profile_row(comparison: Comparison, split: str, metric: str) -> dict[str, Any]:
@@ -181,7 +187,7 @@ SCHEMA = object_of(
             split=TEXT,
             episodes=INTEGER,
             seeds=INTEGER,
-            metrics=object_of(**dict.fromkeys(SHOWN, object_of(**_ESTIMATE))),
+            metrics=object_of((*OF_ARRIVED, NOT_ARRIVED), **dict.fromkeys(SHOWN, object_of(**_ESTIMATE))),
             failures=object_of(runs=INTEGER, not_settled=INTEGER, left_workspace=INTEGER),
             action_us=object_of(p50=NUMBER, p99=NUMBER),
             training=mapping_of(list_of(NUMBER)),
@@ -195,7 +201,10 @@ SCHEMA = object_of(
             other=TEXT,
             against={"enum": list(AGAINST)},
             split=TEXT,
-            metrics=object_of(**dict.fromkeys(PAIRED_METRICS, object_of(**_PAIR, verdict=TEXT))),
+            metrics=object_of(
+                OF_ARRIVED,
+                **dict.fromkeys(PAIRED_METRICS, object_of(("scenarios",), **_PAIR, verdict=TEXT, scenarios=INTEGER)),
+            ),
         )
     ),
     profiles=list_of(

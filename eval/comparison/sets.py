@@ -61,6 +61,15 @@ class SetLabel(NamedTuple):
             return "Scenarios of the test set, drawn once, after controllers, agents and protocol were frozen."
         return f"Scenarios drawn afresh from {self.name}, by the rules of the test set, but not the test set."
 
+    def note_with(self, own: Sequence[str]) -> str:
+        """Sentences about what its numbers are worth where methods take part that the protocol does not know."""
+        if self.name != TEST_NAME or not own:
+            return self.note
+        return (
+            f"{self.note} This does not hold for {', '.join(own)}, which the protocol does not know: choose on "
+            "--scenarios development, and come here once."
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class ScenarioSet:

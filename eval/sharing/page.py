@@ -8,13 +8,15 @@ from typing import Any
 
 from agents.policy.card import ENVIRONMENT
 from baselines.tools.provenance import commit
-from beltarm_env.metrics import METRICS, heading
+from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
+from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.sharing.scores import Scores
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell
 
-SHOWN = (*PAIRED_METRICS, "settling_s", "failure_share")
+SHOWN = (*PAIRED_METRICS, "settling_s", "failure_share", NOT_ARRIVED)
+_FEW = "too few scenarios"
 _TASK = "reinforcement-learning"
 
 
@@ -30,6 +32,7 @@ def model_index(scores: Scores) -> list[dict[str, Any]]:
                 "args": {"low": row["metrics"][name]["low"], "high": row["metrics"][name]["high"]},
             }
             for name in SHOWN
+            if name in row["metrics"]
         ]
         if not entries:
             metrics.insert(0, {"type": "mean_reward", "name": "mean_reward", "value": scores.reward.text})
@@ -58,28 +61,36 @@ def markdown(scores: Scores) -> str:
     rows, pairs, best = scores.rows(), scores.against_best(), scores.best()
     home, row = next(iter(rows.items()))
     of = f"{row['seeds']} policies that differ in their training seed, this one among them"
-    titles = ["split", *map(heading, SHOWN), "best classical", "difference in cost"]
+    shown = [name for name in SHOWN if name in row["metrics"] or name != NOT_ARRIVED]  # older files do not tell it
+    titles = ["split", *map(heading, shown), "best classical", "difference in cost"]
     cells = [
-        [split, *(cell(name, SimpleNamespace(**row["metrics"][name])) for name in SHOWN)]
+        [split, *(_estimate(row, name) for name in shown)]
         + (_beside(best[split], pairs[split]) if split in pairs else ["–", "–"])
         for split, row in rows.items()
     ]
     provenance = scores.results["provenance"]
+    shipped = {folder.parent.name for folder in shipped_policies()}
+    note = scores.label.note_with([] if scores.method in shipped else [scores.method])
     parts = [
         f"**Where it loses.** {losses(scores.method, pairs)}",
         "## Scores",
         f"Of `{scores.method}`, {of if row['seeds'] > 1 else 'this policy'}: interquartile means (of shares: means) "
-        f"with 95 % intervals over {row['episodes']} scenarios of each split. Lower is better. {scores.label.note}",
+        f"with 95 % intervals over {row['episodes']} scenarios of each split. Lower is better. {note}",
         markdown_table(titles, cells),
         "*Best classical* is the classical controller of the lowest cost on that split, with its cost. The difference "
-        "is this method's cost minus its, scenario by scenario. *Better* and *worse*: the 95 % interval of that "
-        "difference is clear of zero.",
+        "is this method's cost minus its, scenario by scenario. *Better* and *worse*: p < 0.05, and the "
+        "95 % interval of that difference is clear of zero.",
         f"`mean_reward` is of this policy alone: {scores.reward.text}, mean and standard deviation over "
         f"{scores.reward.episodes} scenarios of `{home}`, run on commit {commit()} as this card was written. All other "
         f"numbers are from `{provenance['command']}`, commit {provenance['commit']}, scenarios "
         f"{scores.label.sha256[:12]}. The SHA-256 of its results.json begins with {scores.digest[:12]}.",
     ]
     return "\n\n".join(parts)
+
+
+def _estimate(row: Mapping[str, Any], name: str) -> str:
+    """Cell of a metric; a dash where no arm arrives."""
+    return cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–"
 
 
 def _beside(best: Mapping[str, Any], pair: Mapping[str, Any]) -> list[str]:
@@ -101,12 +112,16 @@ def losses(method: str, pairs: Mapping[str, Mapping[str, Any]]) -> str:
     if not pairs:
         return "That is not known: no classical controller took part in its comparison."
     found = {}
-    for verdict in ("worse", "no difference shown"):
+    for verdict in ("worse", "no difference shown", _FEW):
         places = {
-            METRICS[name].title: [split for split, row in pairs.items() if row["metrics"][name]["verdict"] == verdict]
+            METRICS[name].title: [
+                split for split, row in pairs.items() if row["metrics"].get(name, {}).get("verdict") == verdict
+            ]
             for name in PAIRED_METRICS
         }
         found[verdict] = "; ".join(f"in {title} on {_listed(on, len(pairs))}" for title, on in places.items() if on)
+    if found[_FEW]:
+        return f"That is not known: there were too few scenarios {found[_FEW]}."
     worse = found["worse"] or f"on none of {len(pairs)} splits"
     first = f"`{method}` is worse than the best classical controller {worse}."
     return f"{first} It is not shown to differ {same}." if (same := found["no difference shown"]) else first

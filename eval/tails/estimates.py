@@ -58,7 +58,10 @@ def tail_size(count: int) -> int:
 
 
 def tail_of(values: Floats) -> Tail:
-    """Estimates of a metric from its values, shape (n,)."""
+    """Estimates of a metric from its values, shape (n,); not numbers from fewer than two."""
+    if len(values) < 2:
+        nothing = Interval(math.nan, math.nan, math.nan)
+        return Tail(math.nan, math.nan, math.nan, dict.fromkeys(SHARES, nothing), math.nan, math.nan)
     ordered = np.sort(values)
     return Tail(
         mean=float(values.mean()),

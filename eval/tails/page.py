@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from beltarm_env.metrics import ARRIVAL_BOUND, TORQUE_QUALITY, heading
 from beltarm_env.metrics import METRICS as KNOWN
-from beltarm_env.metrics import TORQUE_QUALITY, heading
 from eval.comparison.methods import Method
 from eval.comparison.splits import EPISODES, SPLITS
 from eval.style.markdown_table import markdown_table
@@ -41,6 +41,8 @@ def page(study: Study) -> str:
                 "- A **learned method** has several policies, one per training seed. Each scenario is played by one of "
                 "them, in turn. So its distribution is that of all its policies together, and its scenarios are "
                 "independent of one another, as the intervals need them to be.",
+                "- **Vibration, settling and torques** are of the scenarios in which the arm arrives: the mean error "
+                f"of its end after the move is {1000 * ARRIVAL_BOUND:g} mm or less.",
             ]
         ),
     ]
@@ -92,7 +94,7 @@ def _answer(outcomes: Sequence[Outcome]) -> list[str]:
     rare = [one.tails["cost"].percentiles[SHARES[-1]] for one in (rival, best)]
     apart = rare[0].high < rare[1].low or rare[1].high < rare[0].low
     said = [
-        f"{_name(rival)} costs more than {_name(best)} in {_share(rival.against.dearer)} % of the scenarios.",
+        f"In {_share(rival.against.dearer)} % of the scenarios {_name(rival)} costs more than {_name(best)}.",
         f"In one of a thousand it costs more than {_interval('cost', rare[0])}, and {_name(best)} more than "
         f"{_interval('cost', rare[1])}: {'the intervals are apart' if apart else 'the intervals overlap'}.",
         f"The worst cost {rounded('cost', rival.tails['cost'].worst)} and {rounded('cost', best.tails['cost'].worst)}.",
@@ -151,8 +153,8 @@ def _share(found: Interval) -> str:
 
 
 def _failures(outcomes: Sequence[Outcome]) -> str:
-    rows = [[_name(one), _share(one.left), _share(one.not_settled)] for one in outcomes]
-    return markdown_table(["method", "left the workspace (%)", "never settled (%)"], rows)
+    rows = [[_name(one), *map(_share, (one.left, one.not_arrived, one.not_settled))] for one in outcomes]
+    return markdown_table(["method", "left the workspace (%)", "did not arrive (%)", "never settled (%)"], rows)
 
 
 def _against(outcomes: Sequence[Outcome], best: Outcome) -> str:

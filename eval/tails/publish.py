@@ -28,11 +28,11 @@ def publish(study: Study, folder: Path, console: Console) -> None:
     for split, outcomes in study.outcomes.items():
         if outcomes:
             save_figure(draw(outcomes), folder / picture_of(study, split), dpi=110)
-            told = f"cost on {split}, {study.episodes} scenarios:\n{distribution(outcomes, 'cost')}"
+            told = f"Cost on {split}, {study.episodes} scenarios:\n{distribution(outcomes, 'cost')}"
             console.print(told, markup=False, soft_wrap=True)
     write_text(folder / "tails.md", page(study))
     write_text(folder / "tails.json", json.dumps(record(study), indent=1, allow_nan=False) + "\n")
-    console.print(f"{study.note}\nwritten to {folder}: tails.md, tails.json, pictures", soft_wrap=True)
+    console.print(f"{study.note}\nWritten to {folder}: tails.md, tails.json, pictures", soft_wrap=True)
 
 
 def record(study: Study) -> dict[str, Any]:
@@ -59,6 +59,7 @@ def _record_of(outcome: Outcome) -> dict[str, Any]:
         "cost_by_policy": outcome.policies,
         "left_workspace": outcome.left,
         "not_settled": outcome.not_settled,
+        "not_arrived": outcome.not_arrived,
         "against_best_classical": outcome.against,
         "worst": outcome.worst,
         "arms_in_the_tail": outcome.unlike,

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from baselines.engines import parallel
 from baselines.engines.carrying import Carried
 from baselines.tools.files import read_arrays, write_arrays
-from beltarm_env.metrics import TORQUE_QUALITY
+from beltarm_env.metrics import NOT_ARRIVED, TORQUE_QUALITY
 from eval.comparison.failures import Failure, explained, run_controller
 from eval.comparison.methods import Method
 from eval.comparison.pairs import LEFT, Pair, key_of, measure, sent_along
@@ -38,7 +38,7 @@ BATCH = 250
 """Scenarios that run side by side at most: more take more memory and are no faster."""
 NOT_SETTLED = "failure_share"
 METRICS = ("cost", "tip_rms_mm", "tip_max_mm", "residual_pp_mm", "settling_s", *TORQUE_QUALITY)
-KEPT = (*METRICS, NOT_SETTLED, LEFT)
+KEPT = (*METRICS, NOT_SETTLED, NOT_ARRIVED, LEFT)
 """What is kept of each scenario."""
 SECONDS = "cpu_seconds"
 """Beside it: processor time of the shard."""

@@ -15,6 +15,7 @@ from baselines.engines.options import LOCAL, Engine
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
 from beltarm_env.arm import params_columns
+from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval.comparison import protocol
 from eval.comparison.estimates import interquartile_mean
@@ -53,10 +54,11 @@ class Outcome:
     """What a method came to on a split."""
 
     method: Method
-    tails: dict[str, Tail]  # by metric
+    tails: dict[str, Tail]  # by metric; those of `OF_ARRIVED` over the scenarios in which the arm arrives
     few: Tail  # of the cost, from the first `EPISODES` scenarios alone
     policies: list[Tail]  # of the cost, by policy; empty where there is one
     not_settled: Interval
+    not_arrived: Interval
     left: Interval
     curves: dict[str, tuple[Floats, Floats]]  # by metric: values, and in what share of scenarios they are reached
     worst: list[Case]
@@ -188,8 +190,11 @@ def _outcome(shards: list[Shard], folder: Path, usual: dict[str, Floats], oppone
     method, number, split = shards[0].method, shards[0].number, shards[0].split
     tails: dict[str, Tail] = {}
     curves: dict[str, tuple[Floats, Floats]] = {}
+    away = merged(shards, folder, NOT_ARRIVED) > 0
     for name in METRICS:
         values = merged(shards, folder, name)
+        if name in OF_ARRIVED:
+            values = values[~away]
         tails[name] = tail_of(values)
         if name in DRAWN:
             curves[name] = exceedance(values)
@@ -204,6 +209,7 @@ def _outcome(shards: list[Shard], folder: Path, usual: dict[str, Floats], oppone
         tail_of(cost[:EPISODES]),
         [tail_of(cost[policy::policies]) for policy in range(policies)] if policies > 1 else [],
         share_of(merged(shards, folder, NOT_SETTLED) > 0),
+        share_of(away),
         share_of(merged(shards, folder, LEFT) > 0),
         curves,
         [

@@ -9,6 +9,7 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 import pandas as pd
 
+from beltarm_env.metrics import NOT_ARRIVED, SHOWN
 from eval.comparison.results import Comparison, Mark, MethodOutcome
 from eval.comparison.schema import result_row
 
@@ -38,14 +39,18 @@ def frame_of(comparison: Comparison) -> pd.DataFrame:
 def frame_of_rows(rows: Iterable[Mapping[str, Any]], marks: Marks | None = None) -> pd.DataFrame:
     """Table of the `rows` of a results.json.
 
-    Columns: method, kind, seeds, split, metric; iqm, low, high; mark, "best", "tie" or "".
+    Columns: method, kind, seeds, split, metric; iqm, low, high, not numbers where no arms arrive; mark, "best", "tie"
+    or "".
     """
     marks = marks or {}
+    nothing = dict.fromkeys(("iqm", "low", "high"), np.nan)
     entries = [
         {key: row[key] for key in ("method", "kind", "seeds", "split")}
-        | {"metric": metric, **value, "mark": marks.get(row["split"], {}).get(metric, {}).get(row["method"], "")}
+        | {"metric": metric, **row["metrics"].get(metric, nothing)}
+        | {"mark": marks.get(row["split"], {}).get(metric, {}).get(row["method"], "")}
         for row in rows
-        for metric, value in row["metrics"].items()
+        for metric in SHOWN
+        if metric in row["metrics"] or NOT_ARRIVED in row["metrics"]  # older files do not tell who arrives
     ]
     return pd.DataFrame(entries)
 

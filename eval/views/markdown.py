@@ -8,13 +8,14 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from beltarm_env.metrics import METRICS, REVERSAL_SWING, TORQUES, heading
-from eval.comparison.estimates import LEAST_P, RESAMPLES, worst_mean
+from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, REVERSAL_SWING, TORQUES, heading
+from eval.comparison.estimates import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES, tail_mean
 from eval.comparison.pairs import CHANGE, LEFT, NUDGE
-from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
+from eval.comparison.results import MOSTLY, PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import cell, numbers
+from eval.style.text import number
 from eval.views.budgets import BUDGETS_NOTE, budget_of, budgets_table
 from eval.views.frame import frame_of, lines, part
 from eval.views.terminal import TIE, result
@@ -32,6 +33,7 @@ def markdown(comparison: Comparison, said: Verdict, pictures: Sequence[str], res
         f"**{comparison.note}**",
         " ".join(said.sentences),
         "Interquartile means over scenarios (and training seeds) with bootstrap 95 % intervals; shares are means. "
+        f"{_of_arrival()} "
         f"Lower is better everywhere. In {_listed(PAIRED_METRICS)}, which are compared scenario by scenario, **bold** "
         f"is the best of a column and <ins>underlined</ins> what is {TIE}. All methods run the same scenarios on the "
         "same observations (motor encoder only), but for those in italics, which see what no controller can and are "
@@ -59,6 +61,14 @@ def markdown(comparison: Comparison, said: Verdict, pictures: Sequence[str], res
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
+def _of_arrival() -> str:
+    return (
+        f"An arm has arrived if the mean error of its end after the move is {1000 * ARRIVAL_BOUND:g} mm or less. "
+        "Vibration, settling and torques are of the scenarios in which all runs of a method arrive, and compared where "
+        f"those of both do; a dash: in none. Only a method of which {MOSTLY:.0%} of the runs arrive is marked in them."
+    )
+
+
 def _listed(metrics: Sequence[str]) -> str:
     *first, last = (METRICS[name].title for name in metrics)
     return f"{', '.join(first)} and {last}"
@@ -69,11 +79,12 @@ def _primary(said: Verdict) -> list[str]:
     one, other = duel.challenger.method.name, duel.classical.method.name
     least = min(1.0, len(said.duels["cost"]) * LEAST_P)
     how = (
-        f"Of {one} minus {other}, scenario by scenario: difference of the interquartile means, also as a share of "
+        f"Scenario by scenario, {one} minus {other}: difference of the interquartile means, also as a share of "
         f"{other}'s value; p value after Holm's correction over all splits; mean difference. *Better* and *worse* take "
         "both: a corrected p value below 0.05, and a mean difference whose 95 % interval is clear of zero on the same "
-        f"side. With {RESAMPLES} bootstrap samples no corrected p value is below {least:.3f}. The marks of all other "
-        "tables test interquartile means alone, and may say of a split what this table does not."
+        f"side. With {RESAMPLES} bootstrap samples no corrected p value is below {least:.3f}. A split with fewer than "
+        f"{LEAST_SCENARIOS} scenarios to compare is not there. The marks of all other tables test interquartile means "
+        "alone, and may say of a split what this table does not."
     )
     return [how, primary_table(said)]
 
@@ -106,7 +117,8 @@ def _failed(comparison: Comparison) -> list[str]:
 def _of_tails() -> str:
     return (
         "An interquartile mean leaves out the best and the worst quarter of the runs. Of all of them: the mean / the "
-        "mean of the worst 5 %; and how many arms left their workspace, where any did."
+        f"mean of the worst 5 %, from {LEAST_OF_TAIL} scenarios on; how many arms left their workspace, and what share "
+        "of the runs did not arrive, if any."
     )
 
 
@@ -126,7 +138,9 @@ def tail_table(comparison: Comparison) -> str:
 
 def _tail(outcome: MethodOutcome) -> str:
     costs, left = outcome.metrics["cost"], outcome.failures[LEFT]
-    return f"{costs.mean():.0f} / {worst_mean(costs):.0f}" + (f"; {left} left" if left else "")
+    failed = [f"; {left} left"] if left else []
+    failed += [f"; {outcome.not_arrived:.0%} not arrived"] if outcome.not_arrived else []
+    return f"{costs.mean():.0f} / {number(tail_mean(costs), 0)}{''.join(failed)}"
 
 
 def _of_torques(split: str) -> str:
@@ -141,10 +155,10 @@ def _how_to_read() -> str:
     return (
         "Method minus the other one on the same scenarios: interquartile mean of the differences, and the probability "
         "of improvement (share of scenarios and seeds in which the method is lower, ties counting half), both with "
-        "bootstrap 95 % intervals. A star marks a difference that is shown by its own interval, but not after Holm's "
-        "correction for all methods compared in that metric on that split "
-        f"(p values from {RESAMPLES} bootstrap samples). The best classical method is the one of the lowest cost on "
-        "these very scenarios, which favours it a little."
+        "bootstrap 95 % intervals. A star marks a difference that is shown by itself, but not after Holm's correction "
+        "for all methods compared in that metric on that split. A p value is the larger of that of "
+        f"{RESAMPLES} bootstrap samples and that of a t test. The best classical method is the one of the lowest cost "
+        "on these very scenarios, which favours it a little."
     )
 
 
@@ -169,8 +183,8 @@ def method_table(
 
 
 def _cell(row: Any) -> str:
-    point, interval = cell(row.metric, row).split(" ", 1)
-    return _italic(f"{_MARKED.get(row.mark, '{}').format(point)} {interval}", row.kind != "privileged")
+    point, *interval = cell(row.metric, row).split(" ", 1)
+    return _italic(" ".join([_MARKED.get(row.mark, "{}").format(point), *interval]), row.kind != "privileged")
 
 
 def _point(row: Any) -> str:
@@ -196,8 +210,9 @@ def paired_table(comparison: Comparison, split: str) -> str:
         cells = []
         for name in PAIRED_METRICS:
             wins = pairs[name].win_rate
-            cells.append(f"{result(pairs[name])}: {cell(name, pairs[name].difference)}")
-            cells.append(f"{wins.iqm:.0%} [{wins.low:.0%}, {wins.high:.0%}]")
+            compared = pairs[name].scenarios > 0
+            cells.append(f"{result(pairs[name])}: {cell(name, pairs[name].difference)}" if compared else "not compared")
+            cells.append(f"{wins.iqm:.0%} [{wins.low:.0%}, {wins.high:.0%}]" if compared else "–")
         rows.append([method, other, *cells])
     titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (heading(name), "improves"))]
     return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS))

@@ -157,7 +157,7 @@ def _intervals(comparison: Comparison) -> Figure:
 def _interval_axis(axis: Axes, ranking: list[MethodOutcome], name: str) -> None:
     for kind in dict.fromkeys(outcome.method.kind for outcome in ranking):
         heights = [height for height, outcome in enumerate(ranking) if outcome.method.kind == kind]
-        values = [ranking[height].estimates[name] for height in heights]
+        values = [ranking[height].estimates[name] for height in heights]  # not numbers where no arm arrives
         ends = np.abs([[value.iqm - value.low for value in values], [value.high - value.iqm for value in values]])
         middles, colour = [value.iqm for value in values], OF_KIND[kind]
         axis.errorbar(middles, heights, xerr=ends, fmt="o", color=colour, ms=4, capsize=2, label=kind)
@@ -165,7 +165,7 @@ def _interval_axis(axis: Axes, ranking: list[MethodOutcome], name: str) -> None:
     if unranked:
         axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
     best = best_classical(ranking)
-    if best:
+    if best and np.isfinite(best.estimates[name].iqm):
         axis.axvline(best.estimates[name].iqm, color=BLUE, lw=0.8, ls=":")
     axis.set_xscale("log")
     mark_one_two_five(axis.xaxis)

@@ -70,7 +70,7 @@ def publish(
     _side_by_side({"report": report, **dict(reversed(pictures.items()))}, jobs)  # what takes longest comes first
     write_text(folder / "summary.md", markdown(comparison, said, list(pictures), digest))
     print_results(comparison, said.sentences, console, verbose=verbose)
-    console.print(f"written to {folder}: report.html, summary.md, results.json, episodes.csv, pictures", soft_wrap=True)
+    console.print(f"Written to {folder}: report.html, summary.md, results.json, episodes.csv, pictures", soft_wrap=True)
     return comparison
 
 

@@ -9,17 +9,19 @@ import pandas as pd
 from PIL import Image
 
 from baselines.tools.files import sha256_of
-from beltarm_env.metrics import TORQUE_QUALITY
+from beltarm_env.metrics import NOT_ARRIVED, TORQUE_QUALITY
+from eval.comparison.methods import shipped_policies
 from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
 from eval.comparison.splits import SPLITS, main_split
 from eval.style.markdown_table import markdown_table
 from eval.style.metrics import numbers, with_unit
+from eval.style.text import number
 from eval.views.frame import frame_of_rows, lines, part
 from eval.views.markdown import method_table
 from eval.views.plots import RESULTS_KEY
 
-_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", *TORQUE_QUALITY)
+_SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", NOT_ARRIVED, *TORQUE_QUALITY)
 _ANSWERED = {
     "cost": "cost",
     "tip_rms_mm": "error of the arm's end, RMS (mm)",
@@ -47,9 +49,20 @@ def answer(results: dict[str, Any]) -> str:
     table = markdown_table(["method", *_ANSWERED.values()], rows)
     note = (
         f"{SPLITS[home].description.capitalize()}; interquartile means, lower is better. "
-        f"{SetLabel(**results['scenario_set']).note}"
+        f"{SetLabel(**results['scenario_set']).note_with(_own(results))}"
     )
     return "\n\n".join([in_short(results, home), table, f"*{note}*"])
+
+
+def _own(results: dict[str, Any]) -> list[str]:
+    """Methods that do not come with the project."""
+    shipped = {folder.parent.name for folder in shipped_policies()}
+    own = {
+        row["method"]
+        for row in results["rows"]
+        if row["kind"] == "learned" and row["method"].removesuffix("+guard") not in shipped
+    }
+    return sorted(own | {row["method"] for row in results["rows"] if row["kind"] == "added"})
 
 
 def in_short(results: dict[str, Any], split: str) -> str:
@@ -57,7 +70,7 @@ def in_short(results: dict[str, Any], split: str) -> str:
     duels = {row["metric"]: row for row in results.get("primary", []) if row["split"] == split}
     if not duels:
         return f"**{next(iter(results['verdict']), 'There is no verdict.')}**"
-    cost, vibration = duels["cost"], duels["residual_pp_mm"]
+    cost, vibration = duels["cost"], duels.get("residual_pp_mm")
     here = {row["method"]: row for row in results["rows"] if row["split"] == split}
     classical = [name for name, row in here.items() if row["kind"] == "classical"]
     best = min(classical, key=lambda name: here[name]["metrics"]["cost"]["iqm"]) == cost["classical"]
@@ -68,22 +81,28 @@ def in_short(results: dict[str, Any], split: str) -> str:
         "open": f"No difference in cost is shown between {one} and {other}",
         "shown": f"Scenario by scenario, {one} has a cost {abs(cost['relative']):.0%} {less} than {other}",
     }
+    first = costs["open" if cost["result"] == "open" else "shown"]
+    swings = f" {_swings(vibration, here)}" if vibration else ""
+    return f"**{first}.**{swings}{_elsewhere(results['primary'])}"
+
+
+def _swings(duel: dict[str, Any], here: dict[str, Any]) -> str:
+    """Sentence about the vibration, by its duel and the rows of its split."""
     before, after = (
-        with_unit("residual_pp_mm", f"{here[cost[name]]['metrics']['residual_pp_mm']['iqm']:.2f}")
+        with_unit("residual_pp_mm", f"{here[duel[name]]['metrics']['residual_pp_mm']['iqm']:.2f}")
         for name in ("classical", "challenger")
     )
-    swings = {
+    words = {
         "better": f"falls from {before} to {after}",
         "worse": f"rises from {before} to {after}",
         "open": f"is not shown to differ: {after} and {before}",
     }
-    first = costs["open" if cost["result"] == "open" else "shown"]
-    return f"**{first}.** The vibration after the move {swings[vibration['result']]}.{_elsewhere(results['primary'])}"
+    return f"The vibration after the move {words[duel['result']]}."
 
 
 def _precise(row: Any) -> str:
     """An average, to a hundredth where it is a length."""
-    return numbers(row.metric, row)[0] if row.metric == "cost" else f"{row.iqm:.2f}"
+    return numbers(row.metric, row)[0] if row.metric == "cost" else number(row.iqm, 2)
 
 
 def _elsewhere(duels: list[dict[str, Any]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 import pandas as pd
@@ -11,8 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from beltarm_env.metrics import METRICS, heading
-from eval.comparison.estimates import Paired, worst_mean
+from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, heading
+from eval.comparison.estimates import LEAST_OF_TAIL, Paired, tail_mean
 from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EPISODES, SPLITS
@@ -23,7 +24,7 @@ TIE = "not shown to differ from the best, by the paired test with Holm's correct
 _TERMINAL = ("cost", "residual_pp_mm")
 _STYLES = {"best": "bold", "tie": "underline"}
 _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13
-_RANKED_WIDTH = 32  # so that in 80 columns a long name is cut, and no number
+_RANKED_WIDTH = 24  # so that in 80 columns a long name is cut, and no number
 
 
 def print_results(comparison: Comparison, said: Sequence[str], console: Console, *, verbose: bool = False) -> None:
@@ -36,14 +37,14 @@ def print_results(comparison: Comparison, said: Sequence[str], console: Console,
     console.print(escape(comparison.note), highlight=False)
     episodes = comparison.outcomes[0].metrics["cost"].shape[1]
     few = f" {episodes} of {EPISODES} scenarios show less than all." if episodes < EPISODES else ""
+    least = f" (of {LEAST_OF_TAIL} scenarios or more)" if episodes < LEAST_OF_TAIL else ""
     console.print(
-        "cost: minus the return (errors of the arm's end, and changes of the torque), averaged over the middle half of "
-        f"all runs; mean: over all of them; worst 5 %: over the worst of them.{few}",
+        "Cost: minus the return (errors of the arm's end, and changes of the torque), averaged over the middle half of "
+        f"all runs; tie: {TIE}; mean: over all runs; worst 5 %: over the worst of them{least}; vibration: of arms that "
+        f"arrive, within {1000 * ARRIVAL_BOUND:g} mm in the mean.{few}",
         style="dim",
         highlight=False,
     )
-    for failure in comparison.failures:
-        console.print(escape(f"{failure.method} failed on {failure.split}: {failure.message}"), style="red")
 
 
 def _ranking(comparison: Comparison) -> Table:
@@ -54,12 +55,12 @@ def _ranking(comparison: Comparison) -> Table:
     title = f"{split}: {SPLITS[split].description}; {episodes} scenarios"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("method", no_wrap=True, max_width=_RANKED_WIDTH)
-    for heading_ in ("cost", "mean", "worst 5 %", "error\nRMS, mm", "vibration\nafter, mm", "left"):
+    for heading_ in ("cost", "mean", "worst\n5 %", "error\nRMS, mm", "vibration\nafter, mm", "left", "not\narrived"):
         table.add_column(heading_, justify="right", no_wrap=True)
     marks = comparison.marks[split]["cost"]
     for outcome in outcomes:
         name = outcome.method.name
-        mark = {"best": "  < lowest cost", "tie": "  < no difference shown"}.get(marks.get(name, ""), "")
+        mark = {"best": " (lowest cost)", "tie": " (tie)"}.get(marks.get(name, ""), "")
         style = "dim italic" if not outcome.ranked else "bold" if marks.get(name) == "best" else ""
         table.add_row(f"{name}{mark}", *_scores(outcome), style=style)
     return table
@@ -67,9 +68,10 @@ def _ranking(comparison: Comparison) -> Table:
 
 def _scores(outcome: MethodOutcome) -> list[str]:
     costs = outcome.metrics["cost"]
-    averages = (outcome.estimates["cost"].iqm, float(costs.mean()), worst_mean(costs))
+    averages = (outcome.estimates["cost"].iqm, float(costs.mean()), tail_mean(costs))
     shown = [rounded(name, outcome.estimates[name].iqm) for name in ("tip_rms_mm", "residual_pp_mm")]
-    return [*(rounded("cost", value) for value in averages), *shown, str(outcome.failures[LEFT])]
+    failed = (str(outcome.failures[LEFT]), f"{outcome.not_arrived:.0%}")
+    return [*(rounded("cost", value) for value in averages), *shown, *failed]
 
 
 def _print_tables(comparison: Comparison, console: Console) -> None:
@@ -103,13 +105,15 @@ def _overview(found: pd.DataFrame, name: str) -> Table:
 
 def _cell(row: Any) -> str:
     point, low, high = numbers(row.metric, row)
+    if not isfinite(row.iqm):
+        return point
     style = _STYLES.get(row.mark)
     return f"{f'[{style}]{point}[/{style}]' if style else point}\n{low}–{high}"
 
 
 def result(pair: Paired) -> str:
     """Result of a paired comparison, with a star if the difference does not outlive Holm's correction."""
-    return pair.verdict + ("" if pair.verdict == "no difference shown" or pair.survives else "*")
+    return pair.verdict + ("*" if pair.verdict in ("better", "worse") and not pair.survives else "")
 
 
 def differences(comparison: Comparison) -> list[str]:
@@ -124,8 +128,7 @@ def differences(comparison: Comparison) -> list[str]:
             parts = []
             for name in PAIRED_METRICS:
                 shown = with_unit(name, cell(name, pairs[name].difference))
-                parts.append(
-                    f"{METRICS[name].title} {result(pairs[name])} ({shown}, wins {pairs[name].win_rate.iqm:.0%})"
-                )
+                wins = f" ({shown}, wins {pairs[name].win_rate.iqm:.0%})" if pairs[name].scenarios else ""
+                parts.append(f"{METRICS[name].title} {result(pairs[name])}{wins}")
             lines.append(f"{split}: {outcome.method.name} against {best.method.name}: " + "; ".join(parts) + ".")
     return lines

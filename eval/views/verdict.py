@@ -5,6 +5,9 @@ development set (`eval.comparison.methods.PRIMARY`), and they are compared scena
 cost and in what the arm's end does. "Better" takes both averages: the difference of interquartile means outlives Holm's
 correction over all splits, and the 95 % interval of the mean difference is clear of zero. An interquartile mean alone
 drops the worst quarter of the arms. docs/protocol.md fixed this before the test scenarios were drawn.
+
+Vibration is compared where both arrive: a method that never moves does not vibrate. Fewer than
+`eval.comparison.estimates.LEAST_SCENARIOS` scenarios decide nothing.
 """
 
 from __future__ import annotations
@@ -14,9 +17,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from baselines import CONTROLLERS
-from eval.comparison.estimates import Estimate, Paired, all_paired, holm, mean_differences
+from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
+from eval.comparison.estimates import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
 from eval.comparison.methods import is_shipped
-from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
+from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.style.metrics import with_unit
 
 Result = Literal["better", "worse", "open"]
@@ -89,20 +93,38 @@ def verdict(comparison: Comparison) -> Verdict:
     pair = comparison.rivals()
     if pair is None:
         return Verdict(_without_rivals(comparison), {})
-    fought = {metric: duels(comparison, metric) for metric in PAIRED_METRICS}
     home = comparison.main_split
+    own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
+    away = [sentence for o in [*pair, *own] if (sentence := _not_arrived(o))]
+    episodes = pair[0].metrics["cost"].shape[1]
+    if episodes < LEAST_SCENARIOS:
+        few = (
+            f"There is no verdict: {episodes} scenarios per split are too few, --episodes {LEAST_SCENARIOS} are enough."
+        )
+        return Verdict((few, *away), {})
+    fought = {metric: duels(comparison, metric) for metric in PAIRED_METRICS}
     sentences = [_answer(fought["cost"][home], comparison)]
     if len(fought["cost"]) > 1:
         sentences.append(_everywhere(fought["cost"]))
-    sentences += _of_tip(fought, home)
-    own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
+    sentences += _of_tip(fought, home, pair)
     best = comparison.best_classical(home)
     sentences += [_costs(duel, home) for duel in _fought([(one, best) for one in own if best], "cost")]
-    return Verdict(tuple(sentences), fought)
+    return Verdict((*sentences, *away), fought)
+
+
+def _not_arrived(outcome: MethodOutcome) -> str:
+    """Sentence about a method that does not always arrive; empty for one that does."""
+    runs = outcome.metrics[NOT_ARRIVED]
+    if not runs.any():
+        return ""
+    return (
+        f"On {outcome.split}, {_name(outcome)} does not arrive in {int(runs.sum())} of {runs.size} runs: the mean "
+        f"error after the move is more than {1000 * ARRIVAL_BOUND:g} mm."
+    )
 
 
 def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
-    """Duels of the primary comparison by split, corrected for the number of splits; empty where it is not decided."""
+    """Duels of the primary comparison by split, corrected for the number of splits; none where nothing is decided."""
     pair = comparison.rivals()
     if pair is None:
         return {}
@@ -121,8 +143,10 @@ def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
 
 
 def _fought(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -> list[Duel]:
-    """Duels of pairs in one metric, not corrected for their number."""
-    tables = [(one.metrics[metric], other.metrics[metric]) for one, other in pairs]
+    """Duels of pairs in one metric, not corrected for their number; none of too few scenarios to decide anything."""
+    tables = [tables_of(one, other, metric) for one, other in pairs]
+    enough = [k for k, (values, _) in enumerate(tables) if values.shape[1] >= LEAST_SCENARIOS]
+    pairs, tables = [pairs[k] for k in enough], [tables[k] for k in enough]
     compared = zip(pairs, all_paired(tables), mean_differences(tables), strict=True)
     return [Duel(one, other, metric, replace(found, p_holm=found.p), mean) for (one, other), found, mean in compared]
 
@@ -152,13 +176,12 @@ def _costs(duel: Duel, split: str, one: str = "", other: str = "") -> str:
 
 def _everywhere(fought: Mapping[str, Duel]) -> str:
     name = next(iter(fought.values())).challenger.method.name
-    words = {
-        "better": "{0} costs less on {1}",
-        "worse": "{0} costs more on {1}",
-        "open": "no difference is shown on {1}",
-    }
-    parts = [words[result].format(name, _listed(splits, len(fought))) for result, splits in _by_result(fought).items()]
-    return f"{'; '.join(parts)}."
+    words = {"better": "{0} costs less", "worse": "{0} costs more", "open": "no difference is shown"}
+    parts = [
+        f"On {_listed(splits, len(fought))} {words[result].format(name)}."
+        for result, splits in _by_result(fought).items()
+    ]
+    return " ".join(parts)
 
 
 def _by_result(fought: Mapping[str, Duel]) -> dict[Result, list[str]]:
@@ -173,14 +196,22 @@ def _listed(splits: list[str], total: int) -> str:
     return f"all {total} splits" if len(splits) == total else f"{len(splits)} of {total} splits ({', '.join(splits)})"
 
 
-def _of_tip(fought: Mapping[str, Mapping[str, Duel]], home: str) -> list[str]:
+def _of_tip(
+    fought: Mapping[str, Mapping[str, Duel]], home: str, pair: tuple[MethodOutcome, MethodOutcome]
+) -> list[str]:
     """What the arm's end does: vibration after the move, and error on the way; a sentence each."""
     sentences = []
     for metric, words in _TIP.items():
+        if home not in fought[metric]:
+            names = " and ".join(_name(outcome) for outcome in pair)
+            sentences.append(f"The vibration after the move is not compared: {names} arrive both in too few scenarios.")
+            continue
         duel = fought[metric][home]
-        pair = (duel.challenger, duel.classical)
-        shown = " and ".join(f"{_shown(metric, outcome)} with {outcome.method.name}" for outcome in pair)
-        sentences.append(f"{words.format(shown)}: {_RESULTS[duel.result]}{_elsewhere(fought[metric], duel.result)}.")
+        shown = " and ".join(f"{_shown(metric, outcome)} with {_name(outcome)}" for outcome in pair)
+        left_out = [split for split in fought["cost"] if split not in fought[metric]]
+        others = f", not compared on {', '.join(left_out)}" if left_out else ""
+        elsewhere = _elsewhere(fought[metric], duel.result)
+        sentences.append(f"{words.format(shown)}: {_RESULTS[duel.result]}{elsewhere}{others}.")
     return sentences
 
 
@@ -197,6 +228,10 @@ def _elsewhere(fought: Mapping[str, Duel], result: Result) -> str:
 
 def _shown(metric: str, outcome: MethodOutcome) -> str:
     return with_unit(metric, f"{outcome.estimates[metric].iqm:.2f}")
+
+
+def _name(outcome: MethodOutcome) -> str:
+    return outcome.method.name
 
 
 def _of_cost(outcome: MethodOutcome) -> float:

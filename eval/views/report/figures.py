@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
-from eval.comparison.estimates import worst_mean
+from eval.comparison.estimates import tail_mean
 from eval.comparison.results import Comparison, profiles
 from eval.style.axes import mark_one_two_five
 from eval.style.metrics import cell
@@ -44,7 +44,7 @@ def _forest(comparison: Comparison, split: str, colours: dict[str, str]) -> Pane
         style = {"fmt": _MARKERS[method.kind], "color": colour, "ms": 5, "capsize": 2.5}
         axis.errorbar(value.iqm, height, xerr=ends, mfc=None if pair.survives else "none", **style)
         axis.plot(theirs.mean() - costs.mean(), height, marker="|", ms=11, mew=1.6, color=INK)
-        axis.plot(worst_mean(theirs) - worst_mean(costs), height, marker="x", ms=5, mew=1.2, color=INK)
+        axis.plot(tail_mean(theirs) - tail_mean(costs), height, marker="x", ms=5, mew=1.2, color=INK)
     axis.axvline(0, color=INK, lw=0.9)
     axis.set_yticks(range(len(order)), order)
     axis.set_ylim(len(order) - 0.3, -0.7)

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from baselines.tools.files import write_text
-from beltarm_env.metrics import REVERSAL_SWING, SETTLING_BAND, heading
+from beltarm_env.metrics import ARRIVAL_BOUND, REVERSAL_SWING, SETTLING_BAND, heading
 from beltarm_env.timing import EPISODE_TIME
-from eval.comparison.estimates import RESAMPLES
+from eval.comparison.estimates import LEAST_OF_TAIL, LEAST_SCENARIOS, RESAMPLES
 from eval.comparison.pairs import CHANGE, NUDGE
-from eval.comparison.results import Comparison
+from eval.comparison.results import MOSTLY, Comparison
 from eval.comparison.splits import EDITION, SPLITS
 from eval.style.colours import COLOURS
 from eval.views.frame import best_first
@@ -89,7 +89,11 @@ def _content(comparison: Comparison, said: Sequence[str], recordings: Recordings
         "animation": animation(recordings.scenes, colours),
         "legend": [_legend_entry(colours, method) for method in colours],
         "palette": COLOURS,
+        "arrival_mm": 1000 * ARRIVAL_BOUND,
+        "mostly": MOSTLY,
         "resamples": RESAMPLES,
+        "least_scenarios": LEAST_SCENARIOS,
+        "least_of_tail": LEAST_OF_TAIL,
         "reversal_swing": REVERSAL_SWING,
         "period_us": PERIOD_US,
         "change": CHANGE,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import isfinite
 
 from beltarm_env.metrics import TORQUES, heading
-from eval.comparison.estimates import worst_mean
+from eval.comparison.estimates import tail_mean
 from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.timing import PERIOD_US
@@ -55,9 +56,10 @@ def main_table(comparison: Comparison) -> Table:
     of_costs: dict[str, Show] = {
         "cost": _estimate(comparison, "cost"),
         "mean": lambda outcome: _cost_cell(float(outcome.metrics["cost"].mean())),
-        "worst 5 %": lambda outcome: _cost_cell(worst_mean(outcome.metrics["cost"])),
+        "worst 5 %": lambda outcome: _cost_cell(tail_mean(outcome.metrics["cost"])),
         "fail": lambda outcome: Cell(f"{_failed(outcome):.0%}", value=_failed(outcome)),
         "left": lambda outcome: Cell(str(outcome.failures[LEFT]), value=outcome.failures[LEFT]),
+        "not arrived": lambda outcome: Cell(f"{outcome.not_arrived:.0%}", value=outcome.not_arrived),
     }
     at_the_end = {heading(name): _estimate(comparison, name) for name in PAIRED_METRICS if name != "cost"}
     columns = {title: (home, show) for title, show in (of_costs | at_the_end).items()}
@@ -101,21 +103,22 @@ def _estimate(comparison: Comparison, name: str) -> Show:
         value = outcome.estimates[name]
         point, low, high = numbers(name, value)
         mark = comparison.marks[outcome.split].get(name, {}).get(outcome.method.name, "")
-        return Cell(point, (f"[{low}, {high}]",), value.iqm, mark)
+        return Cell(point, (f"[{low}, {high}]",), value.iqm, mark) if isfinite(value.iqm) else Cell("does not arrive")
 
     return show
 
 
 def _cost_cell(cost: float) -> Cell:
-    return Cell(rounded("cost", cost), value=cost)
+    return Cell(rounded("cost", cost), value=cost if isfinite(cost) else None)
 
 
 def _with_tail(cell: Cell, outcome: MethodOutcome) -> Cell:
     """Add mean and worst 5 % of the cost to its cell, and failures, where there are any."""
     costs, left = outcome.metrics["cost"], outcome.failures[LEFT]
-    averages = " / ".join(rounded("cost", value) for value in (float(costs.mean()), worst_mean(costs)))
+    averages = " / ".join(rounded("cost", value) for value in (float(costs.mean()), tail_mean(costs)))
     counts = [f"{_failed(outcome):.0%} fail"] if _failed(outcome) else []
     counts += [f"{left} left"] if left else []
+    counts += [f"{outcome.not_arrived:.0%} not arrived"] if outcome.not_arrived else []
     return replace(cell, details=(*cell.details, averages, *([", ".join(counts)] if counts else [])))
 
 
