@@ -29,7 +29,7 @@ help:  ## Show this list
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-11s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
 
-compare: $(READY)  ## Compare all controllers on 50 scenarios of every split: report.html, pictures in results/compare
+compare: $(READY)  ## Compare all controllers on 50 scenarios of every split (with ARGS: 200, or --episodes): report.html in results/compare
 	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 50)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from baselines.tools.command import this_python
 from baselines.tools.files import read_text, write_text
 from baselines.tools.schema import in_a_line, loads
 from beltarm_env.rollout import Controller
@@ -69,7 +70,7 @@ def tuned(name: str, kind: type[AnyGains], path: Path = FILE) -> AnyGains:
     entry = read_file(path).get(name)
     if entry is None:
         return kind()
-    remedy = f"run `python baselines/tune.py {name}`"
+    remedy = f"run `{this_python()} baselines/tune.py {name}`"
     known = {gain.name for gain in fields(kind)}
     if set(entry["gains"]) != known:
         raise ValueError(

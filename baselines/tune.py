@@ -28,7 +28,7 @@ from baselines.engines.options import WithStorage
 from baselines.engines.parallel import Interrupted
 from baselines.gains import FILE
 from baselines.loops.condition import MarginCondition
-from baselines.tools.command import require_bounds, require_known, run_command
+from baselines.tools.command import require_bounds, require_known, run_command, this_python
 from baselines.tools.options import Groups
 from baselines.tuning.race import split_budget
 from baselines.tuning.run import begun_options, tune
@@ -101,7 +101,7 @@ def run(config: Config) -> None:
         )
     except (Interrupted, KeyboardInterrupt):
         arguments = [argument for argument in sys.argv[1:] if argument != "--resume"]
-        command = shlex.join(["python", "baselines/tune.py", *arguments, "--resume"])
+        command = f"{this_python()} {shlex.join(['baselines/tune.py', *arguments, '--resume'])}"
         print(f"interrupted; trials are kept in {config.journals}; to continue:\n  {command}")
         sys.exit(130)
 

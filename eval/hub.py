@@ -19,6 +19,7 @@ import tyro
 
 from agents.policy.bundle import read_spec
 from agents.policy.card import Offer, model_name
+from agents.runs.command_line import compare_command
 from baselines.tools.command import run_command
 from eval.deploy.package import write_folder
 from eval.sharing import folder as shared
@@ -78,7 +79,7 @@ def share(config: Config) -> None:
         files[shared.FILM] = shared.film_of(config.policy)
     write_folder(out, files)
     if scores is None:
-        print("without scores: `python eval/compare.py --policy POLICY` makes some, for --results")
+        print(f"without scores: `{compare_command([config.policy])}` makes some, for --results")
     print(f"written to {out}: {', '.join(sorted(files))}")
     print(f"to upload it: {shlex.join(['hf', 'upload', config.repo_id or 'ORG/NAME', str(out)])}")
 

@@ -35,7 +35,8 @@ def outcome(
     name: str, kind: Kind, costs: float | np.ndarray, split: str = "nominal", seeds: int = 1, spread: float = 0.0
 ) -> MethodOutcome:
     """A made-up outcome, of the same scenarios for every method."""
-    count = np.size(costs) if np.ndim(costs) else 24
+    count = np.broadcast_shapes(np.shape(costs), (1,))[-1]
+    count = count if count > 1 else 24
     noise = spread * np.random.default_rng(len(name)).standard_normal((seeds, count))
     values = np.broadcast_to(np.asarray(costs) * np.linspace(0.9, 1.1, count), (seeds, count)) + noise
     metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, count))}

@@ -39,8 +39,20 @@ from eval.views.report.page import LARGEST
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
+EPISODES = 20
 METHODS = ["paper", "zvd", "ppo", "MyController", "privileged"]
-FEW = ("--splits", "nominal", "sensing", "--methods", *METHODS, "--add", EXAMPLE, "--episodes", "6")
+FEW = (
+    "--splits",
+    "nominal",
+    "sensing",
+    "--methods",
+    *METHODS[:3],
+    "privileged",
+    "--add",
+    EXAMPLE,
+    "--episodes",
+    str(EPISODES),
+)
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -92,7 +104,7 @@ def test_every_file_names_the_scenarios(compared: tuple[Path, str], results: dic
     assert label.note in " ".join(output.split())
     assert all(label.note in (folder / name).read_text(encoding="utf-8") for name in ("summary.md", "report.html"))
     assert {row["scenario_set"] for row in read_csv(folder / "episodes.csv")} == {label.name}
-    assert f"6 scenarios per split of the {label.title};" in tables(results)
+    assert f"{EPISODES} scenarios per split of the {label.title};" in tables(results)
 
 
 def test_torques_of_every_method_are_everywhere(compared: tuple[Path, str], results: dict[str, Any]):
@@ -112,8 +124,8 @@ def test_rows_of_the_results(results: dict[str, Any]):
     ]
     for row in results["rows"]:
         assert row["kind"] == kinds.get(row["method"], "added")
-        assert (row["episodes"], row["seeds"]) == (6, SEEDS if row["method"] == "ppo" else 1)
-        assert row["failures"]["runs"] == 6 * row["seeds"] >= row["failures"]["not_settled"]
+        assert (row["episodes"], row["seeds"]) == (EPISODES, SEEDS if row["method"] == "ppo" else 1)
+        assert row["failures"]["runs"] == EPISODES * row["seeds"] >= row["failures"]["not_settled"]
         assert bool(row["training"]) == (row["method"] in ("zvd", "ppo"))
         for value in row["metrics"].values():
             assert value["low"] <= value["iqm"] <= value["high"]
@@ -151,21 +163,22 @@ def test_profiles_rise_from_none_to_all(results: dict[str, Any]):
         for shares in profile["methods"].values():
             assert len(shares) == len(profile["thresholds"])
             assert np.all(np.diff(shares) >= 0)
-            assert shares[-1] == 1
+            assert shares[-1] == 1 or profile["metric"] == "residual_pp_mm"  # runs that do not arrive
 
 
 def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: dict[str, Any]):
     rows = read_csv(compared[0] / "episodes.csv")
-    assert len(rows) == (4 + SEEDS) * 2 * 6
+    assert len(rows) == (4 + SEEDS) * 2 * EPISODES
     costs = sorted(float(row["cost"]) for row in rows if (row["method"], row["split"]) == ("paper", "nominal"))
     iqm = results["rows"][0]["metrics"]["cost"]["iqm"]
-    assert iqm == pytest.approx(sum(costs[1:5]) / 4, rel=1e-5)  # 6 episodes: one cut off at either end
+    assert iqm == pytest.approx(sum(costs[5:15]) / 10, rel=1e-5)  # of 20 episodes, five cut off at either end
 
 
 def test_every_split_has_its_section_in_the_summary(compared: tuple[Path, str]):
     text = (compared[0] / "summary.md").read_text()
     assert all(
-        f"## {name}\n\n{SPLITS[name].description.capitalize()}; 6 scenarios." in text for name in ("nominal", "sensing")
+        f"## {name}\n\n{SPLITS[name].description.capitalize()}; {EPISODES} scenarios." in text
+        for name in ("nominal", "sensing")
     )
     assert "## payload" not in text
 
@@ -175,7 +188,7 @@ def pairs_compared() -> list[Pair]:
     known = [*classical_methods(), *learned_methods(shipped_policies()), added_method(EXAMPLE), privileged_method()]
     splits = choose_set().splits
     chosen = [method for method in known if method.name in METHODS]
-    return [Pair(method, splits[name], 6) for name in ("nominal", "sensing") for method in chosen]
+    return [Pair(method, splits[name], EPISODES) for name in ("nominal", "sensing") for method in chosen]
 
 
 def same(first: list[Metrics | Failure], second: list[Metrics | Failure]) -> bool:
@@ -216,7 +229,7 @@ def test_one_process_gives_what_two_gave_and_what_is_done_is_not_done_again(
             r"results: rows\[1\]: kind must be one of classical, .* got 'best'",
         ),
         (lambda r: r["rows"][0]["metrics"]["cost"].update(low=float("nan")), r"rows\[0\].*low must be a finite number"),
-        (lambda r: r["rows"][0]["metrics"].pop("settling_s"), "settling_s must be there"),
+        (lambda r: r["rows"][0]["metrics"].pop("tip_max_mm"), "tip_max_mm must be there"),
         (lambda r: r.update(version="1"), "version must be an integer, got '1'"),
         (lambda r: r["scenario_set"].pop("sha256"), "scenario_set: sha256 must be there"),
         (lambda r: r.update(paired={}), "paired must be a list"),
@@ -331,7 +344,7 @@ def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
     assert orders[1] == sorted(orders[0], reverse=True)
     assert len(orders[0]) == 4
     states = "[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)"
-    assert page.run(states) == ["none", "none", "descending", *["none"] * 5]
+    assert page.run(states) == ["none", "none", "descending", *["none"] * 6]
     last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
     assert "privileged" in page.run(last)
 

@@ -145,9 +145,8 @@ def test_a_search_is_kept_and_goes_on(tmp_path: Path):
         "runs of trials are not kept"
     )
     assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
-    assert training_command(config, study).split()[:2] == result.stdout.split("\n  ")[1].split()[:2]
     words = training_command(config, study).split()
-    assert words[:2] == ["python", "train/sac.py"]
+    assert words[1] == "train/sac.py" == result.stdout.split("\n  ")[1].split()[1]
     assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
     with pytest.raises(ValueError, match=r"already holds a study.*--resume"):
         tune(config)

@@ -674,6 +674,23 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
     assert all(path.name.startswith("seed-3.nominal.") for path in (tmp_path / "out" / "pairs").iterdir())
 
 
+def recipes() -> list[str]:
+    """Commands of the documentation that compare a method of one's own, in blocks of code or in backticks."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md")]
+    pages += [*(ROOT / "docs").glob("tutorials/*.py"), *(ROOT / "docs").glob("examples/*.py")]
+    texts = [page.read_text(encoding="utf-8").replace("\\\n", "") for page in pages]
+    command = r"^[# ]*`?((?:make compare|\S*python eval/compare\.py)\b.*--(?:add|policy) .*)"
+    return [found for text in texts for found in re.findall(command, text, re.M)]
+
+
+def test_recipes_do_not_lead_onto_the_test_set():
+    """Only a submission to the leaderboard names it, and that is said."""
+    found = recipes()
+    assert len(found) >= 9
+    assert [line for line in found if "--scenarios development" not in line and "--scenarios test" not in line] == []
+    assert len([line for line in found if "--scenarios test" in line]) == 1
+
+
 # Mistakes
 
 

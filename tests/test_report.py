@@ -21,7 +21,7 @@ from baselines.models.modes import held_mode
 from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
-from beltarm_env.metrics import SHOWN, TORQUES, heading
+from beltarm_env.metrics import NOT_ARRIVED, SHOWN, TORQUES, heading
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Method, classical_methods
@@ -73,6 +73,7 @@ WORDS = (
     "training seed",
     "belief",
     "fail, left",
+    "arrived",
     "privileged",
 )
 
@@ -109,20 +110,20 @@ def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
 
 
 def test_mean_tail_and_failures_stand_beside_the_interquartile_mean():
-    costs = np.full((1, 24), 100.0)
-    costs[0, 3] = 1300.0
-    found = outcome("pid", "classical", costs / np.linspace(0.9, 1.1, 24))
-    found.metrics["failure_share"][0, 3:6] = found.metrics[LEFT][0, 3] = 1.0
-    comparison = made(found, outcome("calm", "classical", 90.0))
+    costs = np.full((1, 40), 100.0)
+    costs[0, 3:5] = 1300.0
+    found = outcome("pid", "classical", costs / np.linspace(0.9, 1.1, 40))
+    found.metrics["failure_share"][0, 3:8] = found.metrics[LEFT][0, 3] = found.metrics[NOT_ARRIVED][0, 3:5] = 1.0
+    comparison = made(found, outcome("calm", "classical", np.full(40, 90.0)))
     cells = {line.method: line.cells for line in metric_tables(comparison)[0].ranked}
     assert cells["pid"][0].text == "100"
-    assert cells["pid"][0].details == ("[100, 100]", "150 / 1300", "12% fail, 1 left")
+    assert cells["pid"][0].details == ("[100, 100]", "160 / 1300", "12% fail, 1 left, 5% not arrived")
     assert len(cells["calm"][0].details) == 2
     table = main_table(comparison)
-    assert table.columns[:5] == ["cost", "mean", "worst 5 %", "fail", "left"]
-    assert [cell.text for cell in table.ranked[0].cells[:5]] == ["100", "150", "1300", "12%", "1"]
+    assert table.columns[:6] == ["cost", "mean", "worst 5 %", "fail", "left", "not arrived"]
+    assert [cell.text for cell in table.ranked[0].cells[:6]] == ["100", "160", "1300", "12%", "1", "5%"]
     shown = render(comparison, [], Recordings([]))
-    assert "<small>150 / 1300</small>" in shown and "<small>12% fail, 1 left</small>" in shown
+    assert "<small>160 / 1300</small>" in shown and "<small>12% fail, 1 left, 5% not arrived</small>" in shown
 
 
 def test_a_colour_is_one_method_and_so_is_a_line_style():

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -23,6 +24,7 @@ from agents.learners import ppo
 from agents.learners.registry import ALGORITHMS
 from agents.runs.checkpoint import RunFolder
 from agents.runs.command_line import COMMAND, begun_options, main
+from baselines.tools.command import this_python
 from baselines.tools.options import parse
 from baselines.tools.resuming import note_options
 from eval import bench, readme, scenarios
@@ -63,8 +65,25 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained")
     result = run("train/ppo.py", "--out", "run", "--total-steps", "256", *TINY, cwd=folder)
     assert result.returncode == 0, result.stderr
-    assert "eval/compare.py --policy" in result.stdout
+    (hint,) = [line for line in result.stdout.splitlines() if "eval/compare.py --policy" in line]
+    assert "--scenarios development" in hint, "the test set chooses nothing"
     return folder / "run"
+
+
+def test_a_command_that_is_shown_calls_the_interpreter_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    own = tmp_path / "a folder" / ".venv" / "bin" / "python"
+    own.parent.mkdir(parents=True)
+    own.symlink_to(sys.executable)
+    monkeypatch.setattr(sys, "executable", str(own))
+    monkeypatch.setenv("PATH", str(Path(shutil.which("env") or "/usr/bin/env").parent))
+    monkeypatch.chdir(tmp_path / "a folder")
+    assert this_python() == ".venv/bin/python"
+    monkeypatch.chdir(tmp_path)
+    assert shlex.split(this_python()) == ["a folder/.venv/bin/python"]
+    monkeypatch.chdir("/")
+    assert subprocess.run(f"{this_python()} --version", shell=True, check=False).returncode == 0
+    monkeypatch.setenv("PATH", str(own.parent))
+    assert this_python() == "python"
 
 
 def test_training_leaves_a_policy_a_checkpoint_and_logs(trained: Path) -> None:

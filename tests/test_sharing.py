@@ -160,7 +160,7 @@ def test_scores_are_those_of_the_results(method: str):
     for split, row in rows.items():
         assert found[split]["dataset"]["split"] == "test"
         metrics = {metric["type"]: metric for metric in found[split]["metrics"] if metric["type"] != "mean_reward"}
-        assert list(metrics) == list(SHOWN)
+        assert list(metrics) == [name for name in SHOWN if name in row["metrics"]]
         for name, metric in metrics.items():
             assert {"iqm": metric["value"], **metric["args"]} == row["metrics"][name]
             assert "over 5 training seeds" in metric["name"]

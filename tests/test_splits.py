@@ -373,7 +373,7 @@ def changed(name: str, change: Callable[[Split], Split]) -> ScenarioSet:
     ids=["equations", "encoder", "friction", "belt"],
 )
 def test_a_changed_physics_is_noticed(change: Callable[[Split], Split]):
-    message = r"on split nominal the arms move otherwise .* run `python eval/scenarios.py --write`"
+    message = r"on split nominal the arms move otherwise .* run `[^`]*python[^`]* eval/scenarios.py --write`"
     with pytest.raises(ValueError, match=message):
         require_same_physics(changed("nominal", change))
 

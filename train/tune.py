@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from agents.learners.tuning import TuningConfig, begun_options, counted, training_command, trials_as_csv, tune
 from baselines.engines.parallel import StopRequest, stop_on_signals
-from baselines.tools.command import run_command
+from baselines.tools.command import run_command, this_python
 from baselines.tools.files import write_text
 
 
@@ -33,7 +33,8 @@ def run(config: TuningConfig) -> None:
         print(f"{len(counted(study))} trials, see {config.table}; lowest validation cost {study.best_value:.1f}")
         print(f"to train with it:\n  {found}")
     except KeyboardInterrupt:
-        again = shlex.join(["python", "train/tune.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"])
+        words = ["train/tune.py", *(a for a in sys.argv[1:] if a != "--resume"), "--resume"]
+        again = f"{this_python()} {shlex.join(words)}"
         print(f"interrupted; trials are kept in {config.file}; to continue:\n  {again}")
         sys.exit(130)
 

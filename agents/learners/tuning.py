@@ -37,6 +37,7 @@ from agents.runs.monitor import News
 from agents.runs.training import train
 from baselines.engines.options import SideBySide
 from baselines.engines.parallel import Channel, Failure, Interrupted, StopRequest, default_jobs, run_side_by_side
+from baselines.tools.command import this_python
 from baselines.tools.files import require_writable
 from baselines.tools.options import Groups
 from baselines.tools.resuming import note_options, noted_options
@@ -338,7 +339,7 @@ def training_command(config: TuningConfig, study: optuna.Study) -> str:
         raise ValueError(f"no trial of {config.file} was completed; {next(filter(None, failures), 'none was run')}")
     options = {"base": config.base, **study.best_params}
     words = [w for name, value in options.items() for w in (f"--{name.replace('_', '-')}", *_shown(value).split())]
-    return shlex.join(["python", f"train/{config.algorithm}.py", *words, "--arms", str(config.arms)])
+    return f"{this_python()} {shlex.join([f'train/{config.algorithm}.py', *words, '--arms', str(config.arms)])}"
 
 
 def _shown(value: object) -> str:

@@ -19,6 +19,7 @@ from safetensors.torch import load, save
 from agents.observer.network import Observer, offered
 from agents.observer.quantities import QUANTITIES
 from agents.residual.bases import base_settings, settings_hash
+from baselines.tools.command import this_python
 from baselines.tools.files import read_regular, write_atomically
 from baselines.tools.schema import in_a_line, parse
 from beltarm_env.observation import LAYOUT
@@ -84,7 +85,7 @@ def load_observer(path: Path = SHIPPED / "belief.safetensors") -> tuple[Observer
         observer = Observer(content["knowledge"], content["width"], content["hold"])
         belongs = _belongs_to(observer)
     except FileNotFoundError:
-        raise ObserverError(f"no observer at {path}: `python train/observer.py` fits one") from None
+        raise ObserverError(f"no observer at {path}: `{this_python()} train/observer.py` fits one") from None
     except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
         raise ObserverError(f"{path} is no observer of this release ({in_a_line(error)})") from None
     for name, value in belongs.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -29,7 +30,7 @@ from baselines.engines.parallel import (
     stop_on_signals,
 )
 from baselines.engines.workplace import Workplace
-from baselines.tools.command import one_line_errors
+from baselines.tools.command import one_line_errors, this_python
 from baselines.tools.options import parse
 from baselines.tools.progress import ProgressRows, progress_rows
 from baselines.tools.provenance import command_line
@@ -83,7 +84,7 @@ def begun_options(config: RunConfig) -> dict[str, Any]:
 
 def _resume_command(script: str) -> str:
     arguments = [argument for argument in sys.argv[1:] if argument not in ("--resume", "--overwrite")]
-    return shlex.join(["python", script, *arguments, "--resume"])
+    return f"{this_python()} {shlex.join([script, *arguments, '--resume'])}"
 
 
 def _stop_on_signals(stop: StopRequest, console: Console) -> Any:
@@ -103,7 +104,7 @@ def _run_one(config: RunConfig, make_learner: Maker, console: Console) -> None:
         monitor = train(config, make_learner, channel)
     steps, seconds, _ = monitor.curve[-1]
     print(f"{steps} steps in {seconds:.0f} s; best policy: {config.out / 'best'}")
-    print(f"compare it: python eval/compare.py --policy {config.out / 'best'}")
+    print(f"compare it: {compare_command([config.out / 'best'])}")
 
 
 def _show(rows: ProgressRows, console: Console, name: str, news: News) -> None:
@@ -166,9 +167,15 @@ def _run_seeds(config: RunConfig, make_learner: Maker, console: Console) -> None
         raise ValueError("\n".join([*failed, f"{len(runs) - len(failed)} other runs are saved in {config.out}"]))
     if stop.made:
         raise Interrupted(f"interrupted; all runs that had started are saved in {config.storage or config.out}")
-    print(f"{len(runs)} runs in {config.out}; learning curves: python eval/curves.py --runs {config.out}")
-    policies = " ".join(f"--policy {run.out / 'best'}" for run in runs.values())
-    print(f"compare them: python eval/compare.py {policies}")
+    print(f"{len(runs)} runs in {config.out}; learning curves: {this_python()} eval/curves.py --runs {config.out}")
+    print(f"compare them: {compare_command([run.out / 'best' for run in runs.values()])}")
+
+
+def compare_command(policies: Sequence[Path]) -> str:
+    """Command that compares policies with the project's methods, where they may be chosen: not on the test set."""
+    words = [word for policy in policies for word in ("--policy", str(policy))]
+    words += ["--scenarios", "development", "--out", "results/development"]
+    return f"{this_python()} {shlex.join(['eval/compare.py', *words])}"
 
 
 def _local(run: RunConfig) -> RunConfig:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import difflib
 import os
+import shlex
+import shutil
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -41,6 +43,16 @@ def run_command(
         config = parse(kind, description, begun=begun)
     with one_line_errors(script, whole=getattr(config, "traceback", False)):
         work(config)
+
+
+def this_python() -> str:
+    """Word that calls the interpreter that runs, in a command line that is shown: `python` only where that is it."""
+    folder = Path(sys.executable).parent
+    known = shutil.which("python")
+    if known and Path(known).parent == folder:
+        return "python"
+    inside = folder.is_relative_to(Path.cwd())
+    return shlex.quote(str(Path(sys.executable).relative_to(Path.cwd()) if inside else sys.executable))
 
 
 def stop_without(script: str, error: ModuleNotFoundError) -> NoReturn:

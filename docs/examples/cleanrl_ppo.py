@@ -34,6 +34,7 @@ from agents.policy.network import NetworkPolicy
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.residual.env import ResidualVecEnv
+from agents.runs.command_line import compare_command
 from agents.runs.monitor import validate
 from baselines.tools.provenance import command_line, software
 from beltarm_env.task.cost import MAX_COST
@@ -242,6 +243,6 @@ if __name__ == "__main__":
     save_bundle(args.out / "policy", replace(spec, provenance=provenance), actor.weights())
     costs = f"{of_base['cost']:.1f} of {args.base} alone, {scores['cost']:.1f} with the residual"
     print(f"cost on {args.validation_arms} validation arms: {costs}")
-    print(f"compare it: python eval/compare.py --policy {args.out / 'policy'}")
+    print(f"compare it: {compare_command([args.out / 'policy'])}")
     writer.close()
     envs.close()

@@ -98,6 +98,6 @@ for axes in (error, torque):
 # ----------
 # .. code-block:: sh
 #
-#    make train                                                       # PPO on `paper`, saved in runs/ppo
-#    make compare ARGS="--policy runs/ppo/best --out results/mine"    # against all controllers
-#    python train/student.py --seeds 5 --jobs 2                       # a student on `adaptive`
+#    make train     # PPO on `paper`, saved in runs/ppo
+#    make compare ARGS="--policy runs/ppo/best --scenarios development --out results/mine"
+#    .venv/bin/python train/student.py --seeds 5 --jobs 2     # a student on `adaptive`

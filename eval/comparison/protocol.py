@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff
+from baselines.tools.command import this_python
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
@@ -228,5 +229,7 @@ def _first_failure(method: Method) -> Failure | None:
     for finding in findings_of(spec):
         if not finding.passed:
             words = f"it does not keep the protocol ({finding.check}): {finding.detail}"
-            return Failure(method.name, "", f"{words}; see `python eval/check_controller.py {spec}`", finding.trace)
+            return Failure(
+                method.name, "", f"{words}; see `{this_python()} eval/check_controller.py {spec}`", finding.trace
+            )
     return None

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.tools.command import this_python
 from baselines.tools.files import read_text, write_text
 from baselines.tools.provenance import last_commit_of
 from baselines.tools.schema import in_a_line, loads
@@ -221,7 +222,11 @@ def require_same_physics(scenarios: ScenarioSet) -> None:
     kept = scenarios if own else development_set().only(list(scenarios.splits))
     name = kept.label.name
     path = FILE if name == TEST_NAME else RECORD
-    remedy = "raise VERSION in eval/comparison/splits.py" if name == TEST_NAME else f"run `{COMMAND}`"
+    remedy = (
+        "raise VERSION in eval/comparison/splits.py"
+        if name == TEST_NAME
+        else f"run `{COMMAND.replace('python', this_python(), 1)}`"
+    )
     entries = _read(path, name, remedy)["splits"]
     splits = list(kept.splits.values())
     for split, moved in zip(splits, motions(splits), strict=True):
