@@ -542,6 +542,16 @@ def test_an_added_controller_has_a_limit_of_time(tmp_path: Path):
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_failure_is_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """On the terminal, where output and errors come together."""
+    (tmp_path / "mine.py").write_text(FAILING)
+    options = ("--add", "mine.py:Fails", "--methods", "paper", "--splits", "nominal", "--episodes", "7", "--jobs", "1")
+    code, errors = stopped(compare.main, (*options, "--out", "out"), tmp_path)
+    assert code == 1
+    assert (errors + capsys.readouterr().out).count("no such number of arms") == 1
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
     """Also where it is the only method's, and nothing is left to compare."""
     (tmp_path / "mine.py").write_text(FAILING)
