@@ -189,6 +189,11 @@ def test_a_card_says_where_its_policy_loses():
             pair["verdict"] = "better"
     assert losses("x", best) == "`x` is worse than the best classical controller on none of 9 splits."
     assert losses("x", {}).startswith("That is not known")
+    del best["payload"]["metrics"]["residual_pp_mm"]
+    best["friction"]["metrics"]["residual_pp_mm"]["verdict"] = "too few scenarios"
+    assert "`payload`, `friction`" in losses("x", best).replace("`friction`, `payload`", "`payload`, `friction`")
+    best["drive"]["metrics"]["cost"]["verdict"] = "too few scenarios"
+    assert losses("x", best).startswith("That is not known") and "`drive`" in losses("x", best)
 
 
 def test_a_policy_of_ones_own(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -11,6 +11,7 @@ import pytest
 from commands import mistake, stopped
 from scipy.stats import binom
 
+from beltarm_env.metrics import NOT_ARRIVED
 from beltarm_env.task.seeds import further_arms
 from eval import compare, watch
 from eval.comparison.failures import Failure
@@ -20,6 +21,8 @@ from eval.comparison.sets import MOST, fresh_scenarios, fresh_set
 from eval.comparison.splits import EPISODES, SPLITS, first_seed
 from eval.tails import shards, study
 from eval.tails.estimates import against, percentile, share_of, tail_of, tail_size, unlike
+from eval.tails.page import page
+from eval.tails.publish import record
 from eval.tails.shards import KEPT, Shard, is_kept, keep, merged, policy_of, run, run_shards, shards_of
 from eval.views import side_by_side
 
@@ -80,6 +83,24 @@ def test_policies_take_turns():
 
 def few(count: int = 5) -> list[Shard]:
     return [Shard(method(), "nominal", 1, first, 2) for first in range(0, 2 * count, 2)]
+
+
+def test_arms_that_do_not_arrive_do_not_count_as_still(tmp_path: Path):
+    """Neither in vibration, nor in settling, nor in torques; where none arrives, there are no numbers."""
+    shard = Shard(method(), "nominal", 1, 0, 40)
+    away = np.arange(40) < 10
+    for gone in (away, np.ones(40, bool)):
+        values = {name: np.where(gone, 0.0, 5.0) for name in KEPT}
+        values |= {"cost": np.arange(40.0), NOT_ARRIVED: gone.astype(float), "cpu_seconds": np.array(1.0)}
+        keep(shard, values, tmp_path)
+        (found,) = study._outcomes([[shard]], tmp_path)
+        assert found.not_arrived.value == gone.mean()
+        for name in ("residual_pp_mm", "settling_s", "torque_rate_rms"):
+            tail = found.tails[name]
+            assert [tail.mean, tail.iqm] == pytest.approx([np.nan if gone.all() else 5.0] * 2, nan_ok=True)
+        assert found.tails["cost"].mean == 19.5
+    done = study.Study(1, 40, {"nominal": [found]}, [], {"command": "", "beltarm": "", "commit": ""})
+    assert "nan" not in page(done) and "NaN" not in json.dumps(record(done))
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

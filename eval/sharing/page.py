@@ -111,20 +111,27 @@ def losses(method: str, pairs: Mapping[str, Mapping[str, Any]]) -> str:
     """
     if not pairs:
         return "That is not known: no classical controller took part in its comparison."
+    few = {split for split, row in pairs.items() if row["metrics"]["cost"]["verdict"] == _FEW}
+    if few:
+        return f"That is not known: there were too few scenarios on {_listed(sorted(few), len(pairs))}."
     found = {}
-    for verdict in ("worse", "no difference shown", _FEW):
-        places = {
-            METRICS[name].title: [
-                split for split, row in pairs.items() if row["metrics"].get(name, {}).get("verdict") == verdict
-            ]
-            for name in PAIRED_METRICS
-        }
-        found[verdict] = "; ".join(f"in {title} on {_listed(on, len(pairs))}" for title, on in places.items() if on)
-    if found[_FEW]:
-        return f"That is not known: there were too few scenarios {found[_FEW]}."
+    for verdict in ("worse", "no difference shown"):
+        places = {name: [s for s, row in pairs.items() if _verdict(row, name) == verdict] for name in PAIRED_METRICS}
+        found[verdict] = "; ".join(
+            f"in {METRICS[name].title} on {_listed(on, len(pairs))}" for name, on in places.items() if on
+        )
     worse = found["worse"] or f"on none of {len(pairs)} splits"
-    first = f"`{method}` is worse than the best classical controller {worse}."
-    return f"{first} It is not shown to differ {same}." if (same := found["no difference shown"]) else first
+    sentences = [f"`{method}` is worse than the best classical controller {worse}."]
+    if same := found["no difference shown"]:
+        sentences.append(f"It is not shown to differ {same}.")
+    if away := [split for split, row in pairs.items() if _verdict(row, "residual_pp_mm") in ("", _FEW)]:
+        sentences.append(f"On {_listed(away, len(pairs))} the two arrive too seldom to compare their vibration.")
+    return " ".join(sentences)
+
+
+def _verdict(row: Mapping[str, Any], name: str) -> str:
+    """Verdict of a paired comparison in a metric; empty where both methods arrive too seldom for one."""
+    return row["metrics"].get(name, {}).get("verdict", "")
 
 
 def _listed(splits: Sequence[str], total: int) -> str:
