@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import shlex
 import subprocess
@@ -14,6 +15,7 @@ from beltarm_env import __version__
 from beltarm_env.sources import sources_digest
 
 _ROOT = Path(__file__).resolve().parents[2]
+_OF_ANOTHER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY")  # as hooks set
 _PACKAGES = ("gymnasium", "numba", "numpy", "optuna", "sb3-contrib", "scipy", "stable-baselines3", "torch")
 
 
@@ -25,7 +27,11 @@ def command_line() -> str:
 
 
 def commit() -> str:
-    """Commit of the checkout, with `-dirty` where files differ from it; "unknown" without git."""
+    """Commit of the checkout, with `-dirty` where files differ from it.
+
+    "unknown" without git, and where these sources are no checkout of their own: in a folder of another repository, or
+    at its top and in none of its commits.
+    """
     try:
         return _git("describe", "--always", "--dirty")
     except (OSError, subprocess.CalledProcessError):
@@ -36,7 +42,7 @@ def last_commit_of(path: Path) -> str:
     """Hash of the last commit that changed a file of the checkout.
 
     Raises:
-        ValueError: If the file is in no commit, differs from its last one, or there is no git.
+        ValueError: If the file is in no commit, differs from its last one, or there is no git or no checkout.
     """
     try:
         changed, found = _git("status", "--porcelain", "--", path), _git("log", "-1", "--format=%H", "--", path)
@@ -48,8 +54,22 @@ def last_commit_of(path: Path) -> str:
 
 
 def _git(*words: str | Path) -> str:
-    """What git says of the checkout."""
-    return subprocess.run(["git", *words], cwd=_ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    """What git says of the checkout.
+
+    Raises:
+        OSError: If there is no git, or another repository would answer.
+        CalledProcessError: If git cannot answer.
+    """
+    if _ask("rev-parse", "--show-prefix") or not _ask("ls-files", "--", Path(__file__).resolve()):
+        raise FileNotFoundError(f"{_ROOT} is not a checkout of its own")
+    return _ask(*words)
+
+
+def _ask(*words: str | Path) -> str:
+    """What git says in the folder of these sources, whatever repository that is in."""
+    environment = {name: value for name, value in os.environ.items() if name not in _OF_ANOTHER}
+    found = subprocess.run(["git", *words], cwd=_ROOT, env=environment, capture_output=True, text=True, check=True)
+    return found.stdout.strip()
 
 
 def code_and_packages() -> str:
