@@ -457,7 +457,7 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
     bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int
 ):
     """The disk fills up at the weights, or between the weights and the manifest."""
-    old, _ = load_controller(bundle)
+    old = load_controller(bundle)
     seen = np.ones((2, observation.size()), np.float32)
     expected = old.predict(seen)[0]
     rename, calls = os.replace, []
@@ -472,7 +472,7 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
     with pytest.raises(OSError, match="No space"):
         save_bundle(bundle, SPEC, new_weights())
     monkeypatch.undo()
-    again, _ = load_controller(bundle)
+    again = load_controller(bundle)
     assert isinstance(again, ResidualController)
     assert np.array_equal(again.predict(seen)[0], expected)
     assert not [name for name in os.listdir(bundle) if name.startswith(".")]

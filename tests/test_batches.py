@@ -23,7 +23,7 @@ METHODS: dict[str, tuple[Callable[[], Controller], str]] = {
 }
 for _shipped, _sensors in ((POLICIES, "encoder"), (FELT_POLICIES, "accelerometer")):
     for _folder in sorted(_shipped.glob("*/seed0")):
-        METHODS[f"{_folder.parent.name} policy, {_sensors}"] = (lambda at=_folder: load_controller(at)[0], _sensors)
+        METHODS[f"{_folder.parent.name} policy, {_sensors}"] = (lambda at=_folder: load_controller(at), _sensors)
 
 
 def torques(make: Callable[[], Controller], sensors: Any, first: int, count: int) -> Singles:

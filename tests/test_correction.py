@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import POLICIES, BundleSpec, load_controller
+from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spec
 from agents.policy.correction import correct, correction
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
@@ -74,7 +74,8 @@ def test_residuals_of_one_arm_are_the_controllers(name: str):
 
 @pytest.mark.parametrize("name", ["ppo", "student"])
 def test_so_they_are_for_shipped_policies(name: str):
-    controller, spec = load_controller(POLICIES / name / "seed0")
+    controller = load_controller(POLICIES / name / "seed0")
+    spec, _ = read_spec(POLICIES / name / "seed0")
     assert_same(controller, spec.sensors, 200)
 
 

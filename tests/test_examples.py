@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.policy.bundle import load_controller
+from agents.policy.bundle import read_spec
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "docs" / "examples"
@@ -40,7 +40,7 @@ def test_ppo_in_one_file_learns_and_saves_a_policy(tmp_path: Path):
     output = output_of("cleanrl_ppo.py", *small, "--validation-arms", "16", cwd=tmp_path)
     before, after = costs_in(output, VALIDATED)
     assert after < 0.8 * before
-    _, spec = load_controller(tmp_path / "runs/cleanrl_ppo/policy")
+    spec, _ = read_spec(tmp_path / "runs/cleanrl_ppo/policy")
     assert (spec.algorithm, spec.base, spec.residual.hold) == ("ppo", "paper", 4)
     assert spec.provenance["run"]["steps"] == 20480  # which the comparison shows beside other methods' samples
     assert spec.provenance["reached"]["validation"]["cost"] == pytest.approx(after, abs=0.1)

@@ -211,7 +211,7 @@ class TestInTheLoop:
             assert (run.torque[onset + 50 :, arm] == 0).all()
 
     def test_learned_policy_that_is_no_number_is_its_base(self):
-        policy, _ = load_controller(POLICIES / "ppo" / "seed0")
+        policy = load_controller(POLICIES / "ppo" / "seed0")
 
         class Broken:
             def predict(

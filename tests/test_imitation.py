@@ -23,7 +23,7 @@ import agents.runs.monitor
 from agents.learners import teaching
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, ask, best_changes
-from agents.policy.bundle import load_controller
+from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.monitor import News, TrainingMonitor
@@ -296,7 +296,8 @@ def test_the_untrained_student_is_its_base(tmp_path: Path):
 
 
 def test_what_is_left_is_a_policy(whole: Path):
-    trained, spec = load_controller(whole / "last")
+    trained = load_controller(whole / "last")
+    spec, _ = read_spec(whole / "last")
     assert (spec.algorithm, spec.base) == ("student", "paper")
     scores = agents.runs.monitor.validate(trained, 2)
     assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]

@@ -136,7 +136,7 @@ import sys
 import numpy as np
 import eval.compare
 from agents.policy.bundle import POLICIES, load_controller
-controller, _ = load_controller(POLICIES / "ppo" / "seed0")
+controller = load_controller(POLICIES / "ppo" / "seed0")
 print(controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex())
 assert "torch" not in sys.modules
 """
@@ -145,5 +145,5 @@ assert "torch" not in sys.modules
 @pytest.mark.slow
 def test_shipped_policies_act_and_are_compared_without_pytorch():
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
-    controller, _ = load_controller(POLICIES / "ppo" / "seed0")
+    controller = load_controller(POLICIES / "ppo" / "seed0")
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()

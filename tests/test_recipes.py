@@ -79,8 +79,9 @@ import runpy, sys
 from pathlib import Path
 sys.argv[1:] = "--total-steps 64 --arms 8 --validation-arms 1 --base paper --knowledge none --hidden 8 --hold 4".split()
 runpy.run_path("train/a2c.py", run_name="__main__")
-from agents.policy.bundle import load_controller
-controller, spec = load_controller(Path("runs/a2c/best"))
+from agents.policy.bundle import load_controller, read_spec
+controller = load_controller(Path("runs/a2c/best"))
+spec, _ = read_spec(Path("runs/a2c/best"))
 print("loaded", spec.algorithm)
 """
     out = run(tmp_path, "-c", code, compiled=False)

@@ -532,7 +532,8 @@ def test_bundle_holds_the_description_and_the_weights(tmp_path: Path, spec: Bund
 def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSpec):
     policy = lively_policy(spec)
     save_bundle(tmp_path, spec, lively_actor(spec).weights())
-    loaded, told = load_controller(tmp_path)
+    loaded = load_controller(tmp_path)
+    told, _ = read_spec(tmp_path)
     assert told == spec == read_spec(tmp_path)[0]
     original = ResidualController(make_base(spec.base), policy, spec.residual)
     sensors: Any = spec.sensors
@@ -560,7 +561,7 @@ def test_content_hash_depends_on_content_alone(tmp_path: Path):
     )
     files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
     assert files[0] == files[1]
-    _, told = load_controller(tmp_path / "a")
+    told, _ = read_spec(tmp_path / "a")
     assert save_bundle(tmp_path / "c", told, actor.weights()) == first
     others = [
         save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), actor.weights()),
@@ -576,7 +577,7 @@ def test_saving_again_replaces_the_bundle(tmp_path: Path):
     assert len(list(tmp_path.iterdir())) == 3
     seen = np.ones((1, size()), np.float32)
     expected = ResidualController(CONTROLLERS["paper"](), lively_policy(seed=1), SETTINGS).predict(seen)[0]
-    assert np.array_equal(load_controller(tmp_path)[0].predict(seen)[0], expected)
+    assert np.array_equal(load_controller(tmp_path).predict(seen)[0], expected)
 
 
 def test_no_pickle_in_a_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -626,7 +627,8 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
     spec = BundleSpec("ppo", "paper", SETTINGS, (16,), inputs=names)
     policy = lively_policy(spec)
     save_bundle(tmp_path, spec, lively_actor(spec).weights())
-    loaded, told = load_controller(tmp_path)
+    loaded = load_controller(tmp_path)
+    told, _ = read_spec(tmp_path)
     assert told == spec
     places = [[entry.name for entry in spec.offered()].index(name) for name in names]
     expected = rollout(ResidualController(CONTROLLERS["paper"](), Picks(policy, places), SETTINGS), 3, seed=1, **ARMS)
@@ -640,7 +642,7 @@ def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
 def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(tmp_path: Path):
     spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
     save_bundle(tmp_path, spec, Actor(spec.shape()).weights())
-    controller, _ = load_controller(str(tmp_path))
+    controller = load_controller(str(tmp_path))
     assert isinstance(controller.informed.base, FeltAdaptiveController)
     assert not isinstance(make_base("adaptive"), FeltAdaptiveController)
     assert isinstance(make_base("paper", "accelerometer"), PaperController)  # which has no filter

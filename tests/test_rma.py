@@ -12,7 +12,7 @@ import torch
 from trainings import StopAfter, weights
 
 from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, Told, merged, told_constants
-from agents.policy.bundle import load_controller
+from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController
@@ -173,14 +173,15 @@ def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):
 
 
 def test_what_is_left_is_a_policy_of_a_students_shape(whole: Path):
-    trained, spec = load_controller(whole / "last")
+    trained = load_controller(whole / "last")
+    spec, _ = read_spec(whole / "last")
     assert (spec.algorithm, spec.base, spec.gru) == ("rma", "paper", 6)
     assert validate(trained, 2) == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
 
 
 def test_the_memory_moves_the_torque_once_it_is_fitted(whole: Path):
     """Its weights into the first layer are zero as long as it is not."""
-    trained, _ = load_controller(whole / "last")
+    trained = load_controller(whole / "last")
     policy: Any = trained.policy
     seen = np.zeros((2, policy.shape.inputs), np.float32)
     memories = np.zeros((2, 6), np.float32)

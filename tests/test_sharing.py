@@ -127,7 +127,7 @@ def test_the_folder_of_a_shipped_policy(
     Draft202012Validator(FRONT_MATTER).validate(fields)
     assert {"deep-reinforcement-learning", "reinforcement-learning", "BeltArm-v0", "ppo"} <= {*fields["tags"]}
     run = rollout(
-        load_controller(POLICY)[0], EPISODES, **choose_set("test").splits["randomized"].arguments(slice(EPISODES))
+        load_controller(POLICY), EPISODES, **choose_set("test").splits["randomized"].arguments(slice(EPISODES))
     )
     first = fields["model-index"][0]["results"][0]
     mean, sign, std = first["metrics"][0].pop("value").split()

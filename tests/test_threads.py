@@ -164,7 +164,7 @@ def test_controllers_drive_arms_the_same_whatever_their_number(name: str, monkey
     for number in (1, 3):
         monkeypatch.setenv("OMP_NUM_THREADS", str(number))
         assert blocks.usual_threads() == number
-        controller = CONTROLLERS[name]() if name in CONTROLLERS else load_controller(POLICIES / name / "seed0")[0]
+        controller = CONTROLLERS[name]() if name in CONTROLLERS else load_controller(POLICIES / name / "seed0")
         driven.append(rollout(controller, 100, seed=3, randomization="train").state.tobytes())
     assert driven[0] == driven[1]
 

@@ -7,7 +7,7 @@ import pytest
 from refusals import refused
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import POLICIES, BundleSpec, load_controller, save_bundle
+from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spec, save_bundle
 from agents.policy.together import are_alike, load_together
 from agents.residual.controller import ResidualSettings
 from beltarm_env.rollout import rollout
@@ -31,9 +31,9 @@ def method(name: str, seeds: int) -> Method:
 def test_each_has_its_own_rows_and_memory(name: str):
     """Also where some rows begin an episode and others go on."""
     several = load_together(folders(name, 3))[0].policy
-    alone = [load_controller(folder)[0].policy for folder in folders(name, 3)]
+    alone = [load_controller(folder).policy for folder in folders(name, 3)]
     rng = np.random.default_rng(0)
-    inputs = len(load_controller(folders(name, 1)[0])[1].offered())
+    inputs = len(read_spec(folders(name, 1)[0])[0].offered())
     memory, memories = None, [None] * 3
     residuals = np.empty((0, 1), np.float32)
     for _ in range(6):

@@ -465,7 +465,8 @@ def test_an_untrained_agent_is_nearly_its_base(name: str, tmp_path: Path):
 @pytest.mark.parametrize("name", NAMES)
 def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
     monitor = run(tiny(name, tmp_path, total_steps=128))
-    controller, spec = load_controller(tmp_path / "last")
+    controller = load_controller(tmp_path / "last")
+    spec, _ = read_spec(tmp_path / "last")
     assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
     assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
     validated = agents.runs.monitor.validate(controller, 4)
@@ -483,7 +484,7 @@ def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
 def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
     config = tiny("ppo", tmp_path, base=base, sensors=sensors, knowledge="none", total_steps=64)
     run(config)
-    _, spec = load_controller(tmp_path / "best")
+    spec, _ = read_spec(tmp_path / "best")
     assert (spec.base, spec.sensors, spec.residual.knowledge) == (base, sensors, "none")
 
 

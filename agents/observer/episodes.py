@@ -34,7 +34,7 @@ class Source(NamedTuple):
 
     def controller(self) -> Controller:
         """Make the controller."""
-        return load_controller(STUDENT)[0] if self.name == "student" else make_base(self.name)
+        return load_controller(STUDENT) if self.name == "student" else make_base(self.name)
 
 
 SOURCES = (

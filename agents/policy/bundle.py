@@ -177,12 +177,12 @@ def _spec_of(content: dict[str, Any]) -> BundleSpec:
     return spec
 
 
-def load_controller(folder: Path | str) -> tuple[ResidualController, BundleSpec]:
+def load_controller(folder: Path | str) -> ResidualController:
     """Load a bundle as a controller on the environment's observation; raises the errors of `read_weights`."""
     weights, spec, _ = read_weights(folder)
     network = NetworkPolicy(weights)
     policy = network if spec.inputs is None else SelectedInputs(network, spec.inputs, spec.offered())
-    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual), spec
+    return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
 
 
 def read_weights(folder: Path | str) -> tuple[Weights, BundleSpec, dict[str, Any]]:

@@ -71,14 +71,14 @@ def load_together(folders: Sequence[Path]) -> tuple[ResidualController, BundleSp
         BundleError: If one is missing, damaged or foreign.
         ValueError: If they differ in more than their weights.
     """
-    loaded = [load_controller(folder) for folder in folders]
-    (first, spec), *others = loaded
-    for folder, (_, other) in zip(folders[1:], others, strict=True):
+    spec, *others = [read_spec(folder)[0] for folder in folders]
+    for folder, other in zip(folders[1:], others, strict=True):
         if _without_origin(other) != _without_origin(spec):
             raise ValueError(f"{folder} is not built as {folders[0]}: load each by itself")
-    if not others:
+    first, *more = [load_controller(folder) for folder in folders]
+    if not more:
         return first, spec
-    policies = SharedPolicies([controller.policy for controller, _ in loaded])
+    policies = SharedPolicies([controller.policy for controller in (first, *more)])
     return ResidualController(first.informed.base, policies, spec.residual), spec
 
 

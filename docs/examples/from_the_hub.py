@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from agents.policy.bundle import MANIFEST, load_controller
+from agents.policy.bundle import MANIFEST, load_controller, read_spec
 from baselines.tools.command import one_line_errors
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import fresh_arms
@@ -41,7 +41,8 @@ def main() -> None:
     source.add_argument("--repo-id", metavar="ORG/NAME", help="repository of a policy on the Hub")
     given = parser.parse_args()
     with one_line_errors("from_the_hub.py"):
-        controller, spec = load_controller(given.folder or download(given.repo_id))
+        folder = given.folder or download(given.repo_id)
+        controller, (spec, _) = load_controller(folder), read_spec(folder)
         run = rollout(controller, 1, seed=ARM, sensors=spec.sensors, randomization="train")
         print(f"{spec.algorithm} on {spec.base}: cost {run.cost[0]:.1f}")
 

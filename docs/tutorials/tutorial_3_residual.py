@@ -67,8 +67,8 @@ ARMS = {"seed": VALIDATION.first, "randomization": "train"}
 agents = {
     "base": base,
     "ours": ResidualController(base, model, settings),
-    "ppo": load_controller(POLICIES / "ppo" / "seed0")[0],
-    "student": load_controller(POLICIES / "student" / "seed0")[0],
+    "ppo": load_controller(POLICIES / "ppo" / "seed0"),
+    "student": load_controller(POLICIES / "student" / "seed0"),
 }
 runs = {name: rollout(agent, 50, **ARMS) for name, agent in agents.items()}
 for name, run in runs.items():

@@ -22,7 +22,7 @@ from eval.comparison.sets import development_set
 split = development_set().splits["randomized"]
 scenarios = split.arguments(slice(0, 40))
 adaptive = rollout(CONTROLLERS["adaptive"](), 40, **scenarios)
-student = rollout(load_controller(POLICIES / "student" / "seed0")[0], 40, **scenarios)
+student = rollout(load_controller(POLICIES / "student" / "seed0"), 40, **scenarios)
 print("adaptive", adaptive)
 print("student ", student)
 

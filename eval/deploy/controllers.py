@@ -11,7 +11,6 @@ import numpy as np
 
 from agents.policy.bundle import MANIFEST, load_controller, read_spec
 from agents.policy.correction import correction
-from agents.residual.controller import ResidualController
 from agents.residual.guarded import GuardedResidualController
 from baselines import CONTROLLERS
 from baselines.controller import LawKernel
@@ -67,15 +66,14 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         nearest = difflib.get_close_matches(source, CONTROLLERS, n=1)
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"
         raise ValueError(f"{source!r} is neither a classical controller nor the folder of a policy; {hint}")
-    controller, spec = load_controller(Path(source))
-    assert isinstance(controller, ResidualController)
+    controller, (spec, content) = load_controller(source), read_spec(source)
     base: Any = controller.informed.base
     kernel, corrected = _kernel(base, spec.base, plan_samples), correction(controller)
     told, shared = spec.residual.knowledge != "none", corrected.identifier is None
     filtering = _filtering() if told and not shared else None
     design = Learned(kernel.design, corrected.identifier.design if corrected.identifier else None, corrected.design)
     memory = Learned(kernel.memory, filtering, corrected.memory)
-    title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {read_spec(source)[1]['content_hash']}"
+    title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {content['content_hash']}"
     propose = learned(kernel.law, told, shared)
     params, plans = controller.params or ArmParams(), isinstance(base, AdaptiveController)
     loop = Loop(spec.algorithm, title, params, step_of(propose), design, memory, told, plans)
@@ -130,8 +128,5 @@ def controller_of(source: str, guard: bool = True) -> Any:
     """Make the controller in Python whose loop `loop_of` makes."""
     if source in CONTROLLERS:
         return guarded(source) if guard else CONTROLLERS[source]()
-    controller, spec = load_controller(Path(source))
-    if not guard:
-        return controller
-    assert isinstance(controller, ResidualController)
-    return GuardedResidualController(controller, servo_for(spec.base))
+    controller = load_controller(Path(source))
+    return GuardedResidualController(controller, servo_for(read_spec(Path(source))[0].base)) if guard else controller

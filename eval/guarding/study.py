@@ -68,7 +68,7 @@ class Watched:
 
 def plain(name: str) -> Controller:
     """Make a controller without the guard; of a learned method that of its first training seed."""
-    return load_controller(POLICIES / name / "seed0")[0] if name in LEARNED else CONTROLLERS[name]()
+    return load_controller(POLICIES / name / "seed0") if name in LEARNED else CONTROLLERS[name]()
 
 
 def with_guard(controller: Controller, name: str) -> GuardedController:

@@ -115,7 +115,8 @@ class AblationRun:
         """
         place = place or self.folder
         self._train(place, channel)
-        controller, spec = load_controller(place / "last")
+        controller = load_controller(place / "last")
+        spec, _ = read_spec(place / "last")
         (curve,) = find_curves([place / "last"])
         points = np.stack([curve.steps, curve.minutes, curve.cost], axis=1)
         found = {

@@ -43,4 +43,4 @@ def reference_scores(**settings: Any) -> Scores:
     def mean_return(controller: Controller) -> float:
         return -float(np.mean(rollout(controller, EPISODES, seed=DATASET_SCORES.first, **settings).cost))
 
-    return Scores(mean_return(_Random()), mean_return(load_controller(EXPERT)[0]), EPISODES)
+    return Scores(mean_return(_Random()), mean_return(load_controller(EXPERT)), EPISODES)

@@ -43,7 +43,7 @@ Times = dict[tuple[str, Tier], float]
 def controller(name: str, tier: Tier) -> Controller:
     """Make a classical controller with its tuned gains, the same for both sets of sensors, or the student of a set."""
     if name == STUDENT:
-        return load_controller((POLICIES if tier == "encoder" else FELT_POLICIES) / STUDENT / "seed0")[0]
+        return load_controller((POLICIES if tier == "encoder" else FELT_POLICIES) / STUDENT / "seed0")
     return (CONTROLLERS if tier == "encoder" else FELT)[name]()
 
 

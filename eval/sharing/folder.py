@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_weights
+from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_spec, read_weights
 from agents.policy.card import ENVIRONMENT, Offer, card
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
@@ -97,7 +97,8 @@ def film_of(policy: Path) -> bytes:
         ValueError: If nothing is installed that writes it.
     """
     require_writer(Path(FILM))
-    controller, spec = load_controller(policy)
+    controller = load_controller(policy)
+    spec, _ = read_spec(policy)
     splits = development_set().splits
     split = with_sensors(splits[main_split(list(splits))], spec.sensors)
     track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", split.run(controller, 0))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy.bundle import load_controller
+from agents.policy.bundle import load_controller, read_spec
 from baselines.tools.files import sha256_of
 from beltarm_env.rollout import rollout
 from eval.comparison.scenarios import choose_set
@@ -112,7 +112,8 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
 
 def run_alone(policy: Path, split: Split, episodes: int) -> Return:
     """Run one policy on the first scenarios of a split."""
-    controller, spec = load_controller(policy)
+    controller = load_controller(policy)
+    spec, _ = read_spec(policy)
     run = rollout(controller, episodes, **with_sensors(split, spec.sensors).arguments(slice(episodes)))
     return Return(-float(np.mean(run.cost)), float(np.std(run.cost)), episodes)
 

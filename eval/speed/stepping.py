@@ -58,7 +58,7 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
 
 def rollout_rows(repetitions: int) -> list[Row]:
     """Speed of whole episodes by `rollout`, controllers included: beside the paper's controller, and on one core."""
-    student, _ = load_controller(POLICIES / "student" / "seed0")
+    student = load_controller(POLICIES / "student" / "seed0")
     controllers = {"adaptive": AdaptiveController(), "student, seed 0": student}
     settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
     all_of_them = [*controllers.values(), PaperController()]
