@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
+
 if TYPE_CHECKING:
     from beltarm_env.arm import ArmParams
     from beltarm_env.env import BeltArmEnv
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from beltarm_env.physics.linear import state_space
     from beltarm_env.physics.sampled import sampled_state_space
     from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, design_model
-    from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
     from beltarm_env.vector_env import BeltArmVectorEnv
 
 __version__ = "0.1.0"
@@ -39,8 +40,6 @@ __all__ = [
 ]
 
 _HOME = {
-    "CONTROL_PERIOD": "timing",
-    "EPISODE_STEPS": "timing",
     "IDEAL_RANGES": "task.ranges",
     "TRAIN_RANGES": "task.ranges",
     "ArmParams": "arm",
@@ -61,20 +60,15 @@ def __getattr__(name: str) -> Any:
 
 
 # The environments truncate, refuse to step before reset, and keep Gymnasium's rules (its checker is among the tests) by
-# themselves: no wrapper has to see to it at every step.
-gym.register(
-    id="BeltArm-v0",
-    entry_point="beltarm_env.env:BeltArmEnv",
-    vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
-    order_enforce=False,
-    disable_env_checker=True,
-)
+# themselves: no wrapper has to see to it at every step. One is there all the same, Gymnasium's TimeLimit, because it
+# comes with the number of steps in the spec, which wrappers and libraries read.
+_REGISTERED: dict[str, Any] = {
+    "entry_point": "beltarm_env.env:BeltArmEnv",
+    "vector_entry_point": "beltarm_env.vector_env:BeltArmVectorEnv",
+    "max_episode_steps": EPISODE_STEPS,
+    "order_enforce": False,
+    "disable_env_checker": True,
+}
+gym.register(id="BeltArm-v0", **_REGISTERED)
 if find_spec("mujoco") is not None:
-    gym.register(
-        id="BeltArmMuJoCo-v0",
-        entry_point="beltarm_env.env:BeltArmEnv",
-        vector_entry_point="beltarm_env.vector_env:BeltArmVectorEnv",
-        order_enforce=False,
-        disable_env_checker=True,
-        kwargs={"model": "mujoco"},
-    )
+    gym.register(id="BeltArmMuJoCo-v0", **_REGISTERED, kwargs={"model": "mujoco"})

@@ -17,7 +17,7 @@ from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart
 from beltarm_env.kernels.layout import BUILT, IDEAL
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
-from beltarm_env.physics.kinematics import HIGHEST, LOWEST
+from beltarm_env.options import checked_column, checked_names, checked_states
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
@@ -33,9 +33,11 @@ if TYPE_CHECKING:
     from beltarm_env.rendering.renderer import Renderer
 
 
-_FASTEST = np.array([2000.0, 200.0])  # motor and torsional speed of an initial state [rad/s]
-
+WINDOW_FPS = 50
+"""Frames per second of arm time that a window shows [1/s]."""
 _AT_ONCE = 4096  # arms whose draws take little memory
+TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
+"""Tip error [m] and the terms of the cost, of one step."""
 TOTALS = (
     "total_cost",
     "total_cost_position",
@@ -45,7 +47,7 @@ TOTALS = (
     "tip_error_rms",
     "tip_error_max",
 )
-"""Episode summary, added to `info` at its end: costs with the charge for steps not taken, tip errors [m]."""
+"""Episode summary: costs with the charge for steps not taken, tip errors [m]."""
 
 
 class Engine(Protocol):
@@ -64,15 +66,15 @@ class Engine(Protocol):
         ...
 
 
-def new_renderer(model: str, render_mode: Literal["human", "rgb_array"], fps: int) -> Renderer | MuJoCoRenderer:
+def new_renderer(model: str, render_mode: Literal["human", "rgb_array"]) -> Renderer | MuJoCoRenderer:
     """Make what draws an arm of this model."""
     if model == "mujoco":
         from beltarm_env.mujoco.renderer import MuJoCoRenderer
 
-        return MuJoCoRenderer(render_mode, fps)
+        return MuJoCoRenderer(render_mode, WINDOW_FPS)
     from beltarm_env.rendering.renderer import Renderer
 
-    return Renderer(render_mode, fps)
+    return Renderer(render_mode, WINDOW_FPS)
 
 
 def _engine(model: str, num_arms: int) -> Engine | None:
@@ -89,7 +91,8 @@ def _choice(name: str, value: object, allowed: tuple[str, ...]) -> int:
     return allowed.index(str(value))
 
 
-def _whole(name: str, value: object, low: int, high: int) -> int:
+def whole(name: str, value: object, low: int, high: int) -> int:
+    """Return an argument that must be a whole number within bounds, or raise ValueError."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
     return int(value)
@@ -130,7 +133,7 @@ class ArmBatch:
         num_threads: int = 1,
     ) -> None:
         self.num_arms = num_arms
-        self.num_threads = _whole("num_threads", num_threads, 1, MAX_THREADS)
+        self.num_threads = whole("num_threads", num_threads, 1, MAX_THREADS)
         self.rooms = new_scratch(self.num_threads)
         self.scratch, self.tile = self.rooms[0][0], self.rooms[1][0]
         self.tier = _choice("sensors", sensors, observation.SENSORS)
@@ -140,7 +143,7 @@ class ArmBatch:
         self.model = MODELS[model]
         self._bounds = range_bounds(resolve_ranges(randomization))
         check_ranges_integrable(self._bounds, self.model)
-        self.resolution = 2 * np.pi / _whole("encoder_counts", encoder_counts, 1, 10_000_000)
+        self.resolution = 2 * np.pi / whole("encoder_counts", encoder_counts, 1, 10_000_000)
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
         self._num_built = 0
         self.delays = _delays(delay, num_arms)
@@ -165,15 +168,15 @@ class ArmBatch:
             ValueError: On an unknown name or a value that is not allowed; the arms are then left as they were.
             TypeError: If a value is not numeric.
         """
-        options = _checked("options", options, ("params", "move", "state"))
-        given_params = _checked("options['params']", options.get("params"), FIELDS)
-        given_move = _checked("options['move']", options.get("move"), MOVE_FIELDS)
+        options = checked_names("options", options, ("params", "move", "state"))
+        given_params = checked_names("options['params']", options.get("params"), FIELDS)
+        given_move = checked_names("options['move']", options.get("move"), MOVE_FIELDS)
         count = len(arms)
 
         table = np.empty((count, len(FIELDS)))
         draw_table(self._bounds, uniforms, table)
         for name, value in given_params.items():
-            column = _column(f"params[{name!r}]", value, count)
+            column = checked_column(f"params[{name!r}]", value, count)
             for given in np.unique(column) if name in WHOLE else (column.min(), column.max()):
                 checked_constant(name, float(given))
             table[:, FIELDS.index(name)] = column
@@ -184,7 +187,7 @@ class ArmBatch:
 
         given = np.full((count, 4), np.nan)
         for name, value in given_move.items():
-            given[:, MOVE_FIELDS.index(name)] = column = _column(f"move[{name!r}]", value, count)
+            given[:, MOVE_FIELDS.index(name)] = column = checked_column(f"move[{name!r}]", value, count)
             if not np.isfinite(column).all():
                 raise ValueError(f"move[{name!r}] must be finite, got {value!r}")
         moves = draw_moves(self.profile, uniforms[:, FIRST_OF_MOVE:END_OF_MOVE], given)
@@ -193,7 +196,7 @@ class ArmBatch:
 
         states = np.full((count, 4), np.nan)
         if options.get("state") is not None:
-            states = _states(options["state"], table[:, COLUMN.gear_ratio])
+            states = checked_states(options["state"], table[:, COLUMN.gear_ratio])
         self.table[arms] = table
         sensing = self.resolution, self.delays, uniforms
         of_model = self._built, self.model
@@ -234,7 +237,7 @@ class ArmBatch:
         """
         if self.engine is not None:
             raise ValueError('model="mujoco" takes steps of its own: choose their number with "lumped" or "lagrangian"')
-        count = _whole("steps", substeps, 1, MAX_SUBSTEPS)
+        count = whole("steps", substeps, 1, MAX_SUBSTEPS)
         at.put_rows(self.blocks, at.SUBSTEPS, np.full((self.num_arms, 1), float(count)))
 
     def observe(self, observations: Singles, arms: Integers | None = None) -> None:
@@ -273,9 +276,14 @@ class ArmBatch:
         return at.rows(self.blocks, at.MOVE, 4, self.num_arms)
 
     @property
+    def steps(self) -> Floats:
+        """Steps since each episode's start, shape (num_arms,)."""
+        return at.rows(self.blocks, at.STEP, 1, self.num_arms)[:, 0]
+
+    @property
     def times(self) -> Floats:
         """Time since each episode's start [s], shape (num_arms,)."""
-        return at.rows(self.blocks, at.STEP, 1, self.num_arms)[:, 0] * CONTROL_PERIOD
+        return self.steps * CONTROL_PERIOD
 
     def tip_errors(self) -> Floats:
         """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""
@@ -296,62 +304,3 @@ class ArmBatch:
         totals = np.zeros((len(TOTALS), self.num_arms))
         episode_totals(self.blocks, arms, terminated, totals)
         return totals
-
-
-def _checked(what: str, given: object, allowed: tuple[str, ...]) -> Mapping[str, Any]:
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
-        raise TypeError(f"{what} must be a mapping, got {given!r}")
-    unknown = [name for name in given if name not in allowed]
-    if unknown:
-        raise ValueError(f"{what} has unknown name {unknown[0]!r}; known: {', '.join(allowed)}")
-    return given
-
-
-def _column(name: str, value: object, count: int) -> Floats:
-    """Broadcast a scalar or one value per arm, as an array of shape (count,)."""
-    array = _numbers(name, value)
-    if array.shape not in ((), (count,)):
-        raise ValueError(f"{name} must be one number or have shape ({count},), got shape {array.shape}")
-    return np.broadcast_to(array, (count,)).copy()
-
-
-def _numbers(name: str, value: object) -> Floats:
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        array = np.empty(0, dtype=object)
-    if array.dtype == object and array.size and all(type(entry) in (int, float) for entry in array.flat):
-        try:
-            return array.astype(np.float64)
-        except OverflowError:
-            raise ValueError(f"{name} must be finite, got a whole number that no float can hold") from None
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must consist of numbers, got {value!r}")
-    return array.astype(np.float64)
-
-
-def _states(given: object, gear: Floats) -> Floats:
-    """Check initial states as given, shape (n, 4), for arms with gear ratios of shape (n,)."""
-    states = np.empty((len(gear), 4))
-    array = _numbers("state", given)
-    if array.shape not in ((4,), states.shape):
-        raise ValueError(f"state must have shape (4,) or {states.shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"state must be finite, got {array.tolist()}")
-    states[:] = array
-    joint, arm = states[:, 0] / gear, states[:, 0] / gear - states[:, 2]
-    inside = np.all([joint >= LOWEST, joint <= HIGHEST, arm >= LOWEST, arm <= HIGHEST], axis=0)
-    if not inside.all():
-        raise ValueError(
-            f"state must have joint and arm angle within {LOWEST:.3f} and {HIGHEST:.3f} rad, "
-            f"got {states[int(np.argmin(inside))].tolist()}"
-        )
-    slow = np.all(np.abs(states[:, [1, 3]]) <= _FASTEST, axis=1)
-    if not slow.all():
-        raise ValueError(
-            f"state must have speeds of at most {_FASTEST[0]:.0f} rad/s (motor) and {_FASTEST[1]:.0f} rad/s (torsion), "
-            f"got {states[int(np.argmin(slow))].tolist()}"
-        )
-    return states

@@ -12,9 +12,10 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from beltarm_env import observation
+from beltarm_env.arguments import Arguments
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
+from beltarm_env.batch import ArmBatch, new_renderer
 from beltarm_env.jit import code_for
 from beltarm_env.kernels.layout import Driven
 from beltarm_env.kernels.step import step_arm
@@ -25,6 +26,7 @@ from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
+from beltarm_env.timing import CONTROL_PERIOD
 
 _ARM = np.array([0])
 _array, _empty, _SINGLE = np.ndarray, np.empty, np.dtype(np.float32)  # looked up here, not at every step
@@ -42,7 +44,7 @@ def _as_action(action: object) -> Floats:
     return array.astype(np.float64)
 
 
-class BeltArmEnv(gym.Env[Singles, Singles]):
+class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """Belt-driven handling robot: move the arm's end along a reference without making it ring.
 
     ## Description
@@ -95,12 +97,14 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
 
     ## Episode End
 
-    Truncated after 1200 steps (1.8 s). Terminated when joint or arm angle leaves −14.3° to 104.3°.
+    Truncated after 1200 steps (1.8 s), or sooner with `gymnasium.make("BeltArm-v0", max_episode_steps=…)`. Terminated
+    when joint or arm angle leaves −14.3° to 104.3°. The last step may be both.
 
     ## Information
 
-    Every step: `tip_error` [m], at most 1e6, `cost_position`, `cost_velocity`, `cost_torque_rate`. At the end also
-    `total_cost` with its terms, `tip_error_rms` and `tip_error_max` [m].
+    Every step: `tip_error` [m], at most 1e6, `cost_position`, `cost_velocity`, `cost_torque_rate`. And of the episode
+    until now: `total_cost` with its terms, `episode_steps`, `tip_error_rms` and `tip_error_max` [m]. A batch of arms
+    tells these where an episode ends.
 
     ## Arguments
 
@@ -114,7 +118,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
 
     metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
         "render_modes": ["human", "rgb_array"],
-        "render_fps": 50,
+        "render_fps": round(1 / CONTROL_PERIOD),  # of who draws every step, as Gymnasium's recorder does
     }
 
     def __init__(
@@ -149,19 +153,18 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         """
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode must be None or one of {self.metadata['render_modes']}, got {render_mode!r}")
-        self._batch = ArmBatch(
-            1,
-            sensors=sensors,
-            profile=profile,
-            model=model,
-            randomization=randomization,
-            encoder_counts=encoder_counts,
-            delay=delay,
-        )
+        arguments: dict[str, Any] = {
+            "sensors": sensors,
+            "profile": profile,
+            "model": model,
+            "randomization": randomization,
+            "encoder_counts": encoder_counts,
+            "delay": delay,
+        }
+        self._batch = ArmBatch(1, **arguments)
+        self._hold(**arguments, render_mode=render_mode)
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
-        self.render_mode = render_mode
-        self.sensors = sensors
         self._size = observation.size(sensors)
         self._ready = False  # reset at least once
         self._running = False  # within an episode
@@ -212,18 +215,26 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
         if not -_HUGE < fraction < _HUGE:
             raise ValueError(f"action must be finite, got {action!r}")
         result = _empty(self._size, _SINGLE)
-        reward, terminated, truncated, error, position, velocity, torque_rate = step_arm(fraction, result)
-        info: dict[str, Any] = {
+        reward, terminated, truncated, told = step_arm(fraction, result)
+        error, position, velocity, torque_rate, cost, of_position, of_velocity, of_torque_rate, steps, rms, largest = (
+            told
+        )
+        info: dict[str, Any] = {  # with totals in every step, because a wrapper may end the episode; quicker than zip
             "tip_error": error,
             "cost_position": position,
             "cost_velocity": velocity,
             "cost_torque_rate": torque_rate,
+            "total_cost": cost,
+            "total_cost_position": of_position,
+            "total_cost_velocity": of_velocity,
+            "total_cost_torque_rate": of_torque_rate,
+            "episode_steps": steps,
+            "tip_error_rms": rms,
+            "tip_error_max": largest,
         }
         if terminated or truncated:
             self._running, self._step_arm = False, None
-            totals = self._batch.totals(_ARM, np.array([terminated]))
-            info.update(zip(TOTALS, totals[:, 0].tolist(), strict=True))
-        if self.render_mode == "human":
+        if self._render_mode == "human":
             self.render()
         return result, reward, terminated, truncated, info
 
@@ -263,7 +274,7 @@ class BeltArmEnv(gym.Env[Singles, Singles]):
             raise ResetNeeded("there is no arm to draw yet: call reset() before render()")
         if self._renderer is None:
             mode = cast("Any", self.render_mode)
-            self._renderer = new_renderer(self._batch.model_name, mode, self.metadata["render_fps"])
+            self._renderer = new_renderer(self._batch.model_name, mode)
         return self._renderer.draw(self.params, self.state, self.reference(self.time).angle, self.time)
 
     def close(self) -> None:

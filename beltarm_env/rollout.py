@@ -133,7 +133,14 @@ def record(
     """Run one episode on each arm of an environment, whose autoreset is disabled; otherwise as `rollout`.
 
     `seed` may also be one number per arm.
+
+    Raises:
+        ValueError: As `rollout`, and if the environment's episodes are shorter than 1200 steps.
     """
+    if env.max_episode_steps != EPISODE_STEPS:
+        raise ValueError(
+            f"a rollout has {EPISODE_STEPS} steps, got max_episode_steps={env.max_episode_steps}: leave it out"
+        )
     num_arms = env.num_envs
     observation, _ = env.reset(seed=seed, options=None if options is None else dict(options))
     params, moves = env.params_table, env.moves

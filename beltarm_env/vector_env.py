@@ -13,9 +13,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from beltarm_env import observation
+from beltarm_env.arguments import Arguments, fixed
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
-from beltarm_env.batch import TOTALS, ArmBatch, new_renderer
+from beltarm_env.batch import TERMS, TOTALS, ArmBatch, new_renderer, whole
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
@@ -28,8 +29,8 @@ from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
 from beltarm_env.threads.blocks import none_taken, threads_for
 from beltarm_env.threads.standby import SOON, standing_by
+from beltarm_env.timing import EPISODE_STEPS
 
-TERMS = ("tip_error", "cost_position", "cost_velocity", "cost_torque_rate")
 _WITH_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
     names: (*names, *(f"_{name}" for name in names)) for names in (TERMS, TOTALS)
 }
@@ -41,13 +42,18 @@ def _masked(names: tuple[str, ...], values: Floats, mask: Flags) -> dict[str, An
     return dict(zip(_WITH_MASKS[names], (*values, *(mask.copy() for _ in names)), strict=True))
 
 
-class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
+class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """`num_envs` belt arms stepped by one compiled loop; arm *i* behaves bit for bit as a `BeltArmEnv` of its own.
 
-    `reset(seed=s)` seeds arm *i* as `BeltArmEnv.reset(seed=s + i)` would. Episodes are truncated after 1200 steps by
-    the environment itself. `autoreset_mode` is as in Gymnasium: next-step (default), same-step (`final_obs` and
-    `final_info` in the info), or disabled (`reset(options={"reset_mask": mask})`).
+    `reset(seed=s)` seeds arm *i* as `BeltArmEnv.reset(seed=s + i)` would. `autoreset_mode` is as in Gymnasium:
+    next-step (default), same-step (`final_obs` and `final_info` in the info), or disabled
+    (`reset(options={"reset_mask": mask})`).
     """
+
+    num_envs: Any = fixed("num_envs")
+    num_threads: Any = fixed("num_threads")
+    max_episode_steps: Any = fixed("max_episode_steps")
+    autoreset_mode: Any = fixed("autoreset_mode")
 
     _renderers: list[Any] | None = None  # known to one whose arguments are refused, too: Gymnasium closes it
 
@@ -62,6 +68,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         encoder_counts: int = ENCODER_COUNTS,
         delay: ArrayLike = 0,
         num_threads: int = 1,
+        max_episode_steps: int = EPISODE_STEPS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: Literal["rgb_array"] | None = None,
     ) -> None:
@@ -77,6 +84,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             delay: As in `BeltArmEnv`, for all arms or one each, shape (num_envs,).
             num_threads: Threads that may step the arms, at most 256. Their number changes no result; batches so small
                 that they would be slower with them use fewer.
+            max_episode_steps: Steps after which an episode is truncated, at most 1200.
             autoreset_mode: What happens to an arm whose episode is over.
             render_mode: "rgb_array" or None.
 
@@ -88,29 +96,29 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
             raise ValueError(f"num_envs must be a whole number of at least 1, got {num_envs!r}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
-        self.num_envs = int(num_envs)
+        self._num_envs = int(num_envs)
+        self._max_episode_steps = whole("max_episode_steps", max_episode_steps, 1, EPISODE_STEPS)
         try:
-            self.autoreset_mode = AutoresetMode(autoreset_mode)
+            self._autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
             allowed = ", ".join(repr(mode.value) for mode in AutoresetMode)
             raise ValueError(f"autoreset_mode must be one of {allowed}, got {autoreset_mode!r}") from None
-        self.metadata = {**BeltArmEnv.metadata, "render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
-        self.render_mode = render_mode
-        self._batch = ArmBatch(
-            self.num_envs,
-            sensors=sensors,
-            profile=profile,
-            model=model,
-            randomization=randomization,
-            encoder_counts=encoder_counts,
-            delay=delay,
-            num_threads=num_threads,
-        )
+        self.metadata = {**BeltArmEnv.metadata, "render_modes": ["rgb_array"], "autoreset_mode": self._autoreset_mode}
+        arguments: dict[str, Any] = {
+            "sensors": sensors,
+            "profile": profile,
+            "model": model,
+            "randomization": randomization,
+            "encoder_counts": encoder_counts,
+            "delay": delay,
+        }
+        self._batch = ArmBatch(self._num_envs, **arguments, num_threads=num_threads)
+        self._hold(**arguments, render_mode=render_mode)
+        self._num_threads = self._batch.num_threads
         self.single_observation_space = self._batch.observation_space
         self.single_action_space = self._batch.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.sensors = sensors
         self._size = observation.size(sensors)
         self._streams: Streams | None = None  # of random numbers, one per arm, from the first reset on
         self._ready = False  # all arms reset at least once
@@ -166,12 +174,12 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         """
         if not self._ready:
             raise ResetNeeded("no episode is running: call reset() before step()")
-        if self.autoreset_mode is AutoresetMode.DISABLED and len(self._ended):
+        if self._autoreset_mode is AutoresetMode.DISABLED and len(self._ended):
             raise ResetNeeded(
                 f"the episode of arm {self._ended[0]} is over: reset it with options={{'reset_mask': mask}}"
             )
         fractions = self._checked_actions(actions)
-        count = self.num_envs
+        count = self._num_envs
         result = np.empty((count, self._size), np.float32)
         rewards = np.empty(count)
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
@@ -187,7 +195,9 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long
-        restarted = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
+        restarted = self._ended if self._autoreset_mode is AutoresetMode.NEXT_STEP else _NONE
+        if self._max_episode_steps < EPISODE_STEPS:
+            truncated |= batch.steps >= self._max_episode_steps
         if len(restarted):
             stepped[restarted] = False
             rewards[restarted] = 0.0
@@ -204,7 +214,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
     def _finished(self, info: dict[str, Any], result: Singles, over: Flags, terminated: Flags) -> dict[str, Any]:
         """Info of a step in which episodes ended; with same-step autoreset, restart those arms."""
         totals = _masked(TOTALS, self._batch.totals(self._ended, terminated), over)
-        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+        if self._autoreset_mode is not AutoresetMode.SAME_STEP:
             return {**info, **totals}
         terms = np.stack([info[name] for name in TERMS])
         final_info = {**_masked(TERMS, np.where(over, terms, 0.0), over), **totals}
@@ -252,9 +262,9 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
 
     def _checked_actions(self, actions: Singles) -> Floats:
         array = np.asarray(actions)
-        if array.shape != (self.num_envs, 1) or array.dtype.kind not in "fiu":
+        if array.shape != (self._num_envs, 1) or array.dtype.kind not in "fiu":
             raise ValueError(f"actions must be numbers of shape ({self.num_envs}, 1), got {array.dtype} {array.shape}")
-        if np.count_nonzero(np.isfinite(array)) != self.num_envs:  # `all` takes twice as long
+        if np.count_nonzero(np.isfinite(array)) != self._num_envs:  # `all` takes twice as long
             arm = int(np.argmin(np.isfinite(array[:, 0])))
             raise ValueError(f"actions must be finite, got {array[arm, 0]} for arm {arm}")
         return array[:, 0].astype(np.float64)
@@ -266,8 +276,7 @@ class BeltArmVectorEnv(VectorEnv[Singles, Singles, NDArray[Any]]):
         if not self._ready:
             raise ResetNeeded("there are no arms to draw yet: call reset() before render()")
         if self._renderers is None:
-            fps = self.metadata["render_fps"]
-            self._renderers = [new_renderer(self._batch.model_name, "rgb_array", fps) for _ in range(self.num_envs)]
+            self._renderers = [new_renderer(self._batch.model_name, "rgb_array") for _ in range(self.num_envs)]
         states, times = self.state, self._batch.times
         frames = []
         for arm, renderer in enumerate(self._renderers):

@@ -11,12 +11,13 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env as gymnasium_check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
-from gymnasium.wrappers import PassiveEnvChecker
+from gymnasium.wrappers import PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv
+from beltarm_env.kernels import layout
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
 from beltarm_env.task.cost import MAX_COST
 from eval.verification.event_located import tip
@@ -24,8 +25,8 @@ from eval.verification.event_located import tip
 SENSORS = ("encoder", "tip", "full", "accelerometer")
 PROFILES = ("trapezoid", "scurve", "quintic")
 TERMS = ("cost_position", "cost_velocity", "cost_torque_rate")
-STEP_INFO = {"tip_error", *TERMS}
-END_INFO = {"total_cost", *(f"total_{term}" for term in TERMS), "episode_steps", "tip_error_rms", "tip_error_max"}
+TOTALS = {"total_cost", *(f"total_{term}" for term in TERMS), "episode_steps", "tip_error_rms", "tip_error_max"}
+INFO = {"tip_error", *TERMS, *TOTALS}
 STILL = np.zeros(1, np.float32)
 OUTWARD = np.ones(1, np.float32)
 LONG_MOVE = {"start": 0.1, "goal": 1.4, "duration": 1.1, "ramp_time": 0.3}
@@ -75,8 +76,10 @@ def test_name_with_module_makes_the_same_environment():
 
 def test_no_wrapper_is_in_the_way_of_a_step_unless_asked_for():
     env = gym.make("BeltArm-v0")
-    assert env.unwrapped is env
-    assert isinstance(gym.make("BeltArm-v0", disable_env_checker=False), PassiveEnvChecker)
+    assert isinstance(env, TimeLimit) and env.env is env.unwrapped
+    bare = gym.make("BeltArm-v0", max_episode_steps=-1)
+    assert bare is bare.unwrapped
+    assert isinstance(gym.make("BeltArm-v0", disable_env_checker=False, max_episode_steps=-1), PassiveEnvChecker)
 
 
 # What a step returns
@@ -91,19 +94,16 @@ def test_types_of_what_a_step_returns():
         assert (observation.dtype, observation.shape) == (np.float32, env.observation_space.shape)
         assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
         assert {type(value) for value in info.values()} == {float}
-        assert set(info) == STEP_INFO
+        assert set(info) == INFO
 
 
 @pytest.mark.parametrize("action", [STILL, OUTWARD], ids=["truncated", "terminated"])
-def test_info_at_the_end(action: NDArray[np.float32]):
+def test_info_until_the_end(action: NDArray[np.float32]):
     env = make()
     record = play(env, np.tile(action, (EPISODE_STEPS, 1)), seed=0)
-    info = record[-1][-1]
     assert record[0][-1] == {}
-    assert all(set(step[-1]) == STEP_INFO for step in record[1:-1])
-    assert set(info) == STEP_INFO | END_INFO
-    assert {type(value) for value in info.values()} == {float}
-    assert not [name for name in info if name == "episode" or name.startswith(("final_", "_"))]
+    assert all(set(step[-1]) == INFO for step in record[1:])
+    assert {type(value) for value in record[-1][-1].values()} == {float}
 
 
 @pytest.mark.parametrize("sensors", SENSORS)
@@ -176,6 +176,19 @@ def test_step_needs_a_reset_before_and_after_an_episode(action: NDArray[np.float
         env.step(action)
     env.reset()
     env.step(action)
+
+
+def test_a_time_limit_ends_the_episode_that_the_arm_ends_itself():
+    """Also where the arm leaves its workspace with the last step: Gymnasium's TimeLimit calls that both."""
+    alone, wrapped = make(), gym.make("BeltArm-v0")
+    for env in (alone, wrapped):
+        env.reset(seed=0, options={"move": {"goal": 1.5}})
+        for _ in range(EPISODE_STEPS - 1):
+            assert not any(env.step(STILL)[2:4])
+        alone_or_in_it = env.unwrapped
+        assert isinstance(alone_or_in_it, BeltArmEnv)
+        alone_or_in_it._batch.blocks[0, layout.STATE * layout.LANES] = 200.0  # far outside
+        assert env.step(STILL)[2:4] == (True, True)
 
 
 def outside(env: BeltArmEnv) -> bool:
@@ -416,7 +429,9 @@ def test_reward_is_the_documented_cost(profile: str):
         _, reward, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
-        assert {name: info[name] for name in STEP_INFO} == pytest.approx(expected_cost(env, torque, last), abs=1e-6)
+        assert {name: info[name] for name in ("tip_error", *TERMS)} == pytest.approx(
+            expected_cost(env, torque, last), abs=1e-6
+        )
         assert reward == -(info["cost_position"] + info["cost_velocity"] + info["cost_torque_rate"])
         assert -MAX_COST <= reward <= 0
         last, largest = torque, max(largest, info["tip_error"])
@@ -461,6 +476,10 @@ def test_totals_are_the_sums(hold: int):
     assert last["tip_error_max"] == errors.max()
     assert last["tip_error_rms"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-12)
     assert last["episode_steps"] == len(infos)
+    for k in (0, 60):  # what was told on the way was true then
+        assert infos[k]["episode_steps"] == k + 1
+        assert infos[k]["total_cost"] == pytest.approx(-sum(step[1] for step in record[1 : k + 2]), rel=1e-12)
+        assert infos[k]["tip_error_max"] == errors[: k + 1].max()
 
 
 def test_totals_begin_anew_with_every_episode():

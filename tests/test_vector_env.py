@@ -20,8 +20,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
+from baselines import CONTROLLERS
 from beltarm_env import EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.batch import TOTALS
 from beltarm_env.observation import bounds, index
+from beltarm_env.rollout import rollout
 from beltarm_env.task.cost import MAX_COST
 
 ROOT = Path(__file__).parents[1]
@@ -48,6 +51,7 @@ def random_actions(steps: int, count: int, seed: int = 0) -> NDArray[np.float32]
 CASES: dict[int, tuple[int, dict[str, Any]]] = {
     1: (1300, {"sensors": "full", "profile": "quintic", "randomization": "off"}),
     5: (2 * EPISODE_STEPS + 50, {"sensors": "tip", "profile": "scurve", "randomization": "train", "delay": 1}),
+    6: (2000, {"randomization": "train", "max_episode_steps": 400}),
     70: (EPISODE_STEPS + 30, {"randomization": {"payload_mass": (0.1, 0.5)}, "encoder_counts": 1000}),
 }
 ASPECTS = ("observations", "rewards", "terminated", "truncated", "infos")
@@ -84,6 +88,15 @@ def play(envs: Any, actions: NDArray[np.float32], mode: AutoresetMode) -> Iterat
         yield observations, rewards, terminated, truncated, info
 
 
+def totals_at_ends(info: dict[str, Any], over: NDArray[np.bool_], mode: AutoresetMode) -> dict[str, Any]:
+    """Leave of the totals, which single arms tell in every step, what a batch tells: those of episodes that end."""
+    left = {name: values for name, values in info.items() if name.removeprefix("_") not in TOTALS}
+    if not over.any() or mode is AutoresetMode.SAME_STEP:  # which has them in `final_info`
+        return left
+    totals = {name: np.where(over, info[name], 0.0) for name in TOTALS}
+    return {**left, **totals, **{f"_{name}": over & info[f"_{name}"] for name in TOTALS}}
+
+
 @cache
 def comparison(count: int, mode: AutoresetMode) -> tuple[dict[str, list[int]], int, int]:
     """Steps at which a batch and Gymnasium's `SyncVectorEnv` of single arms differ, by aspect; ends of both kinds."""
@@ -95,7 +108,9 @@ def comparison(count: int, mode: AutoresetMode) -> tuple[dict[str, list[int]], i
     differing: dict[str, list[int]] = {aspect: [] for aspect in ASPECTS}
     left = finished = 0
     both = zip(play(make(count, autoreset_mode=mode, **case), actions, mode), play(singles, actions, mode), strict=True)
-    for step, (ours, theirs) in enumerate(both):
+    for step, (ours, (*theirs, told)) in enumerate(both):
+        over = theirs[2] | theirs[3] if step else np.zeros(count, np.bool_)
+        theirs += [totals_at_ends(told, over, mode)]
         for aspect, one, other in zip(ASPECTS, ours, theirs, strict=True):
             if not identical(one, other):
                 differing[aspect].append(step)
@@ -382,11 +397,24 @@ def test_actions_are_left_as_they_were():
     assert actions.tolist() == [[2.0], [-3.0]]
 
 
+@pytest.mark.parametrize("limit", [0, -1, 1201, 2.5, True, "100"])
+def test_episodes_are_no_longer_than_the_arm_s(limit: Any):
+    with pytest.raises(ValueError, match=rf"max_episode_steps .*1200, got {limit!r}"):
+        BeltArmVectorEnv(2, max_episode_steps=limit)
+
+
+def test_a_rollout_wants_whole_episodes():
+    with pytest.raises(ValueError, match="max_episode_steps=100"):
+        rollout(CONTROLLERS["paper"](), 2, max_episode_steps=100)
+
+
 def test_spec_makes_the_batch_again():
-    envs = gym.make_vec("beltarm_env:BeltArm-v0", num_envs=3, sensors="tip", autoreset_mode="SameStep")
-    assert envs.spec is not None
+    settings: dict[str, Any] = {"sensors": "tip", "autoreset_mode": "SameStep", "max_episode_steps": 90}
+    envs = gym.make_vec("beltarm_env:BeltArm-v0", num_envs=3, **settings)
+    assert envs.spec is not None and envs.spec.max_episode_steps == 90
     again = gym.make_vec(envs.spec)
     assert again.num_envs == 3
+    assert again.spec == envs.spec
     assert again.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     assert np.array_equal(again.reset(seed=1)[0], envs.reset(seed=1)[0])
 

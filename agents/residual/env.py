@@ -169,7 +169,7 @@ class ResidualVecEnv(VecEnv):
                 last = observation.copy()
                 last[ended] = np.stack(info["final_obs"][ended])
                 final, self._memory = self.informed.ended(last, observation, self._memory, ended)
-                self._report(infos, self.informed.seen(last, final), ended & ~done, truncated, info)
+                self._report(infos, self.informed.seen(last, final), ended & ~done, truncated & ~terminated, info)
                 done |= ended
                 residual = np.where(done[:, None], np.float32(0), residual)
             else:
@@ -183,7 +183,7 @@ class ResidualVecEnv(VecEnv):
         infos: list[dict[str, Any]],
         terminal: Singles,
         ended: Flags,
-        truncated: Flags,
+        cut: Flags,
         info: dict[str, Any],
     ) -> None:
         """Info of the arms whose episode ended: last observation and episode summary."""
@@ -192,7 +192,7 @@ class ResidualVecEnv(VecEnv):
         for arm in arms:
             infos[arm] = {
                 "terminal_observation": terminal[arm],
-                "TimeLimit.truncated": bool(truncated[arm]),
+                "TimeLimit.truncated": bool(cut[arm]),
                 "episode": {"r": -float(totals[arm]), "l": int(info["final_info"]["episode_steps"][arm]), "t": 0.0},
             }
 

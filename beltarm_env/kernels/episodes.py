@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import plant_of
-from beltarm_env.jit import allocating, compiled, shared
+from beltarm_env.jit import allocating, compiled, inlined, shared
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import begin_drive
 from beltarm_env.kernels.layout import (
@@ -126,6 +126,17 @@ def restart_episodes(
     return begin_episodes(blocks, arms, drawn, moves, nothing, resolution, delays, draws, built, model)
 
 
+@inlined
+def totals_so_far(block: Floats, j: int, terminated: bool) -> tuple[float, float, float, float, float, float, float]:
+    """Sum up the episode of one lane until now, see `episode_totals`."""
+    steps = float(block[at.STEP * LANES + j])
+    position, velocity = float(block[at.TOTALS * LANES + j]), float(block[(at.TOTALS + 1) * LANES + j])
+    torque_rate = float(block[(at.TOTALS + 2) * LANES + j])
+    cost = ((MAX_COST * (EPISODE_STEPS - steps) if terminated else 0.0) + position + velocity) + torque_rate
+    rms = math.sqrt(block[(at.TOTALS + 3) * LANES + j] / steps)
+    return cost, position, velocity, torque_rate, steps, rms, float(block[(at.TOTALS + 4) * LANES + j])
+
+
 @compiled
 def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, totals: Floats) -> None:
     """Sum up episodes, into the columns of some arms.
@@ -137,16 +148,9 @@ def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, to
         totals: Cost, its position, velocity and torque-rate terms, steps, RMS and largest tip error [m], shape (7, N).
     """
     for arm in arms:
-        block, j = blocks[arm // LANES], arm % LANES
-        steps = block[at.STEP * LANES + j]
-        cost = MAX_COST * (EPISODE_STEPS - steps) if terminated[arm] else 0.0
-        for k in range(3):
-            totals[1 + k, arm] = block[(at.TOTALS + k) * LANES + j]
-            cost += totals[1 + k, arm]
-        totals[0, arm] = cost
-        totals[4, arm] = steps
-        totals[5, arm] = math.sqrt(block[(at.TOTALS + 3) * LANES + j] / steps)
-        totals[6, arm] = block[(at.TOTALS + 4) * LANES + j]
+        of_arm = totals_so_far(blocks[arm // LANES], arm % LANES, bool(terminated[arm]))
+        for k in range(len(of_arm)):
+            totals[k, arm] = of_arm[k]
 
 
 @compiled

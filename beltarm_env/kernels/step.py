@@ -14,6 +14,7 @@ from beltarm_env.jit import compiled, inlined, shared
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
+from beltarm_env.kernels.episodes import totals_so_far
 from beltarm_env.kernels.layout import (
     IDEAL,
     LANES,
@@ -83,7 +84,7 @@ def _charge_profile(block: Floats, scratch: Floats, count: int, profile: int, dr
         remaining = EPISODE_STEPS - step if outside else 0.0
         scratch[REWARD * LANES + j] = -(cost.position + cost.velocity + cost.torque_rate + MAX_COST * remaining)
         scratch[TERMINATED * LANES + j] = 1.0 if outside else 0.0
-        scratch[TRUNCATED * LANES + j] = 1.0 if (step >= EPISODE_STEPS) & (not outside) else 0.0
+        scratch[TRUNCATED * LANES + j] = 1.0 if step >= EPISODE_STEPS else 0.0
 
 
 @compiled
@@ -234,7 +235,7 @@ def step_arm(
     integrate: bool,
     action: float,
     observation: Singles,
-) -> tuple[float, bool, bool, float, float, float, float]:
+) -> tuple[float, bool, bool, tuple[float, ...]]:
     """Step a single arm, lane 0 of the first block, by one control period.
 
     Args:
@@ -250,16 +251,17 @@ def step_arm(
         observation: Written in place, shape (size,).
 
     Returns:
-        Reward, terminated, truncated, tip error [m], and the three cost terms.
+        Reward, terminated, truncated; and in a tuple the tip error [m], the three cost terms, and the episode's totals
+        until now, in the order of `episode_totals`.
     """
     scratch[ACTION * LANES] = min(max(action, -1.0), 1.0)
     _step_block(blocks[0], scratch, tile, observation.reshape(1, -1), profile, tier, model, driven, integrate)
-    return (
-        float(scratch[REWARD * LANES]),
-        bool(scratch[TERMINATED * LANES] != 0.0),
-        bool(scratch[TRUNCATED * LANES] != 0.0),
+    terminated = bool(scratch[TERMINATED * LANES] != 0.0)
+    terms = (
         float(scratch[TERMS * LANES]),
         float(scratch[(TERMS + 1) * LANES]),
         float(scratch[(TERMS + 2) * LANES]),
         float(scratch[(TERMS + 3) * LANES]),
     )
+    told = terms + totals_so_far(blocks[0], 0, terminated)
+    return float(scratch[REWARD * LANES]), terminated, bool(scratch[TRUNCATED * LANES] != 0.0), told

@@ -153,7 +153,6 @@ def _broken(
         "states are not finite": bool(np.isfinite(env.state).all()),
         "torques of motors are not finite": bool(np.isfinite(env.motor_torques).all()),
         "rewards are not finite, or positive": bool((np.isfinite(rewards) & (rewards <= 0)).all()),
-        "terminated and truncated at once": not (terminated & truncated).any(),
         "info is not finite": all(np.isfinite(values).all() for values in numbers),
         "info has no totals of an episode that ended": not (terminated | truncated).any() or "total_cost" in infos,
     }
