@@ -139,6 +139,36 @@ def test_latency_and_lag(lag: float, latency: float, model: str):
 
 
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("lag", [5e-324, 1e-300, 1e-21, 1e-15, 1e-9, 9e-8, 1e-7, 1e-6])
+def test_the_fastest_current_loops_are_as_good_as_none(lag: float, model: str):
+    """The event-located solution with lags that it can resolve, and without one for those that it cannot."""
+    params = {**ARMS[1], "command_latency": 0.00045, "current_loop_time_constant": lag}
+    start, env = AT_45, driven_env(ArmParams(**params), AT_45, model)
+    arm = driven_arm(ArmParams(**{**params, "current_loop_time_constant": lag if lag > 5e-8 else 0.0}), start, model)
+    for k in range(300):
+        torque = pushed(k, arm)
+        env.step(np.array([torque / arm.params.torque_limit]))
+        arm.sample(torque)
+        assert np.linalg.norm(tip(arm.params, env.state) - tip(arm.params, arm.state)) < 5e-7
+
+
+SMALLEST = [name for name in DRIVE_EFFECTS if name != "current_loop_time_constant"]
+
+
+@pytest.mark.parametrize("name", SMALLEST)
+def test_the_smallest_effects_are_as_good_as_none(name: str):
+    paths = []
+    for size in (0.0, 5e-324, 1e-300, 1e-100, 1e-20, 1e-15):
+        env = driven_env(ArmParams(**{**ARMS[1], name: size}), AT_45, "lumped")
+        env_path = []
+        for k in range(200):
+            env.step(np.array([0.3 * math.sin(0.02 * k)]))
+            env_path.append(tip(env.params, env.state))
+        paths.append(env_path)
+    assert np.abs(np.array(paths) - paths[0]).max() < 1e-8
+
+
+@pytest.mark.parametrize("model", MODELS)
 def test_fourth_order(model: str):
     result = measure_convergence(model, "drive")
     assert result.stops >= 4

@@ -40,8 +40,14 @@ def test_the_current_loop_is_a_fifth_state(angle: float, model: str):
 
 
 def test_without_a_current_loop_there_is_nothing_to_add():
-    with pytest.raises(ValueError, match=r"actuator=True needs current_loop_time_constant > 0, got 0\.0"):
-        state_space(ArmParams(command_latency=0.001), 0.5, actuator=True)
+    for lag in (0.0, 1e-300, 9e-8):
+        arm = ArmParams(command_latency=0.001, current_loop_time_constant=lag)
+        with pytest.raises(
+            ValueError, match=rf"actuator=True needs a current_loop_time_constant .* 1e-07 s, got {lag!r}"
+        ):
+            state_space(arm, 0.5, actuator=True)
+        at_once = sampled_state_space(replace(arm, current_loop_time_constant=0.0), 0.5)
+        assert all(map(np.array_equal, sampled_state_space(arm, 0.5), at_once))
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -33,7 +33,7 @@ from beltarm_env.physics.driven.events import stays_in_mode
 from beltarm_env.physics.driven.step import driven_step, needed_rate, step_length
 from beltarm_env.physics.driven.torque import shares_of_two, torques_of_two
 from beltarm_env.physics.models import Model
-from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS, LATENCY_SAMPLES
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS, LATENCY_SAMPLES, SHORTEST_LAG
 
 Floats = NDArray[np.float64]
 
@@ -62,6 +62,7 @@ def begin_drive(block: Floats, lane: int, row: Any) -> None:
 @inlined
 def begin_lag(block: Floats, lane: int, lag: float, latency: float) -> None:
     """Put the current loop's time constant and the latency of commands, both in seconds, into a lane."""
+    lag = lag if lag >= SHORTEST_LAG else 0.0
     rate = 1 / lag if lag > 0.0 else 0.0
     block[at.LAG_TIME * LANES + lane] = lag
     block[at.LAG_RATE * LANES + lane] = rate

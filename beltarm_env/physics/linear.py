@@ -12,6 +12,7 @@ from beltarm_env.arm import COLUMN, ArmParams, Plant, plant_of
 from beltarm_env.jit import allocating, compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
 from beltarm_env.physics.trigonometry import sine_cosine
+from beltarm_env.timing import SHORTEST_LAG
 
 Floats = NDArray[np.float64]
 
@@ -159,10 +160,11 @@ def state_space(
         raise ValueError(f"theta_1 must lie within 0 and pi/2 rad, got {theta_1!r}")
     if not isinstance(model, str) or model not in MODELS:
         raise ValueError(f"model must be one of {', '.join(map(repr, MODELS))}, got {model!r}")
-    if actuator and params.current_loop_time_constant == 0:
+    if actuator and params.current_loop_time_constant < SHORTEST_LAG:
         raise ValueError(
-            "actuator=True needs current_loop_time_constant > 0, got 0.0: the torque is the command times 1 + k, use "
-            "actuator=False or sampled_state_space"
+            f"actuator=True needs a current_loop_time_constant of at least {SHORTEST_LAG:g} s, got "
+            f"{params.current_loop_time_constant!r}: the torque is the command times 1 + k, use actuator=False or "
+            "sampled_state_space"
         )
     held = np.zeros((_SIZE, _SIZE))
     _fill(held, params.plant(), _slack_stiffness(params.row()), math.cos(theta_1), MODELS[model])

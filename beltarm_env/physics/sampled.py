@@ -9,7 +9,7 @@ import numpy as np
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats
 from beltarm_env.physics.linear import exponential, state_space
-from beltarm_env.timing import CONTROL_PERIOD
+from beltarm_env.timing import CONTROL_PERIOD, SHORTEST_LAG
 
 _SMALL = 0.1  # fastest rate times duration, for the exponential's series
 _WHOLE = 1e-9  # so near to a whole number of samples the rest is rounding: 3 T / T is 3 + 4e-16
@@ -65,7 +65,7 @@ def _place(age: int, past: int) -> int:
 def _piece(params: ArmParams, theta_1: float, model: str, duration: float) -> Floats:
     """Transition of (x, tau) over a time in which a command is held, shape (5, 6); the command's part in column 5."""
     held, gain = np.zeros((6, 6)), 1 + params.torque_constant_error
-    lags = params.current_loop_time_constant > 0
+    lags = params.current_loop_time_constant >= SHORTEST_LAG
     if lags:
         held[:5, :5], held[:5, 5:], _ = state_space(params, theta_1, model, actuator=True)
     else:
