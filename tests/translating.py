@@ -20,8 +20,8 @@ from eval.translation.types import BOOL, INT, REAL, SINGLE, Array, Const, Group,
 
 Kernel = Callable[..., Any]
 Calls = list[tuple[Any, ...]]
-CTYPES = {REAL: ctypes.c_double, SINGLE: ctypes.c_float, INT: ctypes.c_int32, BOOL: ctypes.c_bool}
-INTEGERS = np.int32  # arrays of whole numbers, as the program has them
+CTYPES = {REAL: ctypes.c_double, SINGLE: ctypes.c_float, INT: ctypes.c_int64, BOOL: ctypes.c_bool}
+INTEGERS = np.int64  # arrays of whole numbers, as the program has them
 
 
 def compiler() -> Toolchain:
@@ -60,7 +60,7 @@ def value_of(argument: Any, parameters: list[str]) -> Value:
     kind, name = kind_of(argument), f"given_{len(parameters)}"
     if isinstance(argument, np.ndarray):
         parameters.append(f"{kind} *{name}")
-        return Array(kind, argument.shape, contiguous(argument.shape), name)
+        return Array(kind, argument.shape, contiguous(argument.shape), name, memory=name)
     parameters.append(f"{kind} {name}")
     return Scalar(kind, name)
 

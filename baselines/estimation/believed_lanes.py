@@ -34,7 +34,7 @@ from beltarm_env.arrays import Floats
 from beltarm_env.jit import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import BUILT_WORK_ROWS, begin_friction, begin_lag
-from beltarm_env.kernels.layout import LANES, store_drive, store_plant
+from beltarm_env.kernels.layout import LANES, Rows, store_drive, store_plant
 from beltarm_env.physics.drive import drive_of
 from beltarm_env.physics.models import LUMPED
 from beltarm_env.physics.substeps import integration_substeps
@@ -54,18 +54,18 @@ _LIMIT = at.PLANT + Plant._fields.index("torque_limit")
 class Simulation(NamedTuple):
     """Room for `simulate`; what it holds between two calls does not matter."""
 
-    loaded: Floats  # arms as they are believed in, shape (_ROWS * LANES,)
-    block: Floats  # copies of them, likewise
-    work: Floats  # shape (BUILT_WORK_ROWS * LANES,)
-    actions: Floats  # shape (LANES,)
+    loaded: Rows  # arms as they are believed in, shape (_ROWS * LANES,)
+    block: Rows  # copies of them, likewise
+    work: Rows  # shape (BUILT_WORK_ROWS * LANES,)
+    actions: Rows  # shape (LANES,)
     velocities: Floats  # of the arm's end where a lane begins, shape (2 * LANES,); (2,) without an accelerometer
-    z: Floats  # of the arms, see `take`
-    constants: Floats  # of them, see `believe`
-    perturbed: Floats  # the same of a copy
-    shapes: Floats  # of the arms' ripple, see `write_ripple`
-    other_shapes: Floats  # of a copy's
-    ripple: Floats  # of the arms [N m], shape (LANES,)
-    other_ripple: Floats  # of a copy [N m]
+    z: Rows  # of the arms, see `take`
+    constants: Rows  # of them, see `believe`
+    perturbed: Rows  # the same of a copy
+    shapes: Rows  # of the arms' ripple, see `write_ripple`
+    other_shapes: Rows  # of a copy's
+    ripple: Rows  # of the arms [N m], shape (LANES,)
+    other_ripple: Rows  # of a copy [N m]
 
 
 def simulation_room(size: int) -> Simulation:

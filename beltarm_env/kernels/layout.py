@@ -7,12 +7,13 @@ dozens of them; it also keeps a block's working set together in the cache. A sin
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats
 from beltarm_env.jit import inlined
 from beltarm_env.physics.drive import Drive
 from beltarm_env.physics.driven.torque import Stages
@@ -21,6 +22,8 @@ from beltarm_env.task.reference import MoveShape
 from beltarm_env.timing import LATENCY_SAMPLES
 
 LANES = 136
+Rows = Annotated[Floats, "rows of LANES"]
+"""Arrays of rows, one after the other, with a number for each lane; in a program for one arm a row is one number."""
 
 STATE = 0
 PLANT = STATE + len(ArmState._fields)

@@ -21,6 +21,7 @@ from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_
 from beltarm_env.kernels.layout import (
     LANES,
     ROWS,
+    Rows,
     aligned_zeros,
     empty_blocks,
     load_drive,
@@ -44,9 +45,9 @@ DRIVE_STATES = 1 + LATENCY_SAMPLES
 class Room(NamedTuple):
     """What the kernels of a simulation work in; the constants of the arms are in the blocks."""
 
-    blocks: Floats  # shape (blocks, ROWS * LANES); of one arm alone (ROWS * LANES,)
-    work: Floats
-    actions: Floats  # shape (LANES,)
+    blocks: Rows  # shape (blocks, ROWS * LANES); of one arm alone (ROWS * LANES,)
+    work: Rows
+    actions: Rows  # shape (LANES,)
 
 
 def room_for(count: int) -> Room:

@@ -7,26 +7,22 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import jinja2
 import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
-from beltarm_env.kernels.layout import LANES
+from beltarm_env.kernels.layout import LANES, Rows
 from beltarm_env.task.reference import MoveShape
 from eval.deploy.loop import begin, empty_device
 from eval.translation.arrays import contiguous
 from eval.translation.program import Function, Program
 from eval.translation.scope import RESERVED
-from eval.translation.types import INT, REAL, Array, Const, Group, Scalar, Value, dtype_of
+from eval.translation.types import REAL, SMALL, Array, Const, Group, Scalar, TranslationError, Value, dtype_of
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
 """What differs from the kernels in Python: they are compiled for many arms side by side."""
-_ROWS_OF_LANES = (
-    *("block", "blocks", "work", "actions", "velocities", "loaded", "z", "constants", "perturbed", "shapes"),
-    *("other_shapes", "ripple", "other_ripple"),
-)
 TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
     keep_trailing_newline=True,
@@ -103,16 +99,35 @@ class Loop:
         return {self.name, *(f"{self.name}_{part}" for part in ("real", "move", "init", "reset", "step"))}
 
 
-def for_one_lane(template: Any, name: str = "") -> Any:
-    """Memory of a kernel without the lanes that one arm does not need: rows of a simulation have one each."""
-    if template is None:
-        return None
-    if not isinstance(template, np.ndarray):
-        names = zip(template._fields, template, strict=True)
-        return type(template)(*(for_one_lane(part, field) for field, part in names))
-    if name in _ROWS_OF_LANES and template.size % LANES == 0:
-        return np.zeros(template.size // LANES)
-    return template
+def for_one_lane(template: Any) -> Any:
+    """Memory of a kernel without the lanes that one arm does not need: what is declared as `Rows` has one in each row.
+
+    Raises:
+        TranslationError: If an array is not as it is declared.
+    """
+    if template is None or isinstance(template, np.ndarray):
+        return template
+    declared = get_type_hints(type(template), include_extras=True)
+    parts = zip(template._fields, template, strict=True)
+    return type(template)(
+        *(
+            _one_lane(part, declared[field] == Rows, f"{type(template).__name__}.{field}")
+            if isinstance(part, np.ndarray)
+            else for_one_lane(part)
+            for field, part in parts
+        )
+    )
+
+
+def _one_lane(array: np.ndarray, rows: bool, name: str) -> np.ndarray:
+    whole = array.shape[-1] % LANES == 0
+    if rows and not whole:
+        raise TranslationError(f"{name} is declared as Rows of {LANES} lanes, and has {array.shape[-1]} numbers")
+    if not rows and whole and array.ndim == 1 and array.dtype == np.float64:
+        raise TranslationError(
+            f"{name} has {len(array)} numbers, as rows of {LANES} lanes have: declare it as Rows, or take one more"
+        )
+    return np.zeros((*array.shape[:-1], array.shape[-1] // LANES), array.dtype) if rows else array
 
 
 def sources(loop: Loop) -> dict[str, str]:
@@ -129,7 +144,7 @@ def sources(loop: Loop) -> dict[str, str]:
     fields = [*fields_of("device", device), *fields_of("memory", memory)]
     of_device, of_memory = members("device", device), members("memory", memory)
     move = Group(MoveShape, tuple((field, Scalar(REAL, f"move->{field}")) for field in MoveShape._fields))
-    count = Scalar(INT, "count")
+    count = Scalar(SMALL, "count")
     resolution = Scalar(REAL, "self->resolution")
     began = body(program, begin, [of_device, Const(plant), resolution, move, count])
     stepped = body(program, loop.step, [Const(loop.design), Const(limit), of_device, of_memory, count])
@@ -179,7 +194,7 @@ def members(name: str, template: Any) -> Value:
     """The arrays of a template as values of the translation."""
     if isinstance(template, np.ndarray):
         shape = tuple(map(int, template.shape))
-        return Array(dtype_of(template.dtype), shape, contiguous(shape), f"self->{name}")
+        return Array(dtype_of(template.dtype), shape, contiguous(shape), f"self->{name}", memory=name)
     if template is None:
         return Const(None)
     parts = zip(template._fields, template, strict=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from eval.translation.numbers import NUMBERS, bare, scalar
 from eval.translation.types import (
     INT,
+    SMALL,
     Array,
     Const,
     Lazy,
@@ -19,6 +21,7 @@ from eval.translation.types import (
     TranslationError,
     dtype_of,
 )
+from eval.translation.whole import natural, span
 
 Table = Callable[[np.ndarray, str], Array]  # puts a known array into the program
 
@@ -53,34 +56,57 @@ def times(a: Size, b: int) -> Size:
     return a if b == 1 else f"({a} * {b})"
 
 
-def size_of(value: Any) -> Size:
-    """Turn a whole number into an offset."""
+def _whole(value: Any) -> int | Scalar:
+    """Turn an index into a known number, or one that the program computes."""
     if isinstance(value, Const):
-        if not isinstance(value.value, int | np.integer):
+        if isinstance(value.value, bool | np.bool_) or not isinstance(value.value, int | np.integer):
             raise TranslationError(f"an index must be a whole number, not {value.value!r}")
         return int(value.value)
     number = scalar(value)
-    if number.dtype != INT:
+    if number.dtype not in (SMALL, INT):
         raise TranslationError(f"an index must be a whole number, not {number.dtype}")
-    return number.code
+    return number
 
 
-def less(stop: Size, start: Size) -> Size:
-    """Length of a slice."""
+def _at(value: Any, size: Size) -> Size:
+    """Offset of an index, which counts from the end if it is negative.
+
+    Raises:
+        TranslationError: If it is known to lie outside the axis.
+    """
+    index = _whole(value)
+    if isinstance(index, Scalar):
+        return index.code if natural(index) else f"int_at({bare(index.code)}, {bare(text(size))})"
+    if isinstance(size, int) and not -size <= index < size:
+        raise TranslationError(f"index {index} is outside an axis of {size}")
+    return plus(size, index) if index < 0 else index
+
+
+def _cut(value: Any, size: Size) -> Size:
+    """Start or stop of a slice, cut at the ends of the axis as Python does."""
+    index = _whole(value)
+    if isinstance(index, int) and (isinstance(size, int) or index == 0):
+        return slice(index).indices(size)[1] if isinstance(size, int) else 0
+    if isinstance(index, Scalar) and isinstance(size, int) and natural(index) and span(index)[1] <= size:
+        return index.code
+    return f"int_cut({bare(index.code) if isinstance(index, Scalar) else index}, {bare(text(size))})"
+
+
+def _between(start: Size, stop: Size) -> Size:
+    """Length of a slice whose ends are cut."""
     if isinstance(stop, int) and isinstance(start, int):
         return max(stop - start, 0)
     if start == 0:
         return stop
     prefix = f"({start} + "
-    if isinstance(stop, str) and stop.startswith(prefix) and stop.endswith(")"):
-        rest = stop[len(prefix) : -1]
-        return int(rest) if rest.isdigit() else rest
-    return f"({stop} - {start})"
+    if isinstance(stop, str) and stop.startswith(prefix) and stop[len(prefix) : -1].isdigit():
+        return int(stop[len(prefix) : -1])
+    return f"int_max({bare(text(stop))} - {start}, 0)"
 
 
 def sized(value: Size) -> Any:
     """Turn a length into a value."""
-    return Const(value) if isinstance(value, int) else Scalar(INT, value)
+    return Const(value) if isinstance(value, int) else Scalar(SMALL, value, (0, 2**31 - 1))
 
 
 def view(array: Array, index: list[Any]) -> Array | Scalar:
@@ -92,28 +118,17 @@ def view(array: Array, index: list[Any]) -> Array | Scalar:
     for axis, (size, stride) in enumerate(zip(array.shape, array.strides, strict=True)):
         at = index[axis] if axis < len(index) else (None, None)
         if isinstance(at, tuple):
-            start = 0 if at[0] is None else _from_end(size_of(at[0]), size)
-            stop = size if at[1] is None else _from_end(size_of(at[1]), size)
-            if isinstance(size, int):
-                start = min(start, size) if isinstance(start, int) else start
-                stop = min(stop, size) if isinstance(stop, int) else stop
+            start = 0 if at[0] is None else _cut(at[0], size)
+            stop = size if at[1] is None else _cut(at[1], size)
             offset = plus(offset, times(start, stride))
-            shape.append(less(stop, start))
+            shape.append(_between(start, stop))
             strides.append(stride)
         else:
-            number = size_of(at)
-            if isinstance(number, int) and isinstance(size, int) and not -size <= number < size:
-                raise TranslationError(f"index {number} is outside an axis of {size}")
-            offset = plus(offset, times(_from_end(number, size), stride))
+            offset = plus(offset, times(_at(at, size), stride))
     if not shape:
         return Scalar(array.dtype, f"{array.code}[{bare(text(offset))}]")
     code = array.code if offset == 0 else f"({array.code} + {text(offset)})"
-    return Array(array.dtype, tuple(shape), tuple(strides), code, array.constant, array.in_loop)
-
-
-def _from_end(at: Size, size: Size) -> Size:
-    """Count a negative index from the end."""
-    return plus(size, at) if isinstance(at, int) and at < 0 else at
+    return replace(array, shape=tuple(shape), strides=tuple(strides), code=code)
 
 
 def element(array: Array, index: list[str]) -> Scalar:
@@ -124,23 +139,26 @@ def element(array: Array, index: list[str]) -> Scalar:
     return Scalar(array.dtype, f"{array.code}[{bare(text(offset))}]")
 
 
-def overwrites(target: Array, place: Scalar, source: Scalar) -> bool:
+def overwrites(target: Array, source: Lazy) -> bool:
     """Tell whether writing the elements of a target one by one may change elements of the source still to be read."""
-    found = re.match(r"\(?([\w>-]+)", target.code)
-    root = re.escape(found[1]) if found else ""
-    rest = source.code.replace(place.code, "")
-    if not re.search(rf"(?<![\w.>]){root}\b", rest):
+    return any(_meets(target, array) for array in source.reads)
+
+
+def _meets(target: Array, read: Array) -> bool:
+    if target.memory and read.memory and target.memory != read.memory:
         return False
-    begins = re.fullmatch(rf"\({root} \+ (\d+)\)|{root}", target.code)
-    length = target.shape[0]
-    if begins is None or len(target.shape) > 1 or not isinstance(length, int):
+    if (target.code, target.shape, target.strides) == (read.code, read.shape, read.strides):
+        return False
+    (root, first), (other, start), length = _origin(target), _origin(read), target.shape[0]
+    if root != other or first is None or start is None or len(target.shape) > 1 or not isinstance(length, int):
         return True
-    first, index = int(begins[1] or 0), re.escape(place.code.removeprefix(target.code))
-    others = re.sub(rf"(?:\({root} \+ (\d+)\)|(?<![\w.>]){root}){index}", lambda at: f"#{at[1] or 0}#", rest)
-    if re.search(rf"(?<![\w.>]){root}\b", others):
-        return True
-    starts = [int(number) for number in re.findall(r"#(\d+)#", others)]
-    return any(start < first < start + length * max(target.strides) for start in starts)
+    return target.strides != read.strides or start < first < start + length * target.strides[0]
+
+
+def _origin(array: Array) -> tuple[str, int | None]:
+    """Pointer that an array begins at, and how many numbers behind it; None if the program computes that."""
+    found = re.fullmatch(r"\(([\w>-]+) \+ (\d+)\)|([\w>-]+)", array.code)
+    return (found[1] or found[3], int(found[2] or 0)) if found else (array.code, None)
 
 
 def lazy(value: Any, table: Table) -> Lazy | None:
@@ -151,7 +169,7 @@ def lazy(value: Any, table: Table) -> Lazy | None:
         value = table(value.value, value.name)
     if isinstance(value, Array):
         array = value
-        return Lazy(array.dtype, array.shape, lambda index: element(array, index))
+        return Lazy(array.dtype, array.shape, lambda index: element(array, index), (array,))
     return None
 
 
@@ -173,7 +191,8 @@ def over_elements(operation: Callable[..., Any], operands: list[Any], table: Tab
         parts = [operand if array is None else array.at(index) for operand, array in zip(operands, arrays, strict=True)]
         return scalar(operation(*parts))
 
-    return Lazy(at(["0"] * len(shape)).dtype, shape, at)
+    reads = tuple(part for array in arrays if array is not None for part in array.reads)
+    return Lazy(at(["0"] * len(shape)).dtype, shape, at, reads)
 
 
 def known_array(value: Any) -> np.ndarray | None:

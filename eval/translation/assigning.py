@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from eval.translation.calls import Calls
 from eval.translation.numbers import NUMBERS, bare, cast, scalar
 from eval.translation.scope import type_of
 from eval.translation.types import (
-    INT,
+    SMALL,
     Array,
     ArrayType,
     Const,
@@ -25,6 +26,7 @@ from eval.translation.types import (
     Size,
     TranslationError,
     Value,
+    key_of,
     known_group,
     parts_of,
     record_type,
@@ -42,6 +44,8 @@ class Assignments(Calls):
             parts = parts_of(value)
             if len(parts) != len(target.elts):
                 raise TranslationError(f"{len(parts)} values for {len(target.elts)} targets")
+            if isinstance(value, Record) and self.changes(value):
+                parts = parts_of(self.held(value))
             if isinstance(value, Group) and not self._independent(target.elts, parts):  # all before the first
                 parts = [self.held(part) for part in parts]
             for one, part in zip(target.elts, parts, strict=True):
@@ -65,26 +69,31 @@ class Assignments(Calls):
             raise TranslationError(f"elements are assigned to arrays only: {ast.unparse(target)}")
         if owner.constant:
             raise TranslationError(f"what is constant is not assigned to: {ast.unparse(target)}")
-        return arrays.view(owner, self.indices(target.slice))
+        index = [self.held(at) if isinstance(at, Scalar) else at for at in self.indices(target.slice)]
+        return arrays.view(owner, index)
 
     def put(self, place: Any, value: Value) -> None:
         """Write a value into an element or a part of an array."""
         if isinstance(place, Scalar):
             self.write(f"{place.code} = {bare(cast(value, place.dtype).code)};")
         elif isinstance(value, Group | Record) or (isinstance(value, Const) and isinstance(value.value, tuple)):
-            for k, part in enumerate(parts_of(self.held(value))):
+            parts = parts_of(self.held(value))
+            if place.shape != (len(parts),):
+                raise TranslationError(f"{len(parts)} numbers for an array of shape {place.shape}")
+            for k, part in enumerate(parts):
                 self.put(arrays.view(place, [Const(k)]), part)
         else:
             self.fill(place, value)
 
     def _assign_name(self, name: str, value: Value) -> None:
-        once = self.assigned.get(name, 0) <= 1
+        once = not self.often(name)
+        self._check_form(name, value)
         if isinstance(value, Lazy):
             raise TranslationError(f"the array expression for {name} must be written into an array: {name}[:] = ...")
         if isinstance(value, Const) and not isinstance(value.value, NUMBERS):
             if isinstance(value.value, np.ndarray):
                 value = self.table(value.value, value.name or name)
-            elif isinstance(value.value, tuple) and not once and all(isinstance(v, NUMBERS) for v in value.value):
+            elif isinstance(value.value, tuple) and not once and _numeric(value.value):
                 value = known_group(value)
             else:
                 self.names[name] = value
@@ -99,13 +108,12 @@ class Assignments(Calls):
                 return
             value = record
         if isinstance(value, Array):
-            if value.code.isidentifier() and once and not value.in_loop:
+            if value.code.isidentifier() and once and not value.in_loop and not self.changes(value):
                 self.names[name] = value
                 return
             if value.in_loop and not once:
                 raise TranslationError(f"{name} keeps an array that a loop allocates in every turn: take two, by turns")
-            if None in getattr(type_of(value), "shape", ()):
-                value = self._sized(value)
+            value = replace(value, shape=tuple(map(self.stable, value.shape)))
             if once and value.in_loop and value.code.isidentifier():
                 self.names[name] = value
                 return
@@ -116,47 +124,79 @@ class Assignments(Calls):
             assert isinstance(value, Array)
             shape = self.lengths(name, value.shape, kind)
             self.write(f"{place} = {bare(value.code)};")
-            self.names[name] = Array(kind.dtype, shape, kind.strides, place, kind.constant, value.in_loop)
+            memory = value.memory if once else ""
+            self.names[name] = replace(value, shape=shape, code=place, constant=kind.constant, memory=memory)
         elif isinstance(kind, RecordType):
             self.write(f"{place} = {bare(self.as_record(value, kind))};")
             self.names[name] = Record(kind, place)
         else:
             self.write(f"{place} = {bare(cast(value, kind).code)};")
-            self.names[name] = Scalar(kind, place)
+            self.names[name] = Scalar(kind, place, self.spanned(name, kind, scalar(value)))
+
+    def _check_form(self, name: str, value: Value) -> None:
+        """Refuse a variable of which the translation cannot know what it is where ways through the kernel meet."""
+        if not self.often(name):
+            return
+        before = self.forms.get(name, self._form(self.names[name]) if name in self.names else None)
+        self.forms[name] = self._form(value)
+        if self.depth and before not in (None, self.forms[name]):
+            raise TranslationError(f"{name} becomes something else in a branch or loop: take two names")
+
+    def _form(self, value: Value) -> Any:
+        """What is known of a value but for numbers and memory."""
+        if isinstance(value, Const) and isinstance(value.value, tuple) and _numeric(value.value):
+            value = known_group(value)
+        if isinstance(value, Const) and not isinstance(value.value, (*NUMBERS, np.ndarray)):
+            return key_of(value.value)
+        if isinstance(value, Group) and self.record(value) is None:
+            return value.make, tuple(self._form(part) for _, part in value.fields)
+        return ()
 
     def _named_parts(self, name: str, value: Group) -> Group:
         """Compute the numbers of a group into variables."""
+        often = self.often(name)
         parts: list[tuple[str, Any]] = []
         for field, part in value.fields:
             label = f"{name}.{field}"
+            if often and isinstance(part, Const):
+                if isinstance(part.value, NUMBERS):
+                    part = scalar(part)
+                elif isinstance(part.value, np.ndarray):
+                    part = self.table(part.value, part.name or field)
             if isinstance(part, Group):
                 part = self._named_parts(label, part)
-            elif isinstance(part, Scalar | Record) or (
-                isinstance(part, Array) and (not part.code.isidentifier() or self.changes(part))
-            ):
+            elif isinstance(part, Scalar):
                 kind = self.unify(label, type_of(part))
                 place = self._variable(label, kind)
-                shape = self.lengths(label, part.shape, kind) if isinstance(part, Array) else ()
+                self.write(f"{place} = {bare(cast(part, kind).code)};")
+                part = Scalar(kind, place, self.spanned(label, kind, part))
+            elif isinstance(part, Record):
+                kind = self.unify(label, type_of(part))
+                place = self._variable(label, kind)
+                self.write(f"{place} = {bare(self.as_record(part, kind))};")
+                part = Record(kind, place)
+            elif isinstance(part, Array) and (often or not part.code.isidentifier() or self.changes(part)):
+                if part.in_loop and often:
+                    raise TranslationError(f"{label} keeps an array that a loop allocates in every turn")
+                part = replace(part, shape=tuple(map(self.stable, part.shape)))
+                kind = self.unify(label, type_of(part))
+                place = self._variable(label, kind)
+                shape = self.lengths(label, part.shape, kind)
                 self.write(f"{place} = {bare(part.code)};")
-                if isinstance(part, Array):
-                    part = Array(part.dtype, shape, part.strides, place, part.constant, part.in_loop)
-                else:
-                    part = Record(kind, place) if isinstance(kind, RecordType) else Scalar(kind, place)
+                memory = "" if often else part.memory
+                part = replace(part, shape=shape, code=place, constant=kind.constant, memory=memory)
             parts.append((field, part))
         return Group(value.make, tuple(parts))
 
     def lengths(self, name: str, shape: tuple[Size, ...], kind: Any) -> tuple[Size, ...]:
         """Shape of an array that a variable is assigned; a length that changes is a variable as well."""
-        if self.assigned.get(name.partition(".")[0], 0) <= 1 or None not in kind.shape:
+        if not self.often(name) or None not in kind.shape:
             return shape
-        place = self._variable(f"{name}.length", INT)
+        if None in kind.shape[1:]:
+            raise TranslationError(f"{name} changes, with rows of a length that the program computes: take two names")
+        place = self._variable(f"{name}.length", SMALL)
         self.write(f"{place} = {bare(arrays.text(shape[0]))};")
         return (place, *shape[1:])
-
-    def _sized(self, value: Array) -> Array:
-        """Compute lengths that the program computes, into variables."""
-        shape = tuple(size if isinstance(size, int) else self.kept(Scalar(INT, size)).code for size in value.shape)
-        return Array(value.dtype, shape, value.strides, value.code, value.constant, value.in_loop)
 
     def _variable(self, name: str, kind: Any) -> str:
         """Name of C of a variable, declared with its type of now."""
@@ -176,11 +216,7 @@ class Assignments(Calls):
                 part = self.record(part) or part
             if isinstance(part, Const) and isinstance(part.value, NUMBERS):
                 part = scalar(part)
-            if (
-                isinstance(part, Const)
-                and isinstance(part.value, tuple)
-                and all(isinstance(v, NUMBERS) for v in part.value)
-            ):
+            if isinstance(part, Const) and isinstance(part.value, tuple) and _numeric(part.value):
                 part = self.record(known_group(part)) or part
             if not isinstance(part, Scalar | Record):
                 return None
@@ -197,6 +233,10 @@ class Assignments(Calls):
         for part, (_, of) in zip(parts_of(value), kind.fields, strict=True):
             codes.append(self.as_record(part, of) if isinstance(of, RecordType) else bare(cast(part, of).code))
         return f"(({self.program.struct(kind)}){{{', '.join(codes)}}})"
+
+
+def _numeric(values: tuple[Any, ...]) -> bool:
+    return all(isinstance(value, NUMBERS) for value in values)
 
 
 def _codes(value: Value) -> str:

@@ -19,9 +19,11 @@ from eval.translation.types import (
     INT,
     REAL,
     SINGLE,
+    SMALL,
     Array,
     Const,
     Group,
+    Lazy,
     Scalar,
     TranslationError,
     Value,
@@ -30,6 +32,7 @@ from eval.translation.types import (
     make_of,
     parts_of,
 )
+from eval.translation.whole import LEAST, MOST, WHOLE, span, whole
 
 LARGEST = 512
 """Most numbers of an array that a function allocates: on the stack of a small processor."""
@@ -94,7 +97,7 @@ class Calls(Expressions):
         self.counter += 1
         name = self.c_name(f"a_{self.counter}")
         self.locals[name] = Local(None, f"{dtype} {name}[{max(count, 1)}];")
-        return Array(dtype, sizes, arrays.contiguous(sizes), name, in_loop=self.loops > 0)
+        return Array(dtype, sizes, arrays.contiguous(sizes), name, in_loop=self.loops > 0, memory=name)
 
     def fill(self, target: Array, value: Value) -> None:
         """Write a number into all elements of an array, or an array expression of its shape."""
@@ -105,18 +108,21 @@ class Calls(Expressions):
             raise TranslationError(f"an array of shape {target.shape} cannot take one of {source.shape}")
         if source is None and isinstance(value, Scalar):
             value = self.kept(value)
+        if source is not None and arrays.overwrites(target, source):  # NumPy reads all first
+            before = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
+            self._each(before, source)
+            source = arrays.lazy(before, self.table)
+        self._each(target, value if source is None else source)
+
+    def _each(self, target: Array, value: Value) -> None:
+        """Write the elements of an array one by one."""
         self.counter += 1
         names = [f"e{axis}_{self.counter}" for axis in range(len(target.shape))]
-        place = arrays.element(target, names)
-        if source is not None and arrays.overwrites(target, place, source.at(names)):  # NumPy reads all first
-            before = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
-            self.fill(before, source)
-            self.fill(target, before)
-            return
         for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
             indent = "    " * depth
             self.write(f"{indent}for (int32_t {name} = 0; {name} < {bare(arrays.text(size))}; ++{name}) {{")
-        number = value if source is None else source.at(names)
+        number = value.at(names) if isinstance(value, Lazy) else value
+        place = arrays.element(target, names)
         self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")
         for depth in range(len(names) - 1, -1, -1):
             self.write(f"{'    ' * depth}}}")
@@ -155,11 +161,14 @@ def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[
         return Const(function(constant(value) for value in values))
     found: Value = values[0]
     for value in values[1:]:
-        dtype = joined(scalar(found).dtype, scalar(value).dtype)
-        dtype = INT if dtype == BOOL else dtype
-        a, b = cast(found, dtype), cast(value, dtype)
-        kind = {REAL: "real", SINGLE: "float", INT: "int"}[dtype]
-        found = Scalar(dtype, f"{kind}_{name}({bare(a.code)}, {bare(b.code)})")
+        a, b = scalar(found), scalar(value)
+        dtype = joined(a.dtype, b.dtype)
+        if dtype == BOOL:
+            raise TranslationError(f"{name} of two bools is a bool: write and, or")
+        a, b = cast(a, dtype), cast(b, dtype)
+        kind = {REAL: "real", SINGLE: "float"}.get(dtype, "int")
+        code = f"{kind}_{name}({bare(a.code)}, {bare(b.code)})"
+        found = whole(code, *map(function, span(a), span(b))) if dtype in WHOLE else Scalar(dtype, code)
     return found
 
 
@@ -169,9 +178,15 @@ def _absolute(self: Calls, value: Value) -> Value:
     over = arrays.over_elements(lambda one: _absolute(self, one), [value], self.table)
     if over is not None:
         return over
-    number = cast(value, INT) if scalar(value).dtype == BOOL else scalar(value)
-    names = {REAL: "real_abs", SINGLE: "fabsf", INT: "int_abs"}
-    return Scalar(number.dtype, f"{names[number.dtype]}({bare(number.code)})")
+    number = scalar(value)
+    if number.dtype == BOOL:
+        raise TranslationError("a bool has no sign: write int(a)")
+    if number.dtype in WHOLE:
+        low, high = span(number)
+        spanned = (LEAST, MOST) if low == LEAST else (0, max(-low, high))
+        return number if low >= 0 else whole(f"int_abs({bare(number.code)})", *spanned)
+    name = "real_abs" if number.dtype == REAL else "fabsf"
+    return Scalar(number.dtype, f"{name}({bare(number.code)})")
 
 
 def _length(self: Calls, value: Value) -> Value:
@@ -190,7 +205,7 @@ def _converts(dtype: str) -> Callable[..., Value]:
             return Const(np.float32(value.value))
         if dtype == BOOL:
             return Scalar(BOOL, f"({scalar(value).code} != 0)")
-        return cast(value, dtype)
+        return cast(value, SMALL if dtype == INT and scalar(value).dtype == BOOL else dtype)
 
     return convert
 
@@ -199,6 +214,8 @@ def _of_real(name: str, function: Callable[..., Any], dtype: str = REAL) -> Call
     def of_real(self: Calls, value: Value) -> Value:
         if isinstance(value, Const):
             return Const(function(value.value))
+        if dtype == INT and isinstance(value, Scalar) and value.dtype in WHOLE:
+            return cast(value, SMALL) if value.dtype == BOOL else value
         over = arrays.over_elements(lambda one: of_real(self, one), [value], self.table)
         if over is not None:
             return over

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from eval.translation.types import (
     parts_of,
     reads_memory,
 )
+from eval.translation.whole import either
 
 CALL = re.compile(rf"\b{PREFIX}\w+\(")
 
@@ -104,11 +106,16 @@ class Expressions(Scope):
         if isinstance(node, ast.Slice):
             if node.step is not None:
                 raise TranslationError(f"slices with a step are not translated: {ast.unparse(node)}")
-            return tuple(None if part is None else self.value(part) for part in (node.lower, node.upper))
+            parts = [Const(None) if part is None else self.value(part) for part in (node.lower, node.upper)]
+            return tuple(None if part == Const(None) else self._end(part) for part in parts)
         found = self.value(node)
         if isinstance(found, Const) and isinstance(found.value, slice):
             return tuple(None if part is None else Const(part) for part in (found.value.start, found.value.stop))
         return found
+
+    def _end(self, value: Value) -> Value:
+        """End of a slice, which nothing changes that is written into the slice."""
+        return self.held(value) if reads_memory(value) else value
 
     def _tuple(self, node: ast.Tuple) -> Value:
         return self.tuple_of(self.entries(node.elts))
@@ -153,6 +160,8 @@ class Expressions(Scope):
         """Combine two values by an operator, element by element if they are arrays."""
         if kind is ast.Add and isinstance(left, Const) and isinstance(left.value, tuple):
             return Const(left.value + constant(right))
+        if isinstance(left, Array | Lazy) or isinstance(right, Array | Lazy):  # NumPy reads numbers before elements
+            left, right = (self.held(one) if isinstance(one, Scalar) else one for one in (left, right))
         over = arrays.over_elements(lambda a, b: binary(kind, a, b), [left, right], self.table)
         return binary(kind, left, right) if over is None else over
 
@@ -166,10 +175,13 @@ class Expressions(Scope):
 
     def _compare(self, node: ast.Compare) -> Value:
         left, found = self.value(node.left), None
-        for operation, right_node in zip(node.ops, node.comparators, strict=True):
+        for k, (operation, right_node) in enumerate(zip(node.ops, node.comparators, strict=True)):
+            before = len(self.lines)
             left, right = self.then(left, right_node)
+            if k and len(self.lines) > before:  # Python may not come to it
+                raise TranslationError(f"the end of a chain of comparisons takes no call: {ast.unparse(node)}")
             one = self._compared(type(operation), left, right)
-            if len(node.ops) > 1 and isinstance(right, Scalar):
+            if k + 1 < len(node.ops) and isinstance(right, Scalar):
                 right = self.kept(right)
             if found is None:
                 found = one
@@ -255,18 +267,26 @@ class Expressions(Scope):
         self.lines += [f"    {line}" for line in before_second]
         self.write(f"    {name} = {bare(cast(second, dtype).code)};")
         self.write("}")
-        return Scalar(dtype, name)
+        return Scalar(dtype, name, either(scalar(first), scalar(second)))
 
     def _either(self, asked: Scalar, first: Value, second: Value) -> Value:
         if isinstance(first, Array) and isinstance(second, Array):
             if (first.shape, first.strides, first.dtype) != (second.shape, second.strides, second.dtype):
                 raise TranslationError("a choice between arrays takes arrays of one shape")
             code = f"({asked.code} ? {first.code} : {second.code})"
-            return Array(first.dtype, first.shape, first.strides, code, first.constant or second.constant)
+            memory = first.memory if first.memory == second.memory else ""
+            return replace(
+                first,
+                code=code,
+                constant=first.constant or second.constant,
+                in_loop=first.in_loop or second.in_loop,
+                memory=memory,
+            )
         if isinstance(first, Record) and isinstance(second, Record):
             return Record(joined(first.type, second.type), f"({asked.code} ? {first.code} : {second.code})")
-        dtype = joined(scalar(first).dtype, scalar(second).dtype)
-        return Scalar(dtype, f"({asked.code} ? {cast(first, dtype).code} : {cast(second, dtype).code})")
+        a, b = scalar(first), scalar(second)
+        dtype = joined(a.dtype, b.dtype)
+        return Scalar(dtype, f"({asked.code} ? {cast(first, dtype).code} : {cast(second, dtype).code})", either(a, b))
 
     def _call(self, node: ast.Call) -> Value:
         raise NotImplementedError

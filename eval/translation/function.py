@@ -8,6 +8,8 @@ from eval.translation.numbers import NUMBERS, bare, cast, scalar
 from eval.translation.scope import type_of
 from eval.translation.statements import Statements
 from eval.translation.types import (
+    INT,
+    SMALL,
     Const,
     ConstType,
     Group,
@@ -17,8 +19,10 @@ from eval.translation.types import (
     TranslationError,
     Value,
     joined,
+    key_of,
     known_group,
 )
+from eval.translation.whole import span
 
 
 class NotReturnableError(TranslationError):
@@ -48,24 +52,28 @@ class Function(Statements):
         kind = joined(self.returned, type_of(value)) if self.returned is not None else type_of(value)
         if kind != self.returned:
             self.changed, self.returned = True, kind
+        if isinstance(value, Scalar) and kind in (SMALL, INT):
+            low, high = span(value)
+            self.span = (min(low, self.span[0]), max(high, self.span[1])) if self.span else (low, high)
         if isinstance(kind, RecordType):
             self.write(f"return {bare(self.as_record(value, kind))};")
         else:
             self.write(f"return {bare(cast(value, kind).code)};")
 
     known: Const | None = None
+    span: tuple[int, int] | None = None  # of the whole numbers returned
+
+    def finish(self, left: bool) -> None:
+        """End the function.
+
+        Raises:
+            TranslationError: If one way through it returns something, and another does not.
+        """
+        if not left and self.returned not in (None, ConstType(key_of(None))):
+            raise TranslationError("it returns something on one way and nothing on another: return on all ways")
 
 
 def _all_numbers(value: Any) -> bool:
     if isinstance(value, NUMBERS):
         return True
     return isinstance(value, tuple) and len(value) > 0 and all(map(_all_numbers, value))
-
-
-def key_of(value: Any) -> Any:
-    """What tells known values apart."""
-    if value is None or isinstance(value, str | int | float | bool):
-        return (type(value).__name__, repr(value))  # 0.0 and -0.0 are two
-    if isinstance(value, tuple):
-        return (type(value).__name__, *map(key_of, value))
-    return id(value)

@@ -19,13 +19,16 @@ from eval.translation.types import (
     INT,
     REAL,
     SINGLE,
+    SMALL,
     Const,
     NotConstantError,
     Scalar,
     TranslationError,
+    dtype_of,
     joined,
     shown,
 )
+from eval.translation.whole import LEAST, WHOLE, arithmetic, fits, span, whole, whole_literal
 
 PYTHON_OPERATORS: dict[type, Callable[..., Any]] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
@@ -37,9 +40,10 @@ PYTHON_OPERATORS: dict[type, Callable[..., Any]] = {
     **{ast.LShift: operator.lshift, ast.RShift: operator.rshift},
 }
 C_OPERATORS: dict[type, str] = {
-    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitAnd: "&", ast.BitOr: "|"},
+    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"},
     **{ast.Eq: "==", ast.NotEq: "!=", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="},
 }
+COMPARISONS = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 NUMBERS: Any = (int, float, bool, np.integer, np.floating, np.bool_)
 
 TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5, RESTING: 5e-6}
@@ -48,10 +52,12 @@ TOLERANCES = {CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5, RESTING: 5e-6}
 
 def dtype_of_number(value: Any) -> str:
     """Find the type of a known number."""
+    if isinstance(value, np.generic):
+        dtype_of(value.dtype)
     if isinstance(value, bool | np.bool_):
         return BOOL
     if isinstance(value, int | np.integer):
-        return INT
+        return SMALL if fits(int(value), int(value), SMALL) else INT
     return SINGLE if getattr(value, "dtype", None) == np.float32 else REAL
 
 
@@ -59,10 +65,8 @@ def literal(value: Any, dtype: str) -> str:
     """Write a known number as a literal of C."""
     if dtype == BOOL:
         return "true" if value else "false"
-    if dtype == INT:
-        if not -(2**31) < int(value) < 2**31:
-            raise TranslationError(f"{value} is beyond the whole numbers of 32 bits")
-        return str(int(value))
+    if dtype in WHOLE:
+        return whole_literal(int(value))
     number = float(value)
     if number == ROUNDER:
         return "ROUNDER"
@@ -86,7 +90,8 @@ def scalar(value: Any) -> Scalar:
         return value
     if isinstance(value, Const) and isinstance(value.value, NUMBERS):
         dtype = dtype_of_number(value.value)
-        return Scalar(dtype, literal(value.value, dtype))
+        known = (int(value.value), int(value.value)) if dtype in WHOLE else None
+        return Scalar(dtype, literal(value.value, dtype), known)
     raise TranslationError(f"a number is expected, not {shown(value)}")
 
 
@@ -95,7 +100,11 @@ def cast(value: Any, dtype: str) -> Scalar:
     if isinstance(value, Const) and isinstance(value.value, NUMBERS):
         return Scalar(dtype, literal(np.float32(value.value) if dtype == SINGLE else value.value, dtype))
     number = scalar(value)
-    return number if number.dtype == dtype else Scalar(dtype, f"({dtype}){grouped(number.code)}")
+    if number.dtype == dtype or (number.dtype, dtype) == (SMALL, INT):
+        return number
+    if dtype in (SMALL, INT) and number.dtype not in WHOLE:
+        return Scalar(INT, f"int_of({bare(number.code)})")
+    return Scalar(dtype, f"({dtype}){grouped(number.code)}", number.span if dtype in WHOLE and dtype != BOOL else None)
 
 
 def grouped(code: str) -> str:
@@ -144,23 +153,24 @@ def binary(kind: type, left: Any, right: Any) -> Any:
     if kind is ast.Pow:
         return _power(a, right)
     common = joined(a.dtype, b.dtype)
+    computes = kind not in COMPARISONS and kind not in (ast.BitAnd, ast.BitOr)
+    if common == BOOL and computes:
+        raise TranslationError(f"no {kind.__name__} of two bools, which NumPy keeps bools: write int(a)")
     if kind is ast.Div:
-        common = REAL if common in (INT, BOOL) else common
-    elif kind in (ast.Add, ast.Sub, ast.Mult, ast.FloorDiv, ast.Mod) and common == BOOL:
-        common = INT
+        common = REAL if common in WHOLE else common
+    if common in WHOLE and kind not in COMPARISONS:
+        if common == BOOL:
+            return Scalar(BOOL, f"({a.code} {'&' if kind is ast.BitAnd else '|'} {b.code})")
+        if kind is ast.Mult and "1" in (a.code, b.code):
+            return cast(b if a.code == "1" else a, common)
+        return arithmetic(kind, cast(a, SMALL) if a.dtype == BOOL else a, cast(b, SMALL) if b.dtype == BOOL else b)
     a, b = cast(left, common), cast(right, common)
-    if kind in (ast.Mod, ast.FloorDiv):
-        if common == INT:
-            return Scalar(INT, f"{'floor_mod' if kind is ast.Mod else 'floor_div'}({bare(a.code)}, {bare(b.code)})")
-        if common == REAL:
-            name = "real_mod" if kind is ast.Mod else "real_floor_div"
-            return Scalar(REAL, f"{name}({bare(a.code)}, {bare(b.code)})")
-    if kind not in C_OPERATORS or (kind in (ast.BitAnd, ast.BitOr) and common not in (BOOL, INT)):
+    if kind in (ast.Mod, ast.FloorDiv) and common == REAL:
+        name = "real_mod" if kind is ast.Mod else "real_floor_div"
+        return Scalar(REAL, f"{name}({bare(a.code)}, {bare(b.code)})")
+    if kind not in C_OPERATORS:
         raise TranslationError(f"no operation {kind.__name__} on {a.dtype} and {b.dtype}")
-    if common == INT and (kind, "1") in ((ast.Mult, a.code), (ast.Mult, b.code)):
-        return b if a.code == "1" else a
-    compares = kind in (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
-    return Scalar(BOOL if compares else common, f"({a.code} {C_OPERATORS[kind]} {b.code})")
+    return Scalar(BOOL if kind in COMPARISONS else common, f"({a.code} {C_OPERATORS[kind]} {b.code})")
 
 
 def _wider(left: Any, right: Any) -> str:
@@ -171,10 +181,10 @@ def _power(base: Scalar, exponent: Any) -> Scalar:
     """Square, cube or fourth power, in numba's order of multiplications."""
     power = constant(exponent)
     names = {2: "square", 3: "cube", 4: "fourth_power"}
-    if power not in names or base.dtype not in (REAL, INT):
-        raise TranslationError(f"only the powers 2, 3 and 4 of float64 are translated, not {power} of {base.dtype}")
-    if base.dtype == INT:
+    if base.dtype in WHOLE:
         raise TranslationError("powers of whole numbers are not translated")
+    if power not in names or base.dtype != REAL:
+        raise TranslationError(f"only the powers 2, 3 and 4 of float64 are translated, not {power} of {base.dtype}")
     return Scalar(REAL, f"{names[power]}({bare(base.code)})")
 
 
@@ -185,6 +195,11 @@ def unary(kind: type, operand: Any) -> Any:
     a = scalar(operand)
     if kind is ast.Not:
         return Scalar(BOOL, f"(!{grouped(a.code)})")
+    if kind is ast.USub and a.dtype in (SMALL, INT):
+        low, high = span(a)
+        if low > (LEAST if a.dtype == INT else -(2**31)):
+            return whole(f"(-{grouped(a.code)})", -high, -low)
+        return arithmetic(ast.Sub, scalar(Const(0)), a)
     if kind is ast.USub and a.dtype != BOOL:
         return Scalar(a.dtype, f"(-{grouped(a.code)})")
     raise TranslationError(f"no operation {kind.__name__} on {a.dtype}")

@@ -11,6 +11,8 @@ import numpy as np
 
 from eval.translation.numbers import bare
 from eval.translation.types import (
+    INT,
+    SMALL,
     Array,
     ArrayType,
     Const,
@@ -18,11 +20,13 @@ from eval.translation.types import (
     Record,
     RecordType,
     Scalar,
+    Size,
     TranslationError,
     Value,
     joined,
     shown_type,
 )
+from eval.translation.whole import span
 
 RESERVED = set(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
@@ -31,7 +35,7 @@ RESERVED = set(
     "uint32_t uint64_t size_t y0 y1 yn j0 j1 jn gamma signgam exp log sin cos tan pow round floor ceil sqrt fabs fmod "
     "floorf ceilf sqrtf fabsf fmodf isnan isfinite isinf square cube fourth_power floor_div floor_mod real_sqrt "
     "real_floor real_ceil real_fmod real_abs real_sign real_mod real_floor_div real_max real_min float_max float_min "
-    "int_max int_min int_abs".split()
+    "int_max int_min int_abs int_add int_sub int_mul int_of int_at int_cut INT64_C INT64_MIN".split()
 )
 """Names that mean something else in C, or in the headers of the programs."""
 
@@ -55,17 +59,20 @@ class Scope:
     outside: dict[str, Any]  # globals and what a closure holds
     overrides: dict[str, Any]
     kinds: dict[str, Any] = field(default_factory=dict)  # types of variables, from pass to pass
+    negative: set[str] = field(default_factory=set)  # whole numbers that may be, from pass to pass
     names: dict[str, Value] = field(default_factory=dict)
     locals: dict[str, Local] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
     line: int = 0
     counter: int = 0
     loops: int = 0
+    depth: int = 0  # of branches and loops of the program
     changed: bool = False
     taken: set[str] = field(default_factory=set)
     places: dict[str, str] = field(default_factory=dict)  # names of C of the kernel's variables
     parameters: dict[str, Any] = field(default_factory=dict)  # names of C and types
     assigned: dict[str, int] = field(default_factory=dict)  # how often each variable is, but by loops
+    forms: dict[str, Any] = field(default_factory=dict)  # of variables that are assigned more than once
     temporaries: set[str] = field(default_factory=set)  # names of C that are assigned once, from the translation's need
 
     def write(self, text: str) -> None:
@@ -129,14 +136,40 @@ class Scope:
             return False
         if not isinstance(value, Array) and re.search(r"\[|->", value.code):
             return True
-        again = {place for name, place in self.places.items() if self.assigned.get(name.partition(".")[0], 0) > 1}
-        return not again.isdisjoint(re.findall(r"[A-Za-z_]\w*", value.code))
+        text = " ".join([value.code, *map(str, value.shape)]) if isinstance(value, Array) else value.code
+        again = {place for name, place in self.places.items() if self.often(name)}
+        return not again.isdisjoint(re.findall(r"[A-Za-z_]\w*", text))
+
+    def often(self, name: str) -> bool:
+        """Tell whether a variable, or one of its parts, is assigned more than once."""
+        return self.assigned.get(name.partition(".")[0], 0) > 1
 
     def _copied(self, value: Any) -> Any:
+        if isinstance(value, Array):
+            value = replace(value, shape=tuple(map(self.stable, value.shape)))
         name = self.fresh(type_of(value), "t")
         self.temporaries.add(name)
         self.write(f"{name} = {bare(value.code)};")
         return replace(value, code=name)
+
+    def stable(self, size: Size) -> Size:
+        """Compute a length into a variable that nothing else changes."""
+        length = Scalar(SMALL, str(size))
+        if isinstance(size, int) or (size.isidentifier() and not self.changes(length)):
+            return size
+        return self._copied(length).code
+
+    def spanned(self, name: str, kind: Any, value: Any) -> tuple[int, int] | None:
+        """Span of a variable that is assigned a value; of one that is assigned again, its sign alone is known."""
+        if kind not in (SMALL, INT) or not isinstance(value, Scalar):
+            return None
+        low, high = span(value)
+        if not self.often(name):
+            return low, high
+        if low < 0 and name not in self.negative:
+            self.negative.add(name)
+            self.changed = True
+        return None if name in self.negative else (0, span(Scalar(kind, name))[1])
 
     def unify(self, name: str, kind: Any) -> Any:
         """Type that a variable has, given that it is assigned one of `kind`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable
 from typing import Any
 
 from eval.translation.assigning import Assignments
@@ -11,13 +12,18 @@ from eval.translation.numbers import bare, cast, constant, scalar
 from eval.translation.types import (
     BOOL,
     INT,
+    REAL,
+    SMALL,
     Array,
     Const,
+    Lazy,
     Scalar,
     TranslationError,
     Value,
+    joined,
     parts_of,
 )
+from eval.translation.whole import WHOLE, fits, span
 
 
 class Statements(Assignments):
@@ -74,6 +80,7 @@ class Statements(Assignments):
         left = []
         before = dict(self.names)
         ends = []
+        self.depth += 1
         for k, body in enumerate((statement.body, statement.orelse)):
             if k and not body:
                 left.append(False)
@@ -87,17 +94,20 @@ class Statements(Assignments):
             ends.append(self.names)
             self.lines += [f"    {line}" for line in lines]
         self.write("}")
+        self.depth -= 1
         # Names that both branches, or the one that goes on, have set; known values that differ are variables by now.
         self.names = {**ends[0], **ends[1]} if not (left[0] or left[1]) else (ends[1] if left[0] else ends[0])
         return all(left)
 
-    def _do_while(self, statement: ast.While) -> None:
+    def _do_while(self, statement: ast.While) -> bool:
+        if statement.orelse:
+            raise TranslationError("while ... else is not translated")
         asked, lines = self.apart(lambda: self.asked(statement.test))
+        endless = isinstance(asked, Const) and bool(asked.value) and not _leaves(statement.body, ast.Break)
         if isinstance(asked, Const):
             if not asked.value:
-                return
+                return False
             asked = Scalar(BOOL, "true")
-        self.loops += 1
         if lines:
             self.write("while (true) {")
             self.lines += [f"    {line}" for line in lines]
@@ -106,61 +116,65 @@ class Statements(Assignments):
             self.write("    }")
         else:
             self.write(f"while ({bare(asked.code)}) {{")
-        self._indented(statement.body)
+        self._looped(lambda: self.block(statement.body))
+        return endless
+
+    def _looped(self, turn: Callable[[], Any]) -> None:
+        """Translate the turns of a loop, and end it."""
+        self.loops, self.depth = self.loops + 1, self.depth + 1
+        _, lines = self.apart(turn)
+        self.lines += [f"    {line}" for line in lines]
         self.write("}")
-        self.loops -= 1
+        self.loops, self.depth = self.loops - 1, self.depth - 1
 
     def _do_for(self, statement: ast.For) -> None:
         iterated = statement.iter
-        is_range = (
-            isinstance(iterated, ast.Call) and isinstance(iterated.func, ast.Name) and iterated.func.id == "range"
-        )
         if statement.orelse:
             raise TranslationError("for ... else is not translated")
-        if not is_range:
+        if not isinstance(iterated, ast.Call) or self.value(iterated.func) != Const(range, "range"):
             self._over_tuple(statement)
             return
-        assert isinstance(iterated, ast.Call)
         if not isinstance(statement.target, ast.Name):
             raise TranslationError(f"a loop over a range has one variable: {ast.unparse(statement.target)}")
         bounds = self.in_order(iterated.args)
-        if any(scalar(bound).dtype not in (INT, BOOL) for bound in bounds):
+        if any(scalar(bound).dtype not in WHOLE for bound in bounds):
             raise TranslationError(f"the bounds of a range are whole numbers: {ast.unparse(iterated)}")
         start, stop = (Const(0), bounds[0]) if len(bounds) == 1 else bounds[:2]
         step = int(constant(bounds[2])) if len(bounds) == 3 else 1
+        if step == 0:
+            raise TranslationError(f"the step of a range must not be zero: {ast.unparse(iterated)}")
         if isinstance(start, Const) and isinstance(stop, Const) and len(range(start.value, stop.value, step)) == 0:
             return
         name = statement.target.id
         own = self.assigned.get(name, 0) == 0  # if not, the variable changes within the loop, which counts on
         place = self.c_name("unused" if name == "_" else name if own else f"{name}_count")
-        first = bare(cast(start, INT).code)
-        last = bare(cast(self.kept(self.held(stop)), INT).code)  # computed once, before the loop
+        counter = _counter(place, scalar(start), scalar(stop), step)
+        first = bare(cast(start, counter.dtype).code)
+        last = bare(cast(self.kept(self.held(stop)), counter.dtype).code)  # computed once, before the loop
         compare = "<" if step > 0 else ">"
         advance = f"++{place}" if step == 1 else f"--{place}" if step == -1 else f"{place} += {step}"
+        if not fits(span(counter)[0] + min(step, 0), span(counter)[1] + max(step, 0), INT):
+            advance = f"{place} = int_add({place}, {step})"
         before = self.names.get(name)
-        self.loops += 1
-        self.write(f"for (int32_t {place} = {first}; {place} {compare} {last}; {advance}) {{")
-        _, lines = self.apart(lambda: self._turn(name, place, own, statement.body))
-        self.lines += [f"    {line}" for line in lines]
-        self.write("}")
-        self.loops -= 1
+        self.write(f"for ({counter.dtype} {place} = {first}; {place} {compare} {last}; {advance}) {{")
+        self._looped(lambda: self._turn(name, counter, own, statement.body))
         self.taken.discard(place)
         if own:  # the variable ends with its loop
             self.names.pop(name, None)
             if before is not None:
                 self.names[name] = before
 
-    def _turn(self, name: str, place: str, own: bool, body: list[ast.stmt]) -> None:
+    def _turn(self, name: str, counter: Scalar, own: bool, body: list[ast.stmt]) -> None:
         """Translate one turn of a loop."""
         if own:
-            self.names[name] = Scalar(INT, place)
+            self.names[name] = counter
         else:
-            self._assign_name(name, Scalar(INT, place))
+            self._assign_name(name, counter)
         self.block(body)
 
     def _over_tuple(self, statement: ast.For) -> None:
         """Translate a loop over a tuple, turn by turn."""
-        if _leaves(statement.body):
+        if _leaves(statement.body, ast.Break | ast.Continue):
             raise TranslationError("a loop over a tuple is written out, and takes neither break nor continue")
         for part in parts_of(self.held(self.value(statement.iter))):
             self.assign(statement.target, part)
@@ -169,7 +183,7 @@ class Statements(Assignments):
 
     def _do_assign(self, statement: ast.Assign) -> None:
         value = self.value(statement.value)
-        if len(statement.targets) > 1 and isinstance(value, Scalar):
+        if len(statement.targets) > 1:
             value = self.kept(self.held(value))
         for target in statement.targets:
             self.assign(target, value)
@@ -187,7 +201,11 @@ class Statements(Assignments):
         else:
             raise TranslationError(f"nothing is assigned to {ast.unparse(target)}")
         if isinstance(old, Array):
-            self.fill(old, self.combined(kind, old, self.value(statement.value)))
+            new = self.combined(kind, old, self.value(statement.value))
+            assert isinstance(new, Lazy)
+            if joined(new.dtype, old.dtype) not in (old.dtype, REAL):
+                raise TranslationError(f"elements of type {old.dtype} take none of {new.dtype} in place")
+            self.fill(old, new)
         else:
             place = old
             old, more = self.then(old, statement.value)
@@ -198,11 +216,19 @@ class Statements(Assignments):
                 self.put(place, new)
 
 
-def _leaves(body: list[ast.stmt]) -> bool:
-    """Tell whether a loop's own body breaks or continues."""
+def _leaves(body: list[ast.stmt], kinds: Any) -> bool:
+    """Tell whether a loop's own body breaks, or continues."""
     for statement in body:
-        if isinstance(statement, ast.Break | ast.Continue):
+        if isinstance(statement, kinds):
             return True
-        if isinstance(statement, ast.If) and (_leaves(statement.body) or _leaves(statement.orelse)):
+        if isinstance(statement, ast.If) and (_leaves(statement.body, kinds) or _leaves(statement.orelse, kinds)):
             return True
     return False
+
+
+def _counter(place: str, start: Scalar, stop: Scalar, step: int) -> Scalar:
+    """Variable of a loop over a range; its type holds the value after the last, too."""
+    (low, high), (least, most) = span(start), span(stop)
+    spanned = (low, max(low, most - 1)) if step > 0 else (min(high, least + 1), high)
+    beyond = min(spanned[0] + step, spanned[0]), max(spanned[1] + step, spanned[1])
+    return Scalar(SMALL if fits(*beyond, SMALL) else INT, place, spanned)

@@ -18,10 +18,15 @@ from typing import Any
 
 import numpy as np
 
-REAL, SINGLE, INT, BOOL = "real", "float", "int32_t", "bool"
-"""Types of numbers in C. `real` stands for float64, and for float32 in a program of single precision."""
+REAL, SINGLE, INT, SMALL, BOOL = "real", "float", "int64_t", "int32_t", "bool"
+"""Types of numbers in C. `real` stands for float64, and for float32 in a program of single precision.
 
-DTYPES = {np.dtype(np.float64): REAL, np.dtype(np.float32): SINGLE, np.dtype(np.bool_): BOOL}
+A whole number is an INT, or a SMALL one if it is known to fit (`eval.translation.whole`); arrays have INT.
+"""
+
+DTYPES = {
+    np.dtype(of): name for of, name in ((np.float64, REAL), (np.float32, SINGLE), (np.int64, INT), (np.bool_, BOOL))
+}
 Size = int | str  # a number, or an expression of C
 
 
@@ -81,6 +86,7 @@ class Scalar:
 
     dtype: str
     code: str
+    span: tuple[int, int] | None = None  # of a whole number: least and largest value; None is all of its type
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,7 @@ class Array:
     code: str
     constant: bool = False
     in_loop: bool = False  # allocated anew in each turn of a loop: must not be kept beyond it
+    memory: str = ""  # what it is a part of; arrays of two names do not overlap; "" is anything
 
 
 @dataclass(frozen=True)
@@ -118,16 +125,21 @@ class Lazy:
     dtype: str
     shape: tuple[Size, ...]
     at: Callable[[list[str]], Scalar]
+    reads: tuple[Array, ...] = ()  # arrays that it is made of
 
 
 Value = Const | Scalar | Record | Array | Group | Lazy
 
 
 def dtype_of(dtype: Any) -> str:
-    """Name the type of C for a type of NumPy; whole numbers of any width are `int32_t`."""
+    """Name the type of C for a type of NumPy.
+
+    Raises:
+        TranslationError: If it has none.
+    """
     dtype = np.dtype(dtype)
-    if dtype.kind in "iu":
-        return INT
+    if dtype not in DTYPES:
+        raise TranslationError(f"numbers of type {dtype} are not translated: take {', '.join(map(str, DTYPES))}")
     return DTYPES[dtype]
 
 
@@ -157,9 +169,9 @@ def joined(a: Any, b: Any) -> Any:
     """Find the type that two types of one variable have in common: that of the wider number."""
     if a == b:
         return a
-    order = [BOOL, INT, SINGLE, REAL]
+    order = [BOOL, SMALL, INT, SINGLE, REAL]
     if a in order and b in order:
-        if {a, b} == {INT, SINGLE}:
+        if SINGLE in (a, b) and (INT in (a, b) or SMALL in (a, b)):
             return REAL
         return max(a, b, key=order.index)
     if isinstance(a, ArrayType) and isinstance(b, ArrayType) and len(a.shape) == len(b.shape) and a.dtype == b.dtype:
@@ -176,7 +188,7 @@ def record_type(make: Any, fields: tuple[tuple[str, Any], ...]) -> RecordType:
     """Make the type of a struct, called like its class, or like its entries' types."""
     if make is not None:
         return RecordType(make.__name__.lstrip("_"), fields, make)
-    short = {REAL: "r", SINGLE: "f", INT: "i", BOOL: "b"}
+    short = {REAL: "r", SINGLE: "f", INT: "i", SMALL: "s", BOOL: "b"}
     codes = "".join(short.get(kind, "") if isinstance(kind, str) else f"_{kind.name}_" for _, kind in fields)
     return RecordType(f"Tuple_{codes}".replace("__", "_").rstrip("_"), fields)
 
@@ -234,3 +246,12 @@ def parts_of(value: Value) -> list[Value]:
 
 def _member(code: str, kind: Any) -> Value:
     return Record(kind, code) if isinstance(kind, RecordType) else Scalar(kind, code)
+
+
+def key_of(value: Any) -> Any:
+    """What tells known values apart."""
+    if value is None or isinstance(value, str | int | float | bool):
+        return (type(value).__name__, repr(value))  # 0.0 and -0.0 are two
+    if isinstance(value, tuple):
+        return (type(value).__name__, *map(key_of, value))
+    return id(value)
