@@ -99,16 +99,19 @@ class Translated:
     Args:
         folder: To build in.
         kernels: By name, with arguments as they are called with.
+        flags: Further ones for the compiler.
     """
 
-    def __init__(self, folder: Path, kernels: dict[str, tuple[Kernel, tuple[Any, ...]]]) -> None:
+    def __init__(
+        self, folder: Path, kernels: dict[str, tuple[Kernel, tuple[Any, ...]]], flags: tuple[str, ...] = ()
+    ) -> None:
         toolchain, program = compiler(), Program()
         functions = [translate(kernel, given, program, name) for name, (kernel, given) in kernels.items()]
         for header in ("real.h", "arithmetic.h"):
             (folder / header).write_text(TEMPLATES.get_template(f"{header}.j2").render())
         source, library = folder / "kernels.c", folder / "kernels.so"
         source.write_text(text_of(program, functions))
-        toolchain.build([source], library, "-shared", "-fPIC")
+        toolchain.build([source], library, "-shared", "-fPIC", *flags)
         self.library = ctypes.CDLL(str(library))
 
     def call(self, name: str, *arguments: Any) -> list[float]:

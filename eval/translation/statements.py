@@ -12,7 +12,6 @@ from eval.translation.numbers import bare, cast, constant, scalar
 from eval.translation.types import (
     BOOL,
     INT,
-    REAL,
     SMALL,
     Array,
     Const,
@@ -203,7 +202,7 @@ class Statements(Assignments):
         if isinstance(old, Array):
             new = self.combined(kind, old, self.value(statement.value))
             assert isinstance(new, Lazy)
-            if joined(new.dtype, old.dtype) not in (old.dtype, REAL):
+            if old.dtype in WHOLE and joined(new.dtype, old.dtype) != old.dtype:  # NumPy raises
                 raise TranslationError(f"elements of type {old.dtype} take none of {new.dtype} in place")
             self.fill(old, new)
         else:

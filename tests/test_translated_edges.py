@@ -1,0 +1,451 @@
+"""Kernels at the edges of what C has: in C they give what they give in Python, within their memory, or are refused."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import subprocess
+import sys
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from refusals import refused
+from translating import Calls, Kernel, Translated, assert_same, compiler, translate
+
+from eval.deploy.building import SANITISED
+from eval.translation.program import Program
+from eval.translation.types import NotConstantError, TranslationError
+
+ASKED = "BELTARM_TEST_SANITISED"  # set in the process that `test_within_memory` starts
+TABLE = np.arange(3.0)
+CASES: dict[str, tuple[Kernel, Calls]] = {}
+REFUSED: dict[str, tuple[Kernel, tuple[Any, ...], str]] = {}
+
+
+class Part(NamedTuple):
+    """An array and a number."""
+
+    row: Any
+    times: Any
+
+
+def case(*calls: tuple[Any, ...]) -> Any:
+    """Make a kernel a case, with the arguments it is called with."""
+
+    def add(kernel: Kernel) -> Kernel:
+        CASES[kernel.__name__] = kernel, list(calls)
+        return kernel
+
+    return add
+
+
+def refuses(word: str, *given: Any) -> Any:
+    """Make a kernel one that is refused, with a word of the message."""
+
+    def add(kernel: Kernel) -> Kernel:
+        REFUSED[kernel.__name__] = kernel, given, word
+        return kernel
+
+    return add
+
+
+def row(n: int = 8) -> Any:
+    return np.linspace(-1.0, 2.5, n) ** 3
+
+
+def wholes(*numbers: int) -> Any:
+    return np.array(numbers, np.int64)
+
+
+# Slices and indices
+
+ENDS = (-12, -3, 0, 2, 7, 8, 20)
+
+
+@case(*((row(), start, stop) for start, stop in itertools.product(ENDS, ENDS)))
+def slices_cut(a: Any, start: int, stop: int) -> tuple[int, ...]:
+    part = a[start:stop]
+    part += 1.0
+    a[start:] *= 2.0
+    a[:stop] -= 3.0
+    return len(part), len(a[start:]), len(part[:-1]), len(part[-2:]), len(a[-10:]), len(a[:-10]), len(a[5:99])
+
+
+@case((row(), 6, 5), (row(), 2, 3))
+def slices_written(a: Any, start: int, count: int) -> float:
+    a[start : start + count] = 7.0
+    total = 0.0
+    for k in range(len(a[start : start + count])):
+        total += a[start : start + count][k]
+    return total
+
+
+@case((row(), -1), (row(), 3), (row(), -8))
+def indices_from_the_end(a: Any, k: int) -> float:
+    a[k] += 1.0
+    for j in range(-3, 3):
+        a[j] += j
+    return a[k]
+
+
+@case((np.arange(12.0).reshape(3, 4), 1, 2), (np.arange(12.0).reshape(3, 4), -1, 9))
+def rows_cut(a: Any, i: int, j: int) -> tuple[Any, ...]:
+    middle = a[:, 1:3]
+    middle[i] = 5.0
+    rest = a[i:, :2]
+    rest += 1.0
+    return len(rest), rest[0, 0], len(a[i][:j]), a[i, -1]
+
+
+@case((row(), wholes(3, 2)))
+def lengths_that_are_overwritten(a: Any, n: Any) -> float:
+    n[: n[1]] = 0
+    a[: n[0]] = 1.0
+    return a[0]
+
+
+@case((row(), 3))
+def length_counted_on(a: Any, n: int) -> tuple[int, int]:
+    part = a[:n]
+    n += 2
+    part[:] = 0.0
+    return len(part), n
+
+
+@case((row(), wholes(1, -1, 0)))
+def indices_in_memory(a: Any, i: Any) -> float:
+    a[i[1]] = a[i[0]]
+    a[i[1] - 1] += 2.0
+    i[0] = 5
+    a[i[0]] *= 3.0
+    return a[i[2]]
+
+
+@case((3,), (4,))
+def tuples_by_index(k: int) -> tuple[int, ...]:
+    steps = (1, 2, 5)
+    return steps[k - 3], steps[2 - k], steps[k - 5]
+
+
+@refuses("an array of shape", row())
+def slice_of_fewer(a: Any) -> float:
+    a[1:4] = (1.0, 2.0)
+    return a[3]
+
+
+@refuses("an array of shape")
+def row_of_a_tuple() -> float:
+    square = np.zeros((3, 3))
+    square[:] = (1.0, 2.0, 3.0)
+    return square[0, 1]
+
+
+@refuses("shape", row(), 2, 3)
+def slices_of_two_lengths(a: Any, m: int, n: int) -> float:
+    a[:m] = a[:n]
+    return a[0]
+
+
+# Whole numbers
+
+FAR = (2**31 - 2, 2**31 - 1, 2**31, -(2**31), -(2**31) - 1, 5, -7, 0)
+
+
+@case(*itertools.product(FAR, (1, 2, -1, 3)))
+def beyond_32_bits(a: int, b: int) -> tuple[int, ...]:
+    total, count = a, 0
+    for k in range(20):
+        total = total * 2 + b * k
+        count += a
+    return a + b, a - b, a * b * 5, -a, abs(a), a // b, a % b, a // -b, a % -b, total % 1000003, count, a + 2147483647
+
+
+@case((wholes(2**62, -(2**63), 2**63 - 1, -1),))
+def wrapped(n: Any) -> tuple[bool, ...]:
+    a, b, c = n[0] + n[0], n[1] + n[3], n[2] * n[0]
+    return a < 0, b > 0, c == -n[0], -n[1] < 0, n[1] // n[3] < 0, abs(n[1]) < 0, n[1] - n[2] == 1
+
+
+@case((2.7,), (-2.7,), (-0.5,), (3e9,), (-3e9,), (1e15,))
+def whole_parts(x: float) -> tuple[int, ...]:
+    return int(x), math.floor(x), math.ceil(x), int(x) // 2, abs(int(x)), int(x) % 7
+
+
+@case((5,), (-5,), (0,), (2**40 + 5,))
+def bits(k: int) -> tuple[Any, ...]:
+    return k & 3, k | 8, (k & 1) == 1, k & -2, k % 4, k // 8
+
+
+@case((wholes(1, 2, 3), 0.7))
+def wholes_of_reals(n: Any, x: float) -> tuple[int, ...]:
+    n[0] += x
+    n[1:] = 3.9 * x
+    return n[0], n[1]
+
+
+@refuses("in place", wholes(1, 2), 0.5)
+def wholes_and_reals_in_place(n: Any, x: float) -> int:
+    n += x
+    return n[0]
+
+
+@refuses("int32", np.zeros(2, np.int32))
+def short_numbers(n: Any) -> int:
+    return n[0] + n[1]
+
+
+@refuses("int8")
+def bytes_allocated() -> int:
+    n = np.zeros(2, np.int8)
+    return n[0]
+
+
+@refuses("uint64", np.zeros(2, np.uint64))
+def unsigned_numbers(n: Any) -> int:
+    return n[0] - n[1]
+
+
+@refuses("two bools", np.array([True, True]))
+def bools_added(flags: Any) -> int:
+    return flags[0] + flags[1]
+
+
+@refuses("LShift", 3)
+def shifted(k: int) -> int:
+    return k << 2
+
+
+@refuses("powers", 3)
+def whole_powers(k: int) -> int:
+    return k**2
+
+
+@refuses("step", 3)
+def standing(n: int) -> int:
+    total = 0
+    for k in range(0, n, 0):
+        total += k
+    return total
+
+
+# Memory that has two names
+
+
+@case((row(),))
+def view_of_itself(a: Any) -> float:
+    part = a[1:]
+    part[:] = a[:-1]
+    return part[2]
+
+
+def shift(x: Any, y: Any) -> None:
+    """Shift by one."""
+    x[1:] = y[:-1]
+
+
+@case((row(),))
+def arguments_of_one_array(a: Any) -> float:
+    shift(a, a)
+    shift(a[:5], a[2:7])
+    shift(a[2:7], a[:5])
+    return a[3]
+
+
+@case((row(),))
+def numbers_of_the_target(a: Any) -> float:
+    a[:] = a * a[0]
+    a += a[0]
+    a /= a[7]
+    return a[1]
+
+
+@case((row(),))
+def pointer_kept(a: Any) -> tuple[float, ...]:
+    b = np.ones(8)
+    old = a
+    a = b
+    b = old
+    a[0] = 5.0
+    b[1] = 6.0
+    return a[0], b[0], a[1], b[1]
+
+
+@case((row(), 1))
+def views_of_views(a: Any, k: int) -> tuple[Any, ...]:
+    a = b = a[k:]
+    a[0] = 9.0
+    inner = b[1:][1:][k:]
+    inner += 1.0
+    return b[0], a[1], len(b), inner[0], inner[-1], len(inner)
+
+
+@case((row(), 2), (row(), 5))
+def views_swapped(a: Any, k: int) -> tuple[Any, ...]:
+    left, right = a[:k], a[k:]
+    left, right = right, left
+    left[0] = 1.0
+    return len(left), len(right), right[0]
+
+
+@case((row(), 0), (row(), 1))
+def view_chosen(a: Any, k: int) -> float:
+    part = a[1:3] if k > 0 else a[3:5]
+    part[:] = a[2:4]
+    return part[0]
+
+
+@refuses("loop allocates", row(), 3)
+def array_kept_in_a_tuple(a: Any, n: int) -> float:
+    before = Part(np.zeros(2), 1)
+    for k in range(n):
+        now = Part(np.zeros(2), k)
+        now.row[0] = before.row[0] + a[k]
+        before = now
+    return before.row[0]
+
+
+# Ways through a kernel
+
+
+@case((row(3), 1.0), (row(3), -1.0))
+def tuple_changed_in_a_branch(a: Any, c: float) -> tuple[Any, ...]:
+    part, known = Part(a, 2), Part(TABLE, 2)
+    if c > 0.0:
+        part, known = Part(a[1:], 3), Part(TABLE, 4)
+    return part.times, part.row[0], known.times
+
+
+@case((3,), (0,))
+def loop_variables_after_loops(n: int) -> tuple[int, int]:
+    k, j = 7, 5
+    for k in range(n):  # noqa: B007
+        pass
+    for j in range(10, 0, -3):  # noqa: B007
+        pass
+    return k, j
+
+
+@case((4,), (0,))
+def loop_variables_changed(n: int) -> int:
+    total = 0
+    for i in range(n):
+        for j in range(i, n, 2):
+            if j == 3:
+                break
+            total += j
+        i += 10
+        total += i
+    return total
+
+
+@case((1.0, math.nan), (math.nan, 1.0), (-0.0, 0.0), (0.0, -0.0))
+def zeros_and_what_is_no_number(x: float, y: float) -> tuple[Any, ...]:
+    return max(x, y), min(x, y), max(0.0, x, y), x == y, x != x, not x < y, 1.0 if x else 2.0, -x * 0.0, x % 1.0
+
+
+@refuses("take two names", 3)
+def nothing_at_first(n: int) -> Any:
+    last: Any = None
+    for _ in range(n):
+        last = 2.0 if last is None else last * 2.0
+    return last
+
+
+def doubled(x: float) -> float:
+    """Return twice a number."""
+    return 2.0 * x
+
+
+def halved(x: float) -> float:
+    """Return a half."""
+    return 0.5 * x
+
+
+@refuses("take two names", 1.0)
+def function_chosen_in_a_branch(x: float) -> float:
+    function = doubled
+    if x > 0.0:
+        function = halved
+    return function(x)
+
+
+@refuses("take two names", 1.0)
+def function_chosen_before_a_break(x: float) -> float:
+    function = doubled
+    for _ in range(3):
+        if x > 0.0:
+            function = halved
+            break
+    return function(x)
+
+
+@refuses("take two names", 1.0)
+def word_chosen_in_a_branch(x: float) -> float:
+    word = "one"
+    if x > 0.0:
+        word = "two"
+    return 1.0 if word == "one" else 2.0
+
+
+@refuses("while ... else", 3)
+def while_with_else(n: int) -> int:
+    k = 0
+    while k < n:
+        k += 1
+    else:
+        k = 100
+    return k
+
+
+@refuses("return on all ways", 1.0)
+def some_ways_return(x: float) -> Any:
+    if x > 0.0:
+        return 1.0
+
+
+def bumped(a: Any) -> float:
+    """Add one to the first element and return it."""
+    a[0] += 1.0
+    return a[0]
+
+
+@refuses("chain", row())
+def call_at_the_end_of_a_chain(a: Any) -> bool:
+    return 5.0 < a[0] < bumped(a)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Translated:
+    flags = SANITISED if ASKED in os.environ else ()
+    kernels = {name: (kernel, calls[0]) for name, (kernel, calls) in CASES.items()}
+    return Translated(tmp_path_factory.mktemp("kernels"), kernels, flags)
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.filterwarnings("ignore:.*overflow:RuntimeWarning")  # NumPy's own, of `wrapped`
+def test_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str) -> None:
+    kernel, calls = CASES[name]
+    for arguments in calls:
+        assert_same(library, name, kernel, arguments)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(name: str) -> None:
+    kernel, given, word = REFUSED[name]
+    refused((TranslationError, NotConstantError), (word,), lambda: translate(kernel, given, Program()))
+
+
+@pytest.mark.skipif(ASKED in os.environ, reason="this is the process that the test starts")
+def test_within_memory() -> None:
+    """A kernel that reads or writes beyond an array, or computes what C leaves undefined, ends the process."""
+    chain = compiler()
+    asked = [*chain.compiler, "-print-file-name=libasan.so"]
+    found = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+    if not os.path.isabs(found):
+        pytest.skip("the compiler has no sanitiser of addresses")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "test_kernel_in_c"]
+    environment = {**os.environ, ASKED: "1", "LD_PRELOAD": found, "ASAN_OPTIONS": "detect_leaks=0"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
