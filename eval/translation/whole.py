@@ -51,7 +51,7 @@ def whole_literal(value: int) -> str:
     Raises:
         TranslationError: If it has more than 64 bits.
     """
-    if fits(value, value, SMALL):
+    if abs(value) < 2**31:
         return str(value)
     if not LEAST < value <= MOST:
         raise TranslationError(f"{value} is beyond the whole numbers of 64 bits")
