@@ -17,6 +17,7 @@ from baselines.tools.command import require_bounds, run_command, stop_without
 
 try:
     from baselines.tools.files import require_writable, write_text
+    from baselines.tools.progress import progress_over
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
     from beltarm_env.task.seeds import FAULTS as SEEDS
@@ -56,19 +57,19 @@ def report(config: Config) -> None:
     require_writable(config.out)
     scenarios = development_set()
     splits = [scenarios.splits[name] for name in chosen("split", config.splits, scenarios.splits)]
+    cases = [(name, fault) for name in BASES for fault in FAULTS if fault != NAN or name in LEARNED]
     results = [
         Compared(
             name,
             fault,
-            outcome(base, fault, False, config.arms),
+            outcome(BASES[name], fault, False, config.arms),
             outcome(name, fault, False, config.arms),
             outcome(name, fault, True, config.arms),
         )
-        for name, base in BASES.items()
-        for fault in FAULTS
-        if fault != NAN or name in LEARNED
+        for name, fault in progress_over("faults", cases)
     ]
-    healthy = {(name, split.name): health(name, split, config.episodes) for name in BASES for split in splits}
+    pairs = progress_over("splits where nothing breaks", [(name, split) for name in BASES for split in splits])
+    healthy = {(name, split.name): health(name, split, config.episodes) for name, split in pairs}
     origin = f"`{command_line()}`, beltarm {__version__} ({commit()}), {time.perf_counter() - began:.0f} s."
     page = markdown(results, healthy, config.arms, scenarios.label, config.out, origin)
     write_text(config.out / "summary.md", page)

@@ -20,8 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import run_command, stop_without
 
 try:
+    from rich.console import Console
+
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.options import Groups
+    from baselines.tools.progress import progress_count
     from beltarm_env.task.reference import MoveShape
     from eval.reproduction.assumptions import USUAL_MOVE
     from eval.reproduction.drive_page import drive_markdown
@@ -99,10 +102,14 @@ def report(config: Config) -> None:
     began = time.perf_counter()
     gains, move = config.gains, config.move
     require_writable(config.out)
-    study = run_study(gains, move)
-    pictures = save_pictures(study, config.out)
-    tables = markdown(study, pictures, time.perf_counter() - began)
-    drives = run_drives(gains, move)
+    with progress_count("studies of the paper", Console(stderr=True)) as done:
+        done(0, 3)
+        study = run_study(gains, move)
+        done(1, 3)
+        pictures = save_pictures(study, config.out)
+        tables = markdown(study, pictures, time.perf_counter() - began)
+        done(2, 3)
+        drives = run_drives(gains, move)
     of_drives = drive_markdown(drives)  # before a file of the commit changes
     pictures += save_drive_pictures(drives, config.out)
     write_text(config.out / "tables.md", tables)

@@ -18,6 +18,7 @@ from baselines.tools.command import require_bounds, run_command, stop_without
 try:
     from baselines.engines.parallel import default_jobs
     from baselines.tools.files import require_writable, write_text
+    from baselines.tools.progress import progress_over
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
     from eval.engines.page import Findings, markdown
@@ -47,16 +48,20 @@ def report(config: Config) -> None:
     require_bounds(config, most=(100, 10**7), tasks=(1, 1000), jobs=(1, 256))
     require_writable(config.out)
     jobs, empty = config.jobs or default_jobs(), 200
-    overheads = {name: overhead(engine, jobs, empty) for name, engine in ENGINES.items()}
+    begun = progress_over("engines", ENGINES.items())
+    overheads = {name: overhead(engine, jobs, empty) for name, engine in begun}
     counts = [count for count in (1, 2, 4, 8, 16, 32, 64) if count <= config.tasks]
-    equal = {count: {name: equal_tasks(engine, jobs, count) for name, engine in ENGINES.items()} for count in counts}
-    comparisons = {}
+    equal = {
+        count: {name: equal_tasks(engine, jobs, count) for name, engine in ENGINES.items()}
+        for count in progress_over("numbers of equal tasks", counts)
+    }
+    comparisons, sizes = {}, [10**power for power in range(2, 8) if 10**power <= config.most]
     with tempfile.TemporaryDirectory() as folder:
-        for method in config.methods:
-            for scenarios in (10**power for power in range(2, 8) if 10**power <= config.most):
-                engines = ENGINES if scenarios <= 10_000 else ["local"]
-                uses = {name: comparison(method, scenarios, name, jobs, Path(folder) / name) for name in engines}
-                comparisons[method, scenarios] = uses
+        of_all = [(method, scenarios) for method in config.methods for scenarios in sizes]
+        for method, scenarios in progress_over("comparisons", of_all):
+            engines = ENGINES if scenarios <= 10_000 else ["local"]
+            uses = {name: comparison(method, scenarios, name, jobs, Path(folder) / name) for name in engines}
+            comparisons[method, scenarios] = uses
     origin = f"`{command_line()}`, beltarm {__version__} ({commit()})."
     page = markdown(Findings(jobs, empty, overheads, equal, comparisons), origin)
     write_text(config.out / "summary.md", page)

@@ -19,6 +19,7 @@ from rich.console import Console
 
 from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import require_writable
+from baselines.tools.progress import progress_over
 from eval.comparison.methods import chosen, methods_side_by_side
 from eval.comparison.scenarios import choose_set
 from eval.comparison.sets import MOST, fresh_scenarios
@@ -77,7 +78,10 @@ def watch(config: Config) -> None:
     if config.out is not None:
         require_writable(config.out.parent)
     window = side_by_side.open_window(len(methods)) if config.out is None else None
-    tracks = [side_by_side.track_of(name, side_by_side.motion_of(name, of, split, scenario)) for name, of in methods]
+    tracks = [
+        side_by_side.track_of(name, side_by_side.motion_of(name, of, split, scenario))
+        for name, of in progress_over("arms", methods)
+    ]
     for track in tracks:
         console.print(f"{track.name}: tip error at most {track.error.max():.1f} mm, cost {track.motion.cost[0]:.0f}")
     if window is not None:

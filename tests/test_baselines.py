@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -189,3 +191,32 @@ class TestDataSheet:
                 return np.zeros((len(observation), 1), np.float32), None
 
         assert rollout(Idle(), 1, seed=0, options={"params": GEARED}).params[0, 0] == 100.0
+
+
+COSTS = """
+import sys
+from baselines import CONTROLLERS
+from beltarm_env.rollout import rollout
+for name in CONTROLLERS:
+    if name not in sys.argv[1:]:
+        print(name, rollout(CONTROLLERS[name](), 8, seed=7_000_000, randomization="train").cost.tolist())
+"""
+
+
+@pytest.mark.slow
+def test_only_designs_that_are_said_to_depend_on_the_kernels_of_linear_algebra():
+    """By kernels of this processor, and by those that all of its kind can run."""
+    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    (named,) = re.findall(r"The designs of ([^.]*) do not", page)
+    command = [sys.executable, "-c", COSTS, *re.findall(r"`(\w+)`", named)]
+    found = {
+        subprocess.run(
+            command,
+            env={**os.environ, "PYTHONPATH": str(ROOT), **kernels},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for kernels in ({}, {"OPENBLAS_CORETYPE": "Nehalem"})
+    }
+    assert len(found) == 1 and "adaptive" in found.pop()

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -200,6 +201,9 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
     for config in (whole, parts):
         config.out.mkdir()
     begun_again(whole, 10_000)
+    told: list[str] = []
+    tune(replace(whole, resume=True), tell=told.append)
+    assert len(told) == 1, "how much there is to do, before the first trial"
     for looks in (30, 1, 15, 60, 2):
         begun_again(parts, looks)
         study = open_study(parts)

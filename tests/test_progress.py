@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from baselines.tools.progress import progress_count, progress_rows
+from baselines.tools.progress import progress_count, progress_over, progress_rows
 
 
 @pytest.fixture
@@ -36,3 +36,15 @@ def test_displays_begin_with_the_first_news(terminal: Console):
         show(0, 3)
         assert "pairs" in written(terminal)
     assert written(terminal).endswith("\x1b[2K")  # it is taken away
+
+
+def test_things_that_are_gone_through_are_counted(terminal: Console):
+    for _ in progress_over("things", "abcd", terminal):
+        assert "things" in written(terminal), "from the first one on"
+    assert written(terminal).endswith("\x1b[2K")
+
+
+@pytest.mark.parametrize("thing", ["", "a"])
+def test_nothing_is_shown_where_there_is_no_terminal(thing: str):
+    console = Console(file=io.StringIO())
+    assert list(progress_over("things", thing, console)) == list(thing) and written(console) == ""

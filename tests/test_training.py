@@ -505,6 +505,13 @@ def test_what_leaving_costs(tmp_path: Path):
     assert worst["ppo"] == pytest.approx(3 * MAX_COST * 0.1)
 
 
+@pytest.mark.parametrize("batch_size", [24, 1024])
+def test_a_batch_that_does_not_divide_a_rollout_is_no_reason_to_warn(batch_size: int, tmp_path: Path):
+    """In a search with few arms it is the rule, and warnings are errors here."""
+    monitor = run(tiny("ppo", tmp_path, batch_size=batch_size, total_steps=64))
+    assert monitor.curve[-1][0] == 64
+
+
 def test_gradients_are_clipped():
     weight = torch.nn.Parameter(torch.zeros(2))
     optimiser = ClippedAdam([weight], lr=0.1)

@@ -333,7 +333,8 @@ def test_all_gains_name_the_commit_that_they_were_searched_at(
 def test_margins_need_not_be_asked_for(tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]):
     command.extend([NAMES[0], "--no-margins", "--budget", str(MIN_BUDGET), "--out", "gains.json"])
     main()
-    assert capsys.readouterr().err == ""
+    output, errors = capsys.readouterr()
+    assert errors == "" and NAMES[0] in output.splitlines()[0] and str(MIN_BUDGET) in output.splitlines()[0]
     origin = read_file(tmp_path / "gains.json")[NAMES[0]]["provenance"]
     assert (origin["margins"], origin["refused"]) == ("not asked for", 0)
     command.remove("--no-margins")

@@ -16,7 +16,7 @@ class OnPolicyConfig(ReinforcementConfig):
     rollout_steps: int = 64
     """Agent steps per arm between two updates."""
     batch_size: int = 2048
-    """Agent steps in each gradient step."""
+    """Agent steps in each gradient step. The last one of a rollout takes what is left, and is not warned of."""
     epochs: int = 3
     """Passes over each rollout."""
     gae_lambda: float = 0.95

@@ -6,6 +6,7 @@ is twice a trial's.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -54,7 +55,9 @@ class PpoConfig(OnPolicyConfig):
 
 def make_model(config: PpoConfig, env: ResidualVecEnv) -> PPO:
     """Make an untrained model, whose learning rate will fall linearly to zero."""
-    return PPO("MlpPolicy", env, **config.arguments())
+    with warnings.catch_warnings():  # of a last batch that is smaller, as --batch-size says that it may be
+        warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
+        return PPO("MlpPolicy", env, **config.arguments())
 
 
 def make_learner(config: PpoConfig) -> ModelLearner:

@@ -181,7 +181,7 @@ def tune(
     Args:
         config: Options.
         stop: Whether to stop.
-        tell: Called with a line for each trial that is complete.
+        tell: Called with a line as trials begin, and for each that is complete.
 
     Raises:
         ValueError: If an option is not allowed, there is another study in the file, or a worker failed.
@@ -192,6 +192,10 @@ def tune(
     _begin(config)
     note_options(config.noted, config)
     jobs = config.jobs or default_jobs()
+    done = len(counted(open_study(config)))
+    tell(
+        f"{max(config.trials - done, 0)} trials of {config.algorithm}, {config.samples} samples each, {jobs} at a time"
+    )
     search = partial(_search, config) if config.engine == "local" else partial(_search_away, config, _served(config))
     workers = {f"worker {number}": partial(search, number) for number in range(jobs)}
     engine = config.runs_on

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+_Thing = TypeVar("_Thing")
 
 
 class ProgressRows:
@@ -44,6 +47,15 @@ def progress_count(name: str, console: Console) -> Iterator[Callable[[int, int],
 
     with _stopped_if_begun(display):
         yield show
+
+
+def progress_over(name: str, things: Iterable[_Thing], console: Console | None = None) -> Iterator[_Thing]:
+    """Go through things, and show on a terminal how many are done; by default on that of the errors."""
+    all_of_them = list(things)
+    with progress_count(name, console or Console(stderr=True)) as show:
+        for done, thing in enumerate(all_of_them):
+            show(done, len(all_of_them))
+            yield thing
 
 
 @contextmanager

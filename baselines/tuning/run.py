@@ -102,6 +102,7 @@ def tune(
             raise ValueError(f"nothing to resume in {journals}: run once without --resume")
         for name in names:
             note_options(noted_file(journals, name), options)
+        console.print(f"searching with {budget} samples for each: {', '.join(names)}", soft_wrap=True)
         searches = {
             name: workplace.task(
                 name, journals, partial(_search_in, name, budget, seed, condition), journal_file(Path(), name)

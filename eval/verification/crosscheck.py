@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines import PaperController
+from baselines.tools.progress import progress_over
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import params_columns, params_table
 from beltarm_env.mujoco.drive import EXPRESSIBLE
@@ -127,7 +128,7 @@ def distance(motion: Motion, steps: int, **settings: object) -> float:
 def crosscheck(arms: int, seed: int) -> list[EngineDistance]:
     """Compare the engines in every regime, under the settings that matter to it."""
     results = []
-    for regime in REGIMES:
+    for regime in progress_over("kinds of motion", REGIMES):
         cases = motions(regime, arms, seed)
         stops = sum(motion.stops for motion in cases)
         for name, setting in SETTINGS.items():
