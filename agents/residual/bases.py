@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from baselines.gains import tuned
 from baselines.optimal.adaptive import AdaptiveGains
 from baselines.reading import Sample
 from baselines.registry import FELT
+from baselines.tools.command import nearest
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.jit import compiled
 from beltarm_env.rollout import Controller
@@ -58,8 +58,8 @@ def make_base(name: str, sensors: str = "encoder") -> Controller:
         ValueError: If there is none, naming the nearest one.
     """
     if name not in BASES:
-        near = difflib.get_close_matches(str(name), BASES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(BASES)}"
+        near = nearest(str(name), BASES)
+        hint = f"did you mean {near!r}?" if near else f"there are {', '.join(BASES)}"
         raise ValueError(f"no base controller {name!r}; {hint}")
     return (FELT if sensors == "accelerometer" and name in FELT else BASES)[name]()
 

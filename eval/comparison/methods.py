@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
@@ -17,6 +16,7 @@ from baselines import CONTROLLERS
 from baselines.engines.carrying import Carried, carry
 from baselines.gains import read_file
 from baselines.guard.controller import guarded, servo_for
+from baselines.tools.command import nearest
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams
 from beltarm_env.observation import Sensors
@@ -263,7 +263,7 @@ def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
     known = list(known)
     for name in wanted:
         if name not in known:
-            nearest = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {nearest[0]}? " if nearest else ""
+            near = nearest(name, known)
+            hint = f"did you mean {near}? " if near else ""
             raise ValueError(f"unknown {kind} {name!r}; {hint}known: {', '.join(known)}")
     return [name for name in known if name in wanted] if wanted else known

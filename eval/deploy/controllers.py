@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from baselines.guard.controller import guarded, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
+from baselines.tools.command import nearest
 from beltarm_env import ArmParams
 from eval.deploy.source import Loop
 from eval.deploy.tiers import (
@@ -63,8 +63,8 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         loop = Loop(source, title, params, step_of(propose), kernel.design, kernel.memory, identifies, identifies)
         return _behind_guard(loop, propose, source, 0.0) if guard else loop
     if not (Path(source) / MANIFEST).is_file():
-        nearest = difflib.get_close_matches(source, CONTROLLERS, n=1)
-        hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are {', '.join(CONTROLLERS)}"
+        near = nearest(source, CONTROLLERS)
+        hint = f"did you mean {near!r}?" if near else f"there are {', '.join(CONTROLLERS)}"
         raise ValueError(f"{source!r} is neither a classical controller nor the folder of a policy; {hint}")
     controller, (spec, content) = load_controller(source), read_spec(source)
     base: Any = controller.informed.base
