@@ -17,11 +17,11 @@ from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart
 from beltarm_env.kernels.layout import BUILT, IDEAL
 from beltarm_env.kernels.observe import observe_arms, observe_some
 from beltarm_env.kernels.step import new_scratch
-from beltarm_env.options import checked_column, checked_names, checked_states
 from beltarm_env.physics.models import MODELS
 from beltarm_env.physics.substeps import MAX_SUBSTEPS, check_integrable, check_ranges_integrable
 from beltarm_env.task.draws import END_OF_MOVE, FIRST_OF_MOVE
 from beltarm_env.task.moves import MOVE_FIELDS, check_moves, draw_moves
+from beltarm_env.task.options import checked_column, checked_names, checked_states
 from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.task.streams import Streams, wrapping

@@ -21,7 +21,7 @@ FLOORS = {
             "rendering",
             "mujoco",
         ),
-        *("simulation batch recording", "env", "vector_env", "rollout"),
+        *("arguments simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (
         *("tools", "engines", "gains reading", "controller models", "estimation planning", "servo optimal"),
