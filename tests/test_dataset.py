@@ -74,6 +74,7 @@ def test_episodes_are_those_of_the_recovered_environment_bit_for_bit(dataset: An
     for episode, of in zip(dataset, told(dataset), strict=True):
         kinds.add((of["disturbance"], bool(episode.terminations[-1])))
         for env, options in ((dataset.recover_environment(), None), (nominal, of["options"])):
+            assert env.spec is not None and env.spec.max_episode_steps == EPISODE_STEPS
             arm = env.unwrapped
             assert isinstance(arm, BeltArmEnv)
             seen, _ = env.reset(seed=of["seed"], options=options)
