@@ -50,7 +50,7 @@ class Config(WithStorage):
     """Tune every controller that has gains to tune."""
     budget: int = 48_000_000
     """Simulated samples for each controller. A run of `train/ppo.py` takes half as many; the gains in
-    baselines/gains.json were found with 8000000."""
+    baselines/gains.json were found with 8 million."""
     seed: int = 0
     """Seed of the optimiser. The arms are the same for every seed."""
     out: Path = FILE

@@ -29,7 +29,7 @@ def git(folder: Path, *words: str) -> str:
 
 def sources_in(folder: Path) -> Path:
     """Copy what tells of provenance into a folder."""
-    for name in ("beltarm_env/__init__.py", "beltarm_env/sources.py", "baselines/tools"):
+    for name in ("beltarm_env/__init__.py", "beltarm_env/sources.py", "beltarm_env/timing.py", "baselines/tools"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, folder / name)

@@ -246,7 +246,7 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"vibrating": {"gains": {"K": 1}}}', r"gains K for 'vibrating', but it needs vibration: run `python"),
+        ('{"vibrating": {"gains": {"K": 1}}}', r"gains K for 'vibrating', but it needs vibration: run `"),
         ('{"vibrating": {"gains": {"vibration": 2}}}', r"OneGain.vibration must lie within 0.01 and 1, got 2; run"),
         ('{"vibrating": {"gains": {"vibration": "1"}}}', r"OneGain.vibration must be a number, got '1'; run"),
         ('{"vibrating": {}}', r"gains.json is damaged \(no gains by controller\)"),
