@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -29,8 +30,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+OF_MAKE = ("MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES", "PYTHON", "VENV", "ARGS")
+"""What the make that runs these tests hands down; that of a user is none's child."""
+
+
 def make(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["make", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    known = {name: value for name, value in os.environ.items() if name not in OF_MAKE}
+    return subprocess.run(["make", *arguments], cwd=folder, env=known, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize("python", ["python3.0", "/nowhere/python", "false"])
