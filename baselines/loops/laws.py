@@ -7,7 +7,7 @@ A law is written as the controller runs it, from one sample to the next, for dev
 Left out are Coulomb friction and its compensation, the encoder's resolution and the limits: of the torque, of integrals
 and of estimates. What is left is linear, so that `baselines.loops.models` finds its matrices by probing it.
 
-To add a controller, add its law to `LAWS`: `tests/test_loops.py` then holds it against the controller itself.
+To add a controller, add its law to `LAWS`: `tests/baselines/test_loops.py` then holds it against the controller itself.
 """
 
 from __future__ import annotations

@@ -1,0 +1,685 @@
+"""Training runs: what is learnt is reproducible, a run that is stopped goes on as if it had not been."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+import agents.residual.bases
+import agents.runs.checkpoint
+import agents.runs.monitor
+from agents.learners.ppo import PpoConfig
+from agents.learners.registry import ALGORITHMS
+from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, make_env
+from agents.learners.sac import ClippedAdam
+from agents.policy.actor import actor_of
+from agents.policy.bundle import MAX_BYTES, load_controller, read_spec
+from agents.policy.network import NetworkPolicy
+from agents.residual.env import ResidualVecEnv
+from agents.runs.checkpoint import VERSION, RunFolder
+from agents.runs.command_line import main, run_in, runs_of
+from agents.runs.monitor import News, TrainingMonitor
+from agents.runs.settings import RunConfig
+from agents.runs.training import train
+from baselines.engines.parallel import Channel, Interrupted, StopRequest
+from baselines.engines.workplace import Workplace
+from baselines.tools.files import sealed
+from beltarm_env.task.cost import MAX_COST
+from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
+from beltarm_env.task.streams import seeded
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # which have tests of their own
+MODULES = {name: importlib.import_module(f"agents.learners.{name}") for name in NAMES}  # for their models
+ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
+OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
+OWN: dict[str, dict[str, Any]] = {
+    "ppo": ON_POLICY,
+    "recurrent_ppo": {**ON_POLICY, "lstm_width": 8},
+    "sac": OFF_POLICY,
+}
+SHORT = (
+    "--arms",
+    "8",
+    "--rollout-steps",
+    "8",
+    "--batch-size",
+    "32",
+    "--hold",
+    "40",
+    "--hidden",
+    "8",
+    "--validation-arms",
+    "4",
+)
+TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
+
+
+def tiny(name: str, out: Path, **options: Any) -> ReinforcementConfig:
+    """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
+    common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
+    kind: Any = ALGORITHMS[name].config
+    return kind(**{"out": out, **common, **OWN[name], **options})
+
+
+def as_script(out: Path, **options: Any) -> ReinforcementConfig:
+    """What a script makes of TINY."""
+    return tiny("ppo", out, **{"total_steps": 256, "validation_every": 128, **options})
+
+
+def run(config: RunConfig, stop: StopRequest | None = None) -> TrainingMonitor:
+    return train(config, MODULES[config.algorithm].make_learner, Channel(stop=stop or StopRequest()))
+
+
+class StopAt(StopRequest):
+    """Made once a run has come so far."""
+
+    def __init__(self, steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__()
+        original = TrainingMonitor.stop_if_asked
+
+        def stop_if_asked(monitor: TrainingMonitor) -> None:
+            self.made = monitor.learner.steps >= steps
+            original(monitor)
+
+        monkeypatch.setattr(TrainingMonitor, "stop_if_asked", stop_if_asked)
+
+
+def script(*arguments: str, cwd: Path, name: str = "ppo") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / f"train/{name}.py"), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, str(ROOT / "train/ppo.py"), *arguments]
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(path: Path) -> None:
+    deadline = time.monotonic() + 300
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert path.exists()
+
+
+def model(monitor: TrainingMonitor) -> BaseAlgorithm:
+    assert isinstance(monitor.learner, ModelLearner)
+    return monitor.learner.model
+
+
+def same_weights(first: TrainingMonitor, second: TrainingMonitor) -> bool:
+    ours, theirs = model(first).policy.state_dict(), model(second).policy.state_dict()
+    return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
+
+
+def costs(monitor: TrainingMonitor) -> list[tuple[int, float]]:
+    return [(steps, cost) for steps, _, cost in monitor.curve]
+
+
+def bundle_weights(folder: Path) -> bytes:
+    (path,) = folder.glob("*.safetensors")
+    return path.read_bytes()
+
+
+# Interrupted and resumed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Bit for bit: networks, optimisers, curve and bundles, whatever happened to the generators in between."""
+    whole = run(tiny(name, tmp_path / "whole"))
+    config = tiny(name, tmp_path / "parts")
+    for steps in (64, 320):
+        with pytest.raises(Interrupted, match=rf"interrupted at {steps} steps, saved in .*parts"):
+            run(replace(config, resume=steps > 64), StopAt(steps, monkeypatch))
+        monkeypatch.undo()
+        np.random.seed(5)  # noqa: NPY002
+        torch.manual_seed(9)
+    parts = run(replace(config, resume=True))
+    assert same_weights(whole, parts)
+    for kind in [kind for kind in model(whole).get_parameters() if kind.endswith("optimizer")]:
+        ours, theirs = (model(monitor).get_parameters()[kind]["state"] for monitor in (whole, parts))
+        assert ours.keys() == theirs.keys() and len(ours)
+        assert all(torch.equal(ours[key]["exp_avg"], theirs[key]["exp_avg"]) for key in ours)
+    assert costs(whole) == costs(parts) and len(costs(whole)) == 3
+    for kind in ("best", "last"):
+        assert bundle_weights(tmp_path / "whole" / kind) == bundle_weights(tmp_path / "parts" / kind)
+
+
+def test_resuming_a_finished_run_changes_nothing(tmp_path: Path):
+    config = tiny("ppo", tmp_path)
+    first = run(config)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "best").iterdir()}
+    again = run(replace(config, resume=True))
+    assert same_weights(first, again) and costs(first) == costs(again)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "best").iterdir()} == before
+
+
+def test_another_seed_is_another_run(tmp_path: Path):
+    first, second = (run(tiny("ppo", tmp_path / str(seed), seed=seed, total_steps=64)) for seed in (0, 1))
+    assert not same_weights(first, second)
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
+    """`kill -9` at some moment; what is half written is not looked at, and the result is as if nothing had happened."""
+    process = start("--out", "run", *TINY, cwd=tmp_path)
+    wait_for(tmp_path / "run/checkpoint.pkl")
+    process.kill()
+    process.communicate()
+    for half in (".checkpoint-half.pkl", "best/.policy-half.json", ".config-half.json"):
+        (tmp_path / "run" / half).write_bytes(b"\x80\x05half")
+    killed = run(as_script(tmp_path / "run", resume=True))
+    assert [path.name for path in (tmp_path / "run").rglob(".*")] == [".lock"]
+    whole = run(as_script(tmp_path / "whole"))
+    assert same_weights(killed, whole) and costs(killed) == costs(whole)
+    assert bundle_weights(tmp_path / "run" / "last") == bundle_weights(tmp_path / "whole" / "last")
+
+
+def killed_at(monkeypatch: pytest.MonkeyPatch, where: str, config: RunConfig) -> None:
+    """Run until a function is called, and be killed there: nothing after it is done."""
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(where, killed)
+        run(config)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_run_killed_before_its_first_checkpoint_begins_again(
+    resume: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The best policy is there by then, and nothing to go on from."""
+    config = tiny("ppo", tmp_path / "run", total_steps=64)
+    killed_at(monkeypatch, "agents.runs.monitor.RunFolder.save", config)
+    assert (tmp_path / "run/best").exists() and not (tmp_path / "run/checkpoint.pkl").exists()
+    with pytest.raises(ValueError, match="has --seed 0, not 1"):
+        run(replace(config, resume=True, seed=1))
+    again = run(replace(config, resume=resume))
+    assert costs(again) == costs(run(replace(config, out=tmp_path / "whole")))
+
+
+def test_a_run_killed_after_its_last_checkpoint_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    whole = run(tiny("ppo", tmp_path / "whole", total_steps=64))
+    for k, where in enumerate(("agents.runs.training.save_bundle", "agents.runs.training.annotate")):
+        config = tiny("ppo", tmp_path / str(k), total_steps=64)
+        killed_at(monkeypatch, where, config)
+        again = run(replace(config, resume=True))
+        assert costs(again) == costs(whole)
+        assert bundle_weights(config.out / "last") == bundle_weights(tmp_path / "whole/last")
+        for kind in ("best", "last"):
+            assert read_spec(config.out / kind)[0].provenance["run"]["steps"] == whole.learner.steps
+
+
+def test_a_run_killed_between_its_last_checkpoint_and_the_curve_has_its_whole_curve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    config, original = tiny("ppo", tmp_path, total_steps=64), agents.runs.checkpoint.write_text
+
+    def killed_at_last(path: Path, text: str) -> None:
+        if path.name == "validation.csv" and len(text.splitlines()) == 3:
+            raise KeyboardInterrupt
+        original(path, text)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("agents.runs.checkpoint.write_text", killed_at_last)
+        run(config)
+    assert len((tmp_path / "validation.csv").read_text().splitlines()) == 2
+    run(replace(config, resume=True))
+    assert len((tmp_path / "validation.csv").read_text().splitlines()) == 3
+
+
+def test_two_runs_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Also not where the second would delete the first; a lock that a killed process leaves behind does not count."""
+    config = tiny("ppo", tmp_path, total_steps=64)
+    (tmp_path / ".lock").write_text("left behind")
+    with RunFolder(tmp_path).locked(config):
+        for other in (config, replace(config, overwrite=True)):
+            with pytest.raises(ValueError, match=r"another run works in .*: wait for its end, or choose another --out"):
+                run(other)
+        assert {path.name for path in tmp_path.iterdir()} == {".lock"}
+    run(config)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run, to be copied."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    run(tiny("ppo", folder, total_steps=128))
+    return folder
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def resumed(folder: Path, **options: Any) -> ReinforcementConfig:
+    return tiny("ppo", folder, **{"total_steps": 128, "resume": True, **options})
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "used folder": ({"resume": False}, "already holds a run.*--resume.*--overwrite.*--out"),
+    "another seed": ({"seed": 1}, "has --seed 0, not 1"),
+    "other arms": ({"arms": 16}, "has --arms 8, not 16"),
+    "another base": ({"base": "rigid"}, "has --base paper, not rigid"),
+    "other layers": ({"hidden": (4, 4)}, r"has --hidden \[8\], not \[4, 4\]"),
+    "other knowledge": ({"knowledge": "none"}, "has --knowledge belief, not none"),
+    "another rate": ({"learning_rate": 1e-3}, "has --learning-rate 0.00035, not 0.001"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_run_is_not_mixed_with_another(case: str, copied: Path):
+    options, message = REFUSED[case]
+    before = sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir())
+    with pytest.raises(ValueError, match=message):
+        run(resumed(copied, **options))
+    assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
+
+
+def test_another_algorithm_is_not_resumed(copied: Path):
+    with pytest.raises(ValueError, match=r"run in .*--"):
+        run(replace(tiny("sac", copied), resume=True))
+
+
+def test_another_tuning_of_the_base_is_not_resumed(copied: Path, monkeypatch: pytest.MonkeyPatch):
+    content = json.loads((copied / "config.json").read_text())
+    content["identity"]["base_hash"] = "x"
+    (copied / "config.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="began with other gains of the base"):
+        run(resumed(copied))
+
+
+def test_overwriting_deletes_the_run_and_nothing_else(copied: Path):
+    (copied / "notes.txt").write_text("mine")
+    old = bundle_weights(copied / "last")
+    run(resumed(copied, resume=False, overwrite=True, seed=3))
+    assert (copied / "notes.txt").read_text() == "mine"
+    assert bundle_weights(copied / "last") != old
+    assert len((copied / "validation.csv").read_text().splitlines()) == 3
+    assert json.loads((copied / "config.json").read_text())["config"]["seed"] == 3
+
+
+def test_overwriting_spares_what_is_no_run(tmp_path: Path):
+    (tmp_path / "best").mkdir()
+    (tmp_path / "best/picture.png").write_text("mine")
+    with pytest.raises(ValueError, match="not the folder of a run"):
+        run(tiny("ppo", tmp_path, overwrite=True))
+    assert (tmp_path / "best/picture.png").exists()
+
+
+DAMAGES: dict[str, bytes] = {
+    "empty": b"",
+    "no pickle": b"not a pickle",
+    "another pickle": pickle.dumps([1, 2]),
+    "another pickle with a hash": sealed(pickle.dumps([1, 2])),
+}
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, "truncated"])
+def test_damaged_checkpoints(damage: str, copied: Path):
+    path = copied / "checkpoint.pkl"
+    path.write_bytes(DAMAGES.get(damage, path.read_bytes()[:-1000]))
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(.*\): .*choose another --out$") as end:
+        run(resumed(copied))
+    assert "--overwrite" not in str(end.value) and "delete" not in str(end.value)
+
+
+@pytest.mark.parametrize("where", [0.001, 0.25, 0.5, 0.75, 0.999])
+def test_one_bit_of_a_checkpoint_is_noticed(where: float, copied: Path):
+    path = copied / "checkpoint.pkl"
+    data = bytearray(path.read_bytes())
+    data[int(where * len(data))] ^= 16
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(its SHA-256 is not that of its content"):
+        run(resumed(copied))
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a checkpoint holds."""
+    content = pickle.loads(path.read_bytes())
+    change(content)
+    path.write_bytes(sealed(pickle.dumps(content)))
+
+
+MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
+    "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
+    "an attribute that is gone": (
+        lambda content: content["learner"]["variables"].update(gone=0),
+        "AttributeError: ",
+    ),
+    "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
+}
+
+
+@pytest.mark.parametrize("case", MISFITS)
+def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path):
+    """What did not fit is said, and who can go on; nothing is changed, and nobody is told to delete."""
+    change, words = MISFITS[case]
+    changed(copied / "checkpoint.pkl", change)
+    changed(
+        copied / "checkpoint.pkl", lambda content: content.update(written_by={"version": "9.9", "commit": "abc123"})
+    )
+    before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
+    with pytest.raises(
+        ValueError, match=rf"does not fit this version \(.*{words}.*beltarm 9\.9 at commit abc123"
+    ) as end:
+        run(resumed(copied))
+    assert "--overwrite" not in str(end.value)
+    assert {path.name: path.stat().st_mtime_ns for path in copied.iterdir()} == before
+
+
+def test_a_checkpoint_with_a_class_that_is_gone_names_the_writer_in_its_settings(copied: Path):
+    (copied / "checkpoint.pkl").write_bytes(sealed(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93."))
+    commit = json.loads((copied / "config.json").read_text())["written_by"]["commit"]
+    with pytest.raises(ValueError, match=rf"does not fit this version \(AttributeError.*Gone.* at commit {commit}, or"):
+        run(resumed(copied))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"identity": 3}', '{"identity": {"options": 3}}'])
+def test_damaged_settings(text: str, copied: Path):
+    (copied / "config.json").write_text(text)
+    with pytest.raises(ValueError, match=r"config\.json is damaged.*choose another --out"):
+        run(resumed(copied))
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    config = tiny("ppo", tmp_path, total_steps=256, validation_every=64)
+    replace_file, saved = os.replace, []
+
+    def fill_up(source: Any, target: Any) -> None:
+        if Path(target).name == "checkpoint.pkl":
+            saved.append(target)
+            if len(saved) == 4:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace_file(source, target)
+
+    monkeypatch.setattr(os, "replace", fill_up)
+    with pytest.raises(OSError, match=r"cannot save to .*No space left.*last good checkpoint stays.*--resume"):
+        run(config)
+    monkeypatch.undo()
+    assert [path.name for path in tmp_path.glob(".*")] == [".lock"]
+    assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192, 256]
+
+
+# What is trained
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
+    config = tiny(name, tmp_path)
+    env = make_env(config)
+    env.seed(0)
+    model = MODULES[name].make_model(config, env)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.add_(0.1 * torch.randn(parameter.shape))
+    policy = NetworkPolicy(actor_of(model.policy, config.spec().shape()).weights())
+    ours, theirs = None, None
+    begins = np.ones(config.arms, np.bool_)
+    seen, residuals = env.reset(), []
+    with pytest.raises(ValueError, match=f"observes {seen.shape[1]} entries, got .*--sensors"):
+        policy.predict(seen[:, 1:])
+    for step in range(20):
+        residual, ours = policy.predict(seen, ours, begins)
+        expected, theirs = model.predict(seen, theirs, begins, deterministic=True)
+        np.testing.assert_allclose(residual, expected, atol=1e-6)
+        residuals.append(residual)
+        seen, _, begins, _ = env.step(residual)
+        assert isinstance(seen, np.ndarray)
+        begins[0] |= step == 10
+    assert np.std(residuals) > 1e-3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_untrained_agent_is_nearly_its_base(name: str, tmp_path: Path):
+    config = tiny(name, tmp_path)
+    env = make_env(config)
+    env.seed(0)
+    residual, _ = MODULES[name].make_model(config, env).predict(env.reset(), deterministic=True)
+    assert np.abs(residual).max() < 0.1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
+    monitor = run(tiny(name, tmp_path, total_steps=128))
+    controller = load_controller(tmp_path / "last")
+    spec, _ = read_spec(tmp_path / "last")
+    assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
+    assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
+    validated = agents.runs.monitor.validate(controller, 4)
+    assert validated == spec.provenance["reached"]["validation"]
+    card = (tmp_path / "last" / "README.md").read_text()
+    for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
+        assert word in card
+    best, _ = read_spec(tmp_path / "best")
+    assert best.provenance["run"]["steps"] == 128
+
+
+@pytest.mark.parametrize(
+    ("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full"), ("paper", "accelerometer")]
+)
+def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
+    config = tiny("ppo", tmp_path, base=base, sensors=sensors, knowledge="none", total_steps=64)
+    run(config)
+    spec, _ = read_spec(tmp_path / "best")
+    assert (spec.base, spec.sensors, spec.residual.knowledge) == (base, sensors, "none")
+
+
+def test_no_base_is_no_torque():
+    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 25), np.float32))
+    assert action.tolist() == [[0.0]] * 3 and action.dtype == np.float32 and memory is None
+
+
+def test_what_leaving_costs(tmp_path: Path):
+    """Cut: for PPO to the highest cost of three holds, off-policy to the highest cost for ever."""
+    worst = {}
+    for name in ("ppo", "sac"):
+        env = make_env(tiny(name, tmp_path, reward_scale=0.1, gamma=0.9, residual_limit=2.0, base="none"))
+        env.seed(0)
+        env.reset()
+        worst[name] = -min(env.step(np.ones((8, 1), np.float32))[1].min() for _ in range(20))
+    assert worst["sac"] == pytest.approx(MAX_COST * 0.1 / (1 - 0.9))
+    assert worst["ppo"] == pytest.approx(3 * MAX_COST * 0.1)
+
+
+@pytest.mark.parametrize("batch_size", [24, 1024])
+def test_a_batch_that_does_not_divide_a_rollout_is_no_reason_to_warn(batch_size: int, tmp_path: Path):
+    """In a search with few arms it is the rule, and warnings are errors here."""
+    monitor = run(tiny("ppo", tmp_path, batch_size=batch_size, total_steps=64))
+    assert monitor.curve[-1][0] == 64
+
+
+def test_gradients_are_clipped():
+    weight = torch.nn.Parameter(torch.zeros(2))
+    optimiser = ClippedAdam([weight], lr=0.1)
+    weight.grad = torch.tensor([300.0, 400.0])
+    optimiser.step()
+    torch.testing.assert_close(weight.grad, torch.tensor([0.6, 0.8]))
+
+
+def test_weights_that_diverge_are_said_to(tmp_path: Path):
+    with pytest.raises(ValueError, match=r"diverged at .* steps.*--learning-rate"):
+        run(tiny("ppo", tmp_path, learning_rate=1e30))
+
+
+@pytest.mark.parametrize("message", ["infeasible", "no information", "must be finite"])
+def test_an_error_that_is_no_divergence_is_not_said_to_be_one(
+    message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def fail(*_: object) -> None:
+        raise ValueError(message)
+
+    monkeypatch.setattr(ResidualVecEnv, "step_wait", fail)
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        run(tiny("ppo", tmp_path))
+
+
+# Seeds
+
+
+def test_arms_are_seeded_as_documented(tmp_path: Path):
+    config = tiny("ppo", tmp_path, seed=2, total_steps=64)
+    monitor = run(config)
+    env = make_env(config)
+    env.seed(training_arms(2).first)
+    env.reset()
+    assert isinstance(monitor.learner, ModelLearner)
+    expected = seeded([training_arms(2).first + 3])[0]
+    for arms in (env.env, monitor.learner.env.env):
+        assert arms._streams is not None
+        assert np.array_equal(arms._streams[3, 2:], expected[2:])  # what does not change as numbers are drawn
+
+
+# Several seeds side by side
+
+
+@pytest.mark.slow
+def test_several_seeds_give_the_runs_that_they_give_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """Also beside one that fails."""
+    many = tmp_path / "many"
+    many.mkdir()
+    (many / "seed5").write_text("a file")
+    monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
+    with pytest.raises(SystemExit) as end:
+        main(PpoConfig, MODULES["ppo"].make_learner, None)
+    told = capsys.readouterr().err.splitlines()
+    assert end.value.code == 2 and len(told) == 2
+    assert "seed5: cannot write to" in told[0] and "1 other runs" in told[1]
+    run(as_script(tmp_path / "alone", seed=4))
+    assert bundle_weights(many / "seed4/last") == bundle_weights(tmp_path / "alone/last")
+    with Workplace(as_script(many), many) as local, pytest.raises(ValueError, match="seed4 already holds a run"):
+        runs_of(as_script(many, seed=4, seeds=2), local)
+
+
+def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """With the very options that it was begun with, which are not those of resuming."""
+    config = as_script(tmp_path / "run")
+    with pytest.raises(Interrupted):
+        run(config, StopAt(128, monkeypatch))
+    monkeypatch.undo()
+    end = run_in(config, MODULES["ppo"].make_learner, "python train/ppo.py --seeds 2", config.out, Channel())
+    assert end.steps == 256
+    run(as_script(tmp_path / "whole"))
+    assert bundle_weights(tmp_path / "run/last") == bundle_weights(tmp_path / "whole/last")
+    assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
+
+
+@pytest.mark.slow
+def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
+    """And the one that was waiting begins when the others go on."""
+    process = start("--out", "many", "--seeds", "3", *SHORT, "--validation-every", "256", cwd=tmp_path)
+    for name in ("seed0", "seed1"):
+        wait_for(tmp_path / "many" / name / "best/policy.json")
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
+    assert "--resume" in output and not (tmp_path / "many/seed2").exists()
+    config = as_script(tmp_path / "many", seeds=3, resume=True, validation_every=256, total_steps=4_000_000)
+    with Workplace(config, config.out) as local:
+        assert [each.resume for each in runs_of(config, local).values()] == [True, True, False]
+    assert {path.name for path in (tmp_path / "many").rglob(".*")} == {".lock"}
+
+
+def test_progress_is_told(tmp_path: Path):
+    told: list[News] = []
+    config = tiny("ppo", tmp_path, total_steps=256, validation_every=128)
+    train(config, MODULES["ppo"].make_learner, Channel(told.append))
+    validated = [news for news in told if news.cost is not None]
+    assert [news.steps for news in validated] == [0, 128, 256]
+    assert all("of the base" in news.scores and "ringing" in news.scores for news in validated)
+
+
+def test_an_arm_without_a_base_does_not_ring_to_be_compared_with(tmp_path: Path):
+    told: list[News] = []
+    train(tiny("ppo", tmp_path, total_steps=64, base="none"), MODULES["ppo"].make_learner, Channel(told.append))
+    assert "cost" in told[-1].scores and "ringing" not in told[-1].scores
+    names = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert "validation/cost_over_base" in names and "validation/residual_pp_mm" in names
+    assert "validation/residual_pp_mm_over_base" not in names
+
+
+# Options
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown base": ({"base": "papre"}, "no base controller 'papre'; did you mean 'paper'"),
+    "nothing like a base": ({"base": "xyzzyx"}, "no base controller 'xyzzyx'; there are paper"),
+    "no GPU": ({"device": "cuda"}, "--device cuda: PyTorch finds no CUDA GPU.*--device cpu"),
+    "no device": ({"device": "gpu"}, "--device must be cpu, cuda or cuda:NUMBER, got 'gpu'"),
+    "another device": ({"device": "meta"}, "--device must be cpu, cuda or cuda:NUMBER, got 'meta'"),
+    "too many arms": ({"arms": 50_000}, "--arms must be at most 40000, got 50000"),
+    "seed too large": ({"seed": MAX_TRAINING_SEED + 1}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
+    "seeds too large": ({"seed": MAX_TRAINING_SEED, "seeds": 2}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
+    "learning rate": ({"learning_rate": float("nan")}, "--learning-rate must be finite and above 0, got nan"),
+    "gamma": ({"gamma": 1.5}, "--gamma must be at most 1, got 1.5"),
+    "layers": ({"hidden": (0,)}, "hidden layers must have a whole width from 1"),
+    "both": ({"resume": True, "overwrite": True}, "--resume.*--overwrite.*one of them"),
+    "no jobs": ({"jobs": 0}, "--jobs must lie within 1 and 256, got 0"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_options(case: str, tmp_path: Path):
+    options, message = BAD[case]
+    if case == "no GPU" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(ValueError, match=message):
+        run(tiny("ppo", tmp_path / "run", **options))
+    assert not (tmp_path / "run").exists()
+
+
+OWN_BAD: list[tuple[str, dict[str, Any], str]] = [
+    ("sac", {"buffer_size": 10}, "--buffer-size must be at least 64"),
+    ("sac", {"exploration": 0.0}, "--exploration must be finite and above 0"),
+    ("sac", {"tau": 2.0}, "--tau must be at most 1"),
+    ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width must be at least 1"),
+    ("ppo", {"epochs": 0}, "--epochs must be at least 1"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "message"), OWN_BAD, ids=str)
+def test_bad_options_of_an_algorithm(name: str, options: dict[str, Any], message: str, tmp_path: Path):
+    with pytest.raises(ValueError, match=message):
+        run(tiny(name, tmp_path, **options))
+
+
+def test_a_folder_not_begun_is_no_run(tmp_path: Path):
+    """A run killed before its first checkpoint leaves its settings alone; it begins again."""
+    config = tiny("ppo", tmp_path, total_steps=64)
+    RunFolder(tmp_path).begin(config)
+    RunFolder(tmp_path).begin(config)
+    with pytest.raises(FileNotFoundError, match="nothing to resume"):
+        RunFolder(tmp_path).begin(replace(config, resume=True))
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo"])
+def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Path):
+    """A run ends with a whole rollout, beyond its steps: a negative rate there would climb the loss."""
+    config = tiny(algorithm, tmp_path)
+    schedule = MODULES[algorithm].make_learner(config).model.lr_schedule
+    assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]

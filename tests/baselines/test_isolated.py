@@ -1,0 +1,130 @@
+"""Calls in a process of their own, whose end is a failure of the call, however it comes."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import pytest
+from refusals import refused
+
+from baselines.engines.isolated import run_isolated
+from baselines.engines.parallel import BrokenOff
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def exit_with(status: int) -> None:
+    os._exit(status)
+
+
+def touch_nothing() -> None:
+    ctypes.string_at(0)
+
+
+def hang(file: Path) -> None:
+    file.write_text(str(os.getpid()))
+    time.sleep(600)
+
+
+def fork_and_exit() -> None:
+    """Leave a process behind that has inherited everything."""
+    if os.fork():
+        os._exit(0)
+    time.sleep(600)
+
+
+def count(numbers: list[int] = []) -> int:  # noqa: B006
+    """Return how often it was called in its process."""
+    numbers.append(0)
+    return len(numbers)
+
+
+ENDS = {
+    "its process ended with exit status 0 before it was done": partial(exit_with, 0),
+    "its process ended with exit status 3 before it was done": partial(exit_with, 3),
+    "its process was ended by signal 11 (Segmentation fault)": touch_nothing,
+    "its process was ended by signal 9 (Killed), for want of memory": partial(signal.raise_signal, signal.SIGKILL),
+    "its process ended with exit status 0": fork_and_exit,
+}
+
+
+@pytest.mark.parametrize("words", ENDS)
+def test_every_end_has_its_cause(words: str):
+    refused(BrokenOff, (words,), lambda: run_isolated(ENDS[words], "tests", 60))
+    assert run_isolated(count, "tests", 60) == 1, "the next call has a process again"
+
+
+def test_what_hangs_is_ended(tmp_path: Path):
+    refused(BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(partial(hang, tmp_path / "pid"), "tests", 0.5))
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def interfere(message: bytes, further: float) -> None:
+    """Write something into the connection over which results come, whichever file it is."""
+    for handle in range(3, 50):
+        with suppress(OSError):
+            if stat.S_ISSOCK(os.fstat(handle).st_mode):
+                os.write(handle, message)
+    time.sleep(further)
+
+
+def test_half_a_message_is_not_waited_for():
+    """It says that there are 64 bytes, of which five come."""
+    half = partial(interfere, (64).to_bytes(8, "big") + b"begun", 600)
+    refused(BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(half, "tests", 0.5))
+
+
+def test_a_message_that_is_none_is_a_failure():
+    nonsense = partial(interfere, (5).to_bytes(8, "big") + b"begun", 600)
+    refused(BrokenOff, ("wrote into it",), lambda: run_isolated(nonsense, "tests", 60))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
+def test_who_takes_all_memory_is_ended_before_who_waits_for_it():
+    score = Path("/proc/self/oom_score_adj")
+    assert run_isolated(score.read_text, "tests", 60) == "1000\n"
+    assert score.read_text() != "1000\n"
+
+
+def test_results_and_errors_come_back():
+    assert run_isolated(partial(divmod, 7, 2), "tests", 60) == (3, 1)
+    refused(ZeroDivisionError, ("by zero",), lambda: run_isolated(partial(divmod, 7, 0), "tests", 60))
+    refused(RuntimeError, ("cannot pickle",), lambda: run_isolated(partial(open, os.devnull), "tests", 60))
+    refused(ValueError, ("exit status 0",), lambda: run_isolated(partial(sys.exit, 0), "tests", 60))
+
+
+def test_a_process_is_kept_for_its_owner():
+    run_isolated(os.getpid, "others", 60)
+    found = [run_isolated(count, owner, 60) for owner in ("tests", "tests", "others", "tests")]
+    assert found == [1, 2, 1, 1]
+    assert run_isolated(os.getpid, "tests", 60) != os.getpid()
+
+
+def test_it_does_not_outlive_who_waits_for_it(tmp_path: Path):
+    code = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'tests')]!r}; from pathlib import Path; "
+    code += "from functools import partial; from test_isolated import hang, run_isolated; "
+    code += f"run_isolated(partial(hang, Path({str(tmp_path / 'pid')!r})), 'tests', 600)"
+    waiting = subprocess.Popen([sys.executable, "-c", code])
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    waiting.kill()
+    waiting.wait()
+    while True:
+        try:
+            os.kill(int((tmp_path / "pid").read_text()), 0)
+        except ProcessLookupError:
+            break
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

@@ -1,0 +1,306 @@
+"""The protocol that a controller of a user's own has to keep."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import mistake, stopped
+from safetensors.numpy import save_file
+
+from baselines import CONTROLLERS
+from eval.check_controller import main
+from eval.comparison import custom
+from eval.comparison.protocol import findings, record
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
+
+
+class Proportional:
+    """A sound controller, which those below spoil."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+        self.rng = np.random.default_rng()
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        begins = np.ones(len(observation), np.bool_) if state is None else episode_start
+        before = np.zeros(len(observation)) if state is None else np.where(begins, 0.0, state)
+        error = 0.5 * before + 0.5 * observation[:, 0]
+        return (0.3 * error)[:, None].astype(np.float32), error
+
+
+class WrongShape(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action[:, 0], state
+
+
+class WrongType(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action.astype(np.float64), state
+
+
+class NotFinite(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        self.calls += 1
+        return action * np.float32(np.nan if self.calls == 50 else 1), state
+
+
+class Raises(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        raise KeyError("no gain")
+
+
+class ChangesItsInput(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        result = super().predict(observation, *rest, **options)
+        observation[:] = 0
+        return result
+
+
+class Random(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action + self.rng.normal(0, 1e-3, action.shape).astype(np.float32), state
+
+
+class MixesArms(Proportional):
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return action + np.float32(0.01) * action.mean(), state
+
+
+class Leaks(Proportional):
+    """Forgets to begin episodes afresh."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        return super().predict(observation, state, np.zeros(len(observation), np.bool_))
+
+
+class RemembersItself(Proportional):
+    """Keeps its memory in itself, and empties it as a batch begins."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        if episode_start.any():
+            self.kept = getattr(self, "kept", None) if not episode_start.all() else None
+        action, self.kept = super().predict(observation, getattr(self, "kept", None), episode_start)
+        return action, None
+
+
+SPOILT = {
+    WrongShape: ("drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
+    WrongType: ("drives", "got float64 of shape"),
+    NotFinite: ("drives", "in sample 49 it returns .*nan.* torques must be finite"),
+    Raises: ("drives", "KeyError: 'no gain'"),
+    ChangesItsInput: ("drives", "changes the observation that it is given, in sample 0"),
+    Random: ("same observations", "torques differ from sample 0 on"),
+    MixesArms: ("as if alone", "torques differ from sample"),
+    Leaks: ("without memory of the last", "torques differ from sample 0 on"),
+    RemembersItself: ("memory is in the state", "torques differ from sample"),
+}
+
+
+def test_a_sound_controller_passes():
+    found = list(findings(Proportional))
+    assert all(finding.passed for finding in found)
+    assert [finding.detail for finding in found[1:5]] == ["bit for bit"] * 4
+
+
+class Runaway(Proportional):
+    """Sound, with memory, and drives its arms out of the workspace."""
+
+    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
+        action, state = super().predict(observation, *rest, **options)
+        return (0.9 + 0.1 * np.tanh(action)).astype(np.float32), state
+
+
+class LeakyRunaway(Runaway, Leaks):
+    """Takes the memory of an arm that left its workspace into that arm's next episode."""
+
+
+def test_a_sound_controller_may_leave_the_workspace():
+    starts = record(Runaway()).starts
+    assert starts[1:].any()
+    assert [finding for finding in findings(Runaway) if not finding.passed] == []
+
+
+def test_memory_is_found_in_the_episode_after_one_that_left_the_workspace():
+    found = [finding for finding in findings(LeakyRunaway) if not finding.passed]
+    assert "without memory of the last" in found[0].check
+
+
+@pytest.mark.parametrize("kind", SPOILT, ids=lambda kind: kind.__name__)
+def test_each_check_finds_what_it_is_for(kind: type):
+    check, message = SPOILT[kind]
+    failed = [finding for finding in findings(kind) if not finding.passed]
+    assert check in failed[0].check
+    assert re.search(message, failed[0].detail), failed[0].detail
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_classical_controllers_keep_the_protocol(name: str):
+    assert not [finding for finding in findings(CONTROLLERS[name]) if not finding.passed]
+
+
+@pytest.mark.slow
+def test_the_example_passes_as_a_user_runs_it(tmp_path: Path):
+    command = [sys.executable, str(ROOT / "eval/check_controller.py"), f"{EXAMPLE}:MyController"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert result.returncode == 0, result.stderr
+    assert len(result.stdout.splitlines()) == 6
+    assert all(line.startswith("ok") for line in result.stdout.splitlines())
+
+
+def test_a_module_beside_the_user_is_found(tmp_path: Path):
+    (tmp_path / "beside.py").write_text("from baselines.servo.paper import PaperController as Mine\n")
+    assert stopped(main, ("beside:Mine",), tmp_path) == (0, "")
+
+
+def test_a_controller_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
+    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
+    output = capsys.readouterr().out
+    assert output.startswith("FAILED  drives 5 arms")
+    assert "got int" in output
+
+
+def test_the_place_of_a_failure_is_named_and_its_traceback_shown_if_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        raise KeyError('gain')\n")
+    (tmp_path / "worse.py").write_text("import json\nraise RuntimeError('not today')\n")
+    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
+    assert "KeyError: 'gain' (bad.py:3)\n" in capsys.readouterr().out
+    for spec, status, line in (("bad.py:Bad", 1, 'bad.py", line 3'), ("worse.py:Bad", 2, 'worse.py", line 2')):
+        code, errors = stopped(main, (spec, "--traceback"), tmp_path)
+        assert code == status and errors.startswith("Traceback (most recent call last):") and line in errors
+
+
+@pytest.mark.parametrize(
+    ("end", "finding"),
+    [
+        ("sys.exit(0)", "drives 5 arms with finite float32 torques: SystemExit: 0"),
+        ("os._exit(0)", "runs to"),
+    ],
+)
+def test_a_controller_that_ends_its_process_fails(
+    end: str, finding: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "bad.py").write_text(f"import os, sys\nclass Bad:\n    def predict(self, *_, **__):\n        {end}\n")
+    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
+    assert capsys.readouterr().out.startswith(f"FAILED  {finding}")
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("nothing", "package.module:Class or path/to/file.py:Class"),
+        (f"{ROOT / 'README.md'}:X", "README.md is no Python file"),
+        ("nowhere.py:Class", "there is no file"),
+        ("no.such.module:Class", "No module named 'no'"),
+        ("broken.py:Class", "cannot be imported: SyntaxError"),
+        ("stops.py:Class", "cannot be imported: RuntimeError: not today"),
+        ("empty.py:Class", "has no class or function 'Class'; its classes: Other"),
+        ("empty.py:Other", "has no method predict"),
+        ("needs.py:Class", "cannot be made without arguments: TypeError"),
+    ],
+)
+def test_controllers_that_cannot_be_loaded(spec: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "broken.py").write_text("class\n")
+    (tmp_path / "stops.py").write_text("raise RuntimeError('not today')\n")
+    (tmp_path / "empty.py").write_text("class Other: pass\n")
+    (tmp_path / "needs.py").write_text("class Class:\n    def __init__(self, gain): pass\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=r".+") as caught:
+        custom.make(spec)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mistake_on_the_command_line_is_one_line(tmp_path: Path):
+    assert mistake(main, ("nowhere.py:Class",), tmp_path)
+
+
+CONTROLLER = """
+import numpy as np
+from pathlib import Path
+from safetensors.numpy import load_file
+from parts.gains import GAIN
+class Mine:
+    def __init__(self):
+        self.weight = load_file(Path(__file__).with_name("weights.safetensors"))["weight"]
+    def predict(self, observation, *_, **__):
+        return np.full((len(observation), 1), GAIN * self.weight, np.float32), None
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A controller's folder; its weights are opened by a library that is not written in Python."""
+    folder = tmp_path / "own"
+    (folder / "parts").mkdir(parents=True)
+    (folder / "mine.py").write_text(CONTROLLER)
+    (folder / "parts" / "gains.py").write_text("GAIN = 0.5\n")
+    save_file({"weight": np.array(0.5)}, folder / "weights.safetensors")
+    return folder
+
+
+def test_a_controller_of_a_file_lives_in_its_folder_and_one_of_a_package_in_the_whole_package(own: Path):
+    assert custom.home(f"{own}/mine.py:Mine") == own
+    assert custom.home("baselines.servo.paper:PaperController") == ROOT / "baselines"
+    assert custom.home(f"{ROOT}/baselines/servo/paper.py:PaperController") == ROOT / "baselines"
+    assert custom.home("commands:Path") == ROOT / "tests"
+
+
+def test_identity_changes_with_every_file_of_the_folder(own: Path):
+    identities = {before := custom.identity(own)}
+    assert custom.identity(own) == before
+    save_file({"weight": np.array(0.25)}, own / "weights.safetensors")
+    identities.add(custom.identity(own))
+    (own / "parts" / "gains.py").write_text("GAIN = 0.25\n")
+    identities.add(custom.identity(own))
+    (own / "parts" / "gains.py").rename(own / "gains.py")
+    identities.add(custom.identity(own))
+    (own / "parts" / "table.csv").write_text("1")
+    identities.add(custom.identity(own))
+    elsewhere = own.parent / "elsewhere"
+    elsewhere.mkdir()
+    (own / "linked").symlink_to(elsewhere)
+    (elsewhere / "more.csv").write_text("2")
+    identities.add(custom.identity(own))
+    assert len(identities) == 6
+    assert None not in identities
+
+
+def test_identity_does_not_change_with_caches_hidden_files_and_the_results_themselves(own: Path):
+    before = custom.identity(own, own / "out")
+    for name in (".git/index", "__pycache__/mine.pyc", ".hidden", "out/results.json", "out/pairs/a.npz"):
+        (own / name).parent.mkdir(parents=True, exist_ok=True)
+        (own / name).write_text("new")
+    assert custom.identity(own, own / "out") == before
+    assert custom.identity(own) != before
+
+
+def test_the_identity_of_a_large_or_unreadable_folder_is_unknown(own: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(custom, "MOST_FILES", 3)
+    assert custom.identity(own) is None
+    monkeypatch.setattr(custom, "MOST_FILES", 4)
+    assert custom.identity(own) is not None
+    monkeypatch.setattr(custom, "MOST_BYTES", 100)
+    assert custom.identity(own) is None
+    assert custom.identity(own / "nowhere") is None

@@ -1,0 +1,391 @@
+"""Splits and sets of scenarios: what they are drawn from, what is kept, and that a changed physics is noticed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import mistake, stopped
+
+from baselines.servo.paper import PaperController
+from baselines.tools.provenance import last_commit_of
+from beltarm_env import ArmParams
+from beltarm_env.arm import DRIVE_EFFECTS, FIELDS
+from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, fresh_arms
+from beltarm_env.timing import MAX_LATENCY
+from eval import compare
+from eval import scenarios as command
+from eval.comparison import scenarios
+from eval.comparison.scenarios import (
+    RECORD,
+    choose_set,
+    content_of,
+    freeze_test_set,
+    load,
+    require_same_physics,
+    text_of,
+    write_record,
+)
+from eval.comparison.sets import ScenarioSet, development_set, draw_test_set, fresh_set, make_set
+from eval.comparison.splits import EDITION, EPISODES, SPLITS, VERSION, Split, digest_of, draw
+
+SHIFTED: dict[str, dict[str, tuple[float, float]]] = {
+    "payload": {"payload_mass": (0.2, 0.5)},
+    "stiffness": {"belt_stiffness": (0.5 * 33, 0.8 * 33)},
+    "friction": {
+        "coulomb_friction": (1.3 * 0.032, 1.8 * 0.032),
+        "motor_viscous_friction": (1.3 * 3.5e-4, 1.8 * 3.5e-4),
+    },
+    "drive": {
+        "torque_ripple": (1.3 * 0.006, 1.8 * 0.006),
+        "static_friction_excess": (0.65, 0.9),
+        "kinematic_error": (0.00039, 0.00054),
+        "current_loop_time_constant": (0.0013, 0.0018),
+        "command_latency": (1.95 * 0.0015, 2.7 * 0.0015),
+    },
+    "sensing": {},
+    "structural": {},
+}
+BEYOND = ("payload", "stiffness", "friction", "drive")
+
+
+@pytest.fixture(scope="module")
+def splits() -> dict[str, Split]:
+    return development_set().splits
+
+
+def ranges_of(name: str) -> dict[str, tuple[float, float]]:
+    whole = {"nominal": {}, "ideal": IDEAL_RANGES}.get(name, TRAIN_RANGES)
+    nominal = {field: (getattr(ArmParams(), field),) * 2 for field in FIELDS}
+    return {**nominal, **whole, **SHIFTED.get(name, {})}
+
+
+def test_there_are_nine_splits_of_five_hundred_scenarios(splits: dict[str, Split]):
+    assert list(splits) == ["nominal", "ideal", "randomized", *SHIFTED] == list(SPLITS)
+    for split in splits.values():
+        assert len(split.table) == len(split.moves) == len(split.delays) == EPISODES == 500
+
+
+@pytest.mark.parametrize("name", SPLITS)
+def test_arms_fill_their_ranges_and_nothing_beyond(name: str, splits: dict[str, Split]):
+    for field, (low, high) in ranges_of(name).items():
+        column = splits[name].table[:, FIELDS.index(field)]
+        assert np.all((column >= low) & (column <= high)), field
+        assert np.ptp(column) > 0.95 * (high - low) or low == high, field
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_a_shift_is_beyond_training_and_the_only_one(name: str):
+    changed = {field for field, pair in ranges_of(name).items() if pair != ranges_of("randomized")[field]}
+    assert changed == set(SHIFTED[name])
+    assert SPLITS[name].ranges.keys() == TRAIN_RANGES.keys()
+    for field, (low, high) in SHIFTED[name].items():
+        train_low, train_high = TRAIN_RANGES[field]
+        assert low >= train_high or high <= train_low
+    assert SHIFTED["drive"]["command_latency"][1] < MAX_LATENCY
+
+
+def test_the_drive_is_ideal_in_two_splits_alone(splits: dict[str, Split]):
+    effects = [FIELDS.index(name) for name in DRIVE_EFFECTS]
+    ideal = [name for name, split in splits.items() if not split.table[:, effects].any()]
+    assert ideal == ["nominal", "ideal"]
+
+
+def test_settings_of_the_splits(splits: dict[str, Split]):
+    assert splits["sensing"].settings == {"encoder_counts": 1000}
+    assert splits["structural"].settings == {"model": "lagrangian"}
+    assert all(split.settings == {} for name, split in splits.items() if name not in ("sensing", "structural"))
+
+
+def test_delays_are_continuous_and_each_scenario_has_its_own(splits: dict[str, Split]):
+    delays = splits["sensing"].delays
+    assert 1 <= delays.min() < 1.02 and 1.98 < delays.max() <= 2
+    assert len(np.unique(delays)) == EPISODES and abs(delays.mean() - 1.5) < 0.05
+    assert not any(split.delays.any() for name, split in splits.items() if name != "sensing")
+    assert splits["sensing"].arguments(slice(3, 5))["delay"].tolist() == delays[3:5].tolist()
+    assert "delay" not in splits["randomized"].arguments(slice(2))
+
+
+@pytest.mark.parametrize(("name", "randomization"), [("nominal", "off"), ("ideal", "ideal"), ("randomized", "train")])
+def test_scenarios_are_episodes_of_the_environment(name: str, randomization: Any, splits: dict[str, Split]):
+    """Bit for bit what the environment itself plays from the stated seeds."""
+    count = 12
+    seeded = rollout(PaperController(), count, seed=splits[name].seed, randomization=randomization)
+    stored = rollout(PaperController(), count, **splits[name].arguments(slice(count)))
+    for field in ("state", "torque", "tip_error", "cost", "params", "moves"):
+        assert np.array_equal(getattr(stored, field), getattr(seeded, field))
+
+
+@pytest.mark.parametrize("name", ["sensing", "structural"])
+def test_a_scenario_alone_is_as_in_its_batch(name: str, splits: dict[str, Split]):
+    split, scenario = splits[name], 5
+    alone = split.run(PaperController(), scenario)
+    together = rollout(PaperController(), 8, **split.arguments(slice(8)))
+    assert np.array_equal(together.state[:, scenario], alone.state[:, 0])
+    assert together.cost[scenario] == alone.cost[0]
+
+
+def test_arms_are_those_of_the_table(splits: dict[str, Split]):
+    arms = splits["friction"].arms(8)
+    assert len(arms) == 8
+    assert [getattr(arms[7], name) for name in FIELDS] == splits["friction"].table[7].tolist()
+    assert arms[7] != ArmParams()
+
+
+# Sets
+
+
+def test_no_two_splits_of_any_sets_share_an_arm_or_a_move():
+    """By their seeds, and by what is drawn; the test set's are left alone."""
+    sets = [development_set(), fresh_set(0), fresh_set(1), fresh_set(MAX_FRESH_SEED)]
+    drawn = [split for one in sets for split in one.splits.values()]
+    for one, other in combinations(drawn, 2):
+        assert abs(one.seed - other.seed) >= EPISODES
+        assert not np.intersect1d(one.moves[:, 0], other.moves[:, 0]).size
+    ranges = [DEVELOPMENT, fresh_arms(0), fresh_arms(1), fresh_arms(MAX_FRESH_SEED)]
+    assert all(seeds.size == DEVELOPMENT.size for seeds in ranges)
+    for one, seeds in zip(sets, ranges, strict=True):
+        for split in one.splits.values():
+            assert seeds.first <= split.seed <= split.seed + EPISODES <= seeds.first + seeds.size
+    assert len({one.label.sha256 for one in sets}) == len(sets)
+
+
+def test_a_set_is_drawn_again_as_it_was():
+    again = draw("sensing", "development", DEVELOPMENT)
+    assert again.digest == development_set().splits["sensing"].digest
+    assert np.array_equal(again.delays, development_set().splits["sensing"].delays)
+
+
+def test_a_range_without_room_is_refused():
+    with pytest.raises(ValueError, match="split structural needs 9000 seeds, its range has 8999: enlarge it"):
+        draw("structural", "x", SeedRange(0, 8999))
+
+
+def test_the_development_set_is_run_until_the_test_set_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(scenarios, "FILE", tmp_path / "scenarios.json")
+    assert choose_set().label.name == "development"
+    assert choose_set(seed=3).label.name == "seed 3"
+    line = mistake(compare.main, ("--scenarios", "test"), tmp_path)
+    assert "the test set is not drawn yet: that is done once, after all controllers and agents are frozen" in line
+    with pytest.raises(ValueError, match="--scenario-seed 3 draws a set of its own: leave out --scenarios development"):
+        choose_set("development", 3)
+    with pytest.raises(ValueError, match="--scenarios must be one of development, test, got 'best'"):
+        choose_set("best")
+    for seed in (-1, MAX_FRESH_SEED + 1):
+        with pytest.raises(ValueError, match=f"--scenario-seed must lie within 0 and {MAX_FRESH_SEED}, got {seed}"):
+            choose_set(seed=seed)
+
+
+def test_a_label_says_what_its_numbers_are_worth():
+    assert development_set().label.title == "development set"
+    assert development_set().label.note.endswith("on which controllers and agents may be chosen: no test results.")
+    assert fresh_set(7).label.note == (
+        "Scenarios drawn afresh from seed 7, by the rules of the test set, but not the test set."
+    )
+
+
+# The frozen test set
+
+
+MADE_UP = "00c0ffee" + "0" * 32
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A test set of a few scenarios, as another protocol's commit would choose them."""
+    path = tmp_path_factory.mktemp("frozen") / "scenarios.json"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(scenarios, "draw_test_set", few_drawn)
+        patched.setattr(scenarios, "last_commit_of", lambda _: MADE_UP)
+        freeze_test_set(path)
+    return path
+
+
+def few_drawn(commit: str) -> ScenarioSet:
+    return make_set("test", {name: part_of(split, 4) for name, split in draw_test_set(commit).splits.items()})
+
+
+def part_of(split: Split, count: int) -> Split:
+    part = split.table[:count], split.moves[:count], split.delays[:count]
+    return scenarios.make_split(split.name, "test", split.seed, split.settings, *part)
+
+
+def test_the_test_set_is_drawn_once(frozen: Path):
+    before = frozen.read_bytes()
+    with pytest.raises(ValueError, match="is there already: the test set is drawn once, and not again"):
+        freeze_test_set(frozen)
+    assert frozen.read_bytes() == before
+
+
+def test_the_test_set_is_written_as_it_is_read(frozen: Path, monkeypatch: pytest.MonkeyPatch):
+    found = load(frozen)
+    assert found.label.name == "test"
+    assert text_of(content_of(found, MADE_UP)) == frozen.read_text(encoding="utf-8")
+    for name, drawn in draw_test_set(MADE_UP).splits.items():
+        split = found.splits[name]
+        for field in ("table", "moves", "delays"):
+            assert np.array_equal(getattr(split, field), getattr(drawn, field)[:4])
+    monkeypatch.setattr(scenarios, "FILE", frozen)
+    assert choose_set().label == choose_set("test").label == found.label
+    require_same_physics(found)
+
+
+def test_the_commands_say_what_is_there(
+    frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(scenarios, "FILE", frozen)
+    assert stopped(command.main, (), tmp_path) == (0, "")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"development set, edition {EDITION}, version {VERSION}: sha256 ")
+    assert [line.split()[:2] for line in lines[1 : 1 + len(SPLITS)]] == [[name, "500"] for name in SPLITS]
+    assert lines[1 + len(SPLITS)].startswith("test set")
+    assert "is there already: the test set is drawn once" in mistake(command.main, ("--freeze-test",), tmp_path)
+
+
+ROOT = Path(__file__).parents[2]
+CHANGES = "## Changes made after the results"
+
+
+def of_git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+def test_the_protocol_is_that_of_the_commit_which_chose_the_seeds():
+    """But for what its last section lists."""
+    commit = json.loads(scenarios.FILE.read_text())["protocol"]
+    try:
+        then = of_git("show", f"{commit}:docs/protocol.md")
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("the history is not here")
+    now = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    assert now.split(CHANGES)[0] == then.split(CHANGES)[0]
+    assert not of_git("ls-tree", commit, "eval/comparison/scenarios.json")
+
+
+def test_the_commit_of_a_file(tmp_path: Path):
+    assert len(last_commit_of(ROOT / "LICENSE")) == 40
+    (tmp_path / "new").touch()
+    with pytest.raises(ValueError, match="git does not tell the last commit of new"):
+        last_commit_of(tmp_path / "new")
+
+
+# Damage
+
+
+def rehashed(content: dict[str, Any]) -> dict[str, Any]:
+    rest = {key: value for key, value in content.items() if key != "sha256"}
+    return {**rest, "sha256": digest_of(rest)}
+
+
+def change_a_number(content: dict[str, Any]) -> dict[str, Any]:
+    content["splits"]["payload"]["columns"]["payload_mass"][3] += 1e-15
+    return content
+
+
+def drop_the_moves(content: dict[str, Any]) -> dict[str, Any]:
+    del content["splits"]["nominal"]["columns"]["goal"]
+    return rehashed(content)
+
+
+DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "another format": (lambda c: {**c, "format": "x"}, "no file of beltarm-scenarios"),
+    "another version": (lambda c: rehashed({**c, "version": VERSION + 1}), f"has version {VERSION + 1}"),
+    "no object": (lambda c: [c], "no file of beltarm-scenarios"),
+    "last digit changed": (change_a_number, "SHA-256 does not match"),
+    "last digit changed and hashed": (lambda c: rehashed(change_a_number(c)), "SHA-256 of payload does not match"),
+    "column missing": (drop_the_moves, "KeyError"),
+    "another protocol": (lambda c: rehashed({**c, "protocol": "1" * 40}), "not the one that the protocol's commit"),
+    "no protocol": (lambda c: rehashed({**c, "protocol": "abc"}), "hash of a commit has 40 hexadecimal digits"),
+    "splits missing": (lambda c: rehashed({key: c[key] for key in ("format", "version")}), "KeyError"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_files_are_refused(damage: str, frozen: Path, tmp_path: Path):
+    change, message = DAMAGE[damage]
+    path = tmp_path / "scenarios.json"
+    path.write_text(json.dumps(change(json.loads(frozen.read_text()))))
+    with pytest.raises(ValueError, match=message) as caught:
+        load(path)
+    assert "restore scenarios.json from the repository" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_long_word_among_numbers_takes_no_memory(frozen: Path, tmp_path: Path):
+    content = json.loads(frozen.read_text())
+    word = 100_000 * "x"
+    content["splits"]["nominal"]["columns"]["goal"][0] = word
+    path = tmp_path / "scenarios.json"
+    path.write_text(json.dumps(rehashed(content)))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="goal has entries that are no numbers"):
+            load(path)
+        assert tracemalloc.get_traced_memory()[1] < 20 * path.stat().st_size
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("length", [0, 1000])
+def test_half_a_file_is_refused(length: int, frozen: Path, tmp_path: Path):
+    path = tmp_path / "scenarios.json"
+    path.write_text(frozen.read_text()[:length])
+    with pytest.raises(ValueError, match="cannot be read"):
+        load(path)
+    with pytest.raises(ValueError, match="cannot be read"):
+        load(tmp_path / "nowhere.json")
+
+
+# Physics
+
+
+def test_the_arms_move_as_when_the_record_was_written(tmp_path: Path):
+    require_same_physics(development_set())
+    write_record(tmp_path / "again.json")
+    again, kept = (json.loads(path.read_text())["splits"] for path in (tmp_path / "again.json", RECORD))
+    assert {name: entry["sha256"] for name, entry in again.items()} == {n: e["sha256"] for n, e in kept.items()}
+    assert RECORD.stat().st_size < 10_000
+
+
+def changed(name: str, change: Callable[[Split], Split]) -> ScenarioSet:
+    label, splits = development_set().label, development_set().splits
+    return ScenarioSet(label, {name: change(splits[name])})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda split: replace(split, settings={"model": "lagrangian"}),
+        lambda split: replace(split, settings={"encoder_counts": 3999}),
+        lambda split: replace(split, table=split.table * np.where(np.array(FIELDS) == "coulomb_friction", 1 + 1e-4, 1)),
+        lambda split: replace(split, table=split.table * np.where(np.array(FIELDS) == "belt_stiffness", 1 + 1e-4, 1)),
+    ],
+    ids=["equations", "encoder", "friction", "belt"],
+)
+def test_a_changed_physics_is_noticed(change: Callable[[Split], Split]):
+    message = r"on split nominal the arms move otherwise .* run `[^`]*python[^`]* eval/scenarios.py --write`"
+    with pytest.raises(ValueError, match=message):
+        require_same_physics(changed("nominal", change))
+
+
+def test_a_fresh_set_is_checked_by_the_development_set(monkeypatch: pytest.MonkeyPatch):
+    require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
+    monkeypatch.setattr(scenarios, "motions", lambda splits: np.ones((len(splits), 3, 6)))
+    with pytest.raises(ValueError, match="on split nominal the arms move otherwise"):
+        require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
+
+
+def test_other_scenarios_than_the_kept_ones_are_noticed():
+    other = changed("nominal", lambda split: replace(split, digest="other"))
+    with pytest.raises(ValueError, match=r"development.json has no split nominal with the scenarios .* --write`"):
+        require_same_physics(other)

@@ -1,0 +1,106 @@
+"""make: mistakes that it tells in one line, and targets that write the pages as they are committed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MADE_AT_ONCE = '#!/bin/sh\necho ran "$@"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The Makefile with an environment that is set up, and does nothing."""
+    if shutil.which("make") is None:
+        pytest.skip("there is no make")
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(MADE_AT_ONCE)
+    python.chmod(0o755)
+    (tmp_path / ".venv" / ".ready").touch()
+    return tmp_path
+
+
+OF_MAKE = ("MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES", "PYTHON", "VENV", "ARGS")
+"""What the make that runs these tests hands down; that of a user is none's child."""
+
+
+def make(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    known = {name: value for name, value in os.environ.items() if name not in OF_MAKE}
+    return subprocess.run(["make", *arguments], cwd=folder, env=known, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("python", ["python3.0", "/nowhere/python", "false"])
+def test_a_python_that_is_not_there_is_not_replaced_by_another(python: str, folder: Path):
+    result = make(folder, "test", f"PYTHON={python}")
+    assert result.returncode == 2 and result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert python in line and "PYTHON=" in line
+    assert sorted(path.name for path in folder.glob(".venv*")) == [".venv"]
+
+
+def test_what_is_set_up_runs_without_the_python_that_set_it_up(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    tools = folder / "tools"
+    tools.mkdir()
+    for name in ("make", "sh"):
+        (tools / name).symlink_to(shutil.which(name) or name)
+    monkeypatch.setenv("PATH", str(tools))
+    monkeypatch.delenv("PYTHON", raising=False)
+    result = make(folder, "test")
+    assert result.returncode == 0 and "ran -m pytest" in result.stdout
+
+
+@pytest.mark.parametrize("goal", ["trian", "20"])
+def test_a_target_that_there_is_not_names_those_that_there_are(goal: str, folder: Path):
+    result = make(folder, goal)
+    assert result.returncode == 2 and result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert goal in line and "make help" in line
+    assert make(folder, "pyproject.toml").returncode == 0  # what is there is no mistake
+
+
+def test_help_says_where_options_of_a_command_go(folder: Path):
+    """For make reads options itself, before its file, and none of it can say so."""
+    assert "ARGS=" in make(folder, "help").stdout
+    result = make(folder, "compare", "ARGS=--episodes 20")
+    assert "ran eval/compare.py --episodes 20" in result.stdout.splitlines()
+
+
+def commands_of(folder: Path, *targets: str) -> list[str]:
+    """Commands of targets, as documents name them."""
+    lines = make(folder, "--dry-run", *targets).stdout.replace("\\\n", " ").splitlines()
+    return [line.replace(".venv/bin/", "") for line in lines]
+
+
+def test_targets_write_the_pages_as_they_are_committed(folder: Path):
+    """With the options that a page says it was made with; on how many cores that was does not matter."""
+    made = {}
+    for page in (ROOT / "docs").glob("*/*.md"):
+        for command in re.findall(r"`(python eval/[^`]* --out docs/[^`]*)`, beltarm", page.read_text(encoding="utf-8")):
+            words = re.sub(r" --jobs \d+", "", command).split()
+            made[words[words.index("--out") + 1]] = sorted(words)
+    targets = re.findall(r"^([a-z]+):.* in docs/", (folder / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    makes = {}
+    for line in commands_of(folder, *targets, "readme"):
+        words = line.split()
+        if "--out" in words:
+            makes[words[words.index("--out") + 1]] = sorted(words)
+    both = made.keys() & makes.keys()
+    assert {name: makes[name] for name in both} == {name: made[name] for name in both}
+    assert {f"docs/{name}" for name in ("tails", "guard", "sensors", "scaling", "comparison", "drive")} <= both
+
+
+def test_tuning_anew_takes_the_budget_of_the_gains(folder: Path):
+    gains = json.loads((ROOT / "baselines" / "gains.json").read_text(encoding="utf-8"))
+    (budget,) = {entry["provenance"]["budget"] for entry in gains.values()}
+    (command,) = commands_of(folder, "tune")
+    assert f"--budget {budget}" in command

@@ -1,0 +1,296 @@
+"""The scripts as a user runs them, their mistakes within this process."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import pytest
+from commands import mistake, stopped
+from PIL import Image
+
+from agents.learners import ppo
+from agents.learners.registry import ALGORITHMS
+from agents.runs.checkpoint import RunFolder
+from agents.runs.command_line import COMMAND, begun_options, main
+from baselines.tools.command import this_python
+from baselines.tools.options import parse
+from baselines.tools.resuming import note_options
+from eval import bench, readme, scenarios
+from eval.speed import start_up
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = (
+    "--arms",
+    "8",
+    "--rollout-steps",
+    "8",
+    "--batch-size",
+    "32",
+    "--validation-every",
+    "128",
+    "--validation-arms",
+    "4",
+)
+
+
+def train_ppo() -> None:
+    """What `train/ppo.py` does, within this process."""
+    main(ppo.PpoConfig, ppo.make_learner, None)
+
+
+def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / script), *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    result = run("train/ppo.py", "--out", "run", "--total-steps", "256", *TINY, cwd=folder)
+    assert result.returncode == 0, result.stderr
+    (hint,) = [line for line in result.stdout.splitlines() if "eval/compare.py --policy" in line]
+    assert "--scenarios development" in hint, "the test set chooses nothing"
+    return folder / "run"
+
+
+def test_a_command_that_is_shown_calls_the_interpreter_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    own = tmp_path / "a folder" / ".venv" / "bin" / "python"
+    own.parent.mkdir(parents=True)
+    own.symlink_to(sys.executable)
+    monkeypatch.setattr(sys, "executable", str(own))
+    monkeypatch.setenv("PATH", str(Path(shutil.which("env") or "/usr/bin/env").parent))
+    monkeypatch.chdir(tmp_path / "a folder")
+    assert this_python() == ".venv/bin/python"
+    monkeypatch.chdir(tmp_path)
+    assert shlex.split(this_python()) == ["a folder/.venv/bin/python"]
+    monkeypatch.chdir("/")
+    assert subprocess.run(f"{this_python()} --version", shell=True, check=False).returncode == 0
+    monkeypatch.setenv("PATH", str(own.parent))
+    assert this_python() == "python"
+
+
+def test_training_leaves_a_policy_a_checkpoint_and_logs(trained: Path) -> None:
+    files = {path.name for path in trained.iterdir()}
+    assert {"best", "last", "checkpoint.pkl", "config.json", "validation.csv"} <= files
+    first = read_csv(trained / "progress.csv")[0]
+    assert first["time/total_timesteps"] == "0" and float(first["validation/cost"]) > 0
+    assert any(name.startswith("events.out.tfevents") for name in files)
+    assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256"]
+    assert [path.name for path in trained.rglob(".*")] == [".lock"]  # no temporary files
+
+
+def test_resume_goes_on_where_the_run_stopped(trained: Path) -> None:
+    arguments = ("--out", str(trained), "--total-steps", "384", "--resume", *TINY)
+    assert stopped(train_ppo, arguments, trained) == (0, "")
+    assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256", "384"]
+
+
+def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_path: Path) -> None:
+    """All of them: those that may be told anew, and those that would make it another run."""
+    copy = tmp_path / "run"
+    shutil.copytree(trained, copy)
+    before, curve = json.loads((copy / "config.json").read_text()), read_csv(copy / "validation.csv")
+    assert stopped(train_ppo, ("--out", str(copy), "--resume"), tmp_path) == (0, "")
+    assert read_csv(copy / "validation.csv") == curve
+    after = json.loads((copy / "config.json").read_text())
+    own = ("out", "resume")
+    assert all(after["config"][name] == value for name, value in before["config"].items() if name not in own)
+    assert after["identity"] == before["identity"]
+    assert stopped(train_ppo, ("--out", str(copy), "--resume", "--total-steps", "448"), tmp_path) == (0, "")
+    assert stopped(train_ppo, ("--out", str(copy), "--resume"), tmp_path) == (0, "")
+    assert [row["steps"] for row in read_csv(copy / "validation.csv")][-1] == "448"
+    assert "--arms 8, not 16" in mistake(train_ppo, ("--out", str(copy), "--resume", "--arms", "16"), tmp_path)
+
+
+def test_options_noted_that_are_none_are_refused(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    content = json.loads(config.read_text())
+    content["config"]["total_steps"] = "many"
+    config.write_text(json.dumps(content))
+    assert "--total-steps=many" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
+    config.write_text("{}")
+    assert "config.json is damaged" in mistake(train_ppo, ("--out", "run", "--resume"), tmp_path)
+
+
+@pytest.mark.parametrize("noted", [True, False])
+def test_several_seeds_are_resumed_with_the_options_of_their_command(noted: bool, tmp_path: Path) -> None:
+    """Also how many there are; or, of runs whose command was not noted, with those of the first one."""
+    config = ppo.PpoConfig(out=tmp_path / "many", seeds=3, seed=4, total_steps=700_000, hidden=(8,), jobs=2)
+    run = replace(config, out=config.out / "seed4", seeds=1)
+    RunFolder(run.out).note(run)
+    if noted:
+        note_options(config.out / COMMAND, config)
+    told = ("--out", str(config.out), "--resume", *(() if noted else ("--seeds", "3", "--seed", "4", "--jobs", "2")))
+    assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == replace(config, resume=True)
+    told = (*told, "--total-steps", "800000", "--hidden", "16", "16")
+    expected = replace(config, resume=True, total_steps=800_000, hidden=(16, 16))
+    assert parse(ppo.PpoConfig, arguments=told, begun=begun_options) == expected
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_option_is_noted_so_that_it_can_be_resumed(name: str, tmp_path: Path) -> None:
+    """With values that are not the defaults."""
+    kind = ALGORITHMS[name].config
+    others: dict[str, Any] = {"out": tmp_path / "run", "resume": True, "overwrite": False}
+    for each in fields(kind):
+        allowed = get_args(get_type_hints(kind)[each.name])
+        if each.name in others:
+            continue
+        if isinstance(each.default, int | float):  # of a flag, the other
+            others[each.name] = type(each.default)(not each.default) if each.default in (0, 1) else 2 * each.default
+        elif isinstance(each.default, tuple):
+            others[each.name] = (7, 9)
+        elif isinstance(each.default, str):
+            others[each.name] = next((word for word in allowed if word != each.default), "another")
+        else:
+            others[each.name] = 3 if int in allowed else "somewhere"
+    config = kind(**others)
+    note_options(config.out / COMMAND, config)
+    assert parse(kind, arguments=("--out", str(config.out), "--resume"), begun=begun_options) == config
+
+
+def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None:
+    assert stopped(train_ppo, ("--out", "again", "--total-steps", "256", *TINY), tmp_path) == (0, "")
+    first, second = (read_csv(folder / "validation.csv")[2] for folder in (trained, tmp_path / "again"))
+    assert first["cost"] == second["cost"]
+
+
+def test_a_folder_with_a_run_is_refused_before_progress_is_shown(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "already holds a run" in mistake(train_ppo, ("--out", str(trained), *TINY), trained)
+    assert capsys.readouterr().out == ""
+
+
+def test_resume_from_nothing_is_refused(tmp_path: Path) -> None:
+    assert "nothing to resume in nowhere" in mistake(train_ppo, ("--out", "nowhere", "--resume"), tmp_path)
+    assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 300
+    while not (tmp_path / "run" / "validation.csv").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(interrupt)
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
+    assert "--resume" in output
+    assert "interrupted at" in output and "saved in run" in output
+    assert (tmp_path / "run" / "checkpoint.pkl").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--arms", "0"), "--arms must be at least 1, got 0"),
+        (("--seed", "-1"), "--seed must lie within"),
+        (("--residual-limit", "3"), "got 3.0"),
+        (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
+    ],
+)
+def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    assert message in mistake(train_ppo, arguments, tmp_path)
+
+
+def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert stopped(scenarios.main, (), tmp_path) == (0, "")
+    assert capsys.readouterr().out.startswith("development set, edition 2, version 2: sha256 ")
+
+
+def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
+    assert stopped(readme.main, ("--check",), tmp_path) == (0, "")
+
+
+@pytest.mark.parametrize("spoilt", ["README.md", "results.json", "summary.md", "tip_error.png"])
+def test_a_readme_of_other_results_is_noticed(
+    spoilt: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "comparison"
+    shutil.copytree(readme.RESULTS.parent, folder)
+    shutil.copy(readme.README, tmp_path)
+    monkeypatch.setattr(readme, "ROOT", tmp_path)
+    monkeypatch.setattr(readme, "README", tmp_path / "README.md")
+    monkeypatch.setattr(readme, "RESULTS", folder / "results.json")
+    monkeypatch.setattr(sys, "argv", ["readme.py", "--check"])
+    readme.main()
+    if spoilt == "tip_error.png":
+        Image.new("RGB", (4, 4)).save(folder / spoilt)
+    else:
+        path = tmp_path / spoilt if spoilt == "README.md" else folder / spoilt
+        digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
+        path.write_text(path.read_text().replace("| adaptive |", "| best |").replace(digest, "0" * 64) + " ")
+    with pytest.raises(SystemExit) as stopped:
+        readme.main()
+    assert stopped.value.code == 1
+    named = "summary.md" if spoilt == "results.json" else spoilt
+    assert named in capsys.readouterr().err
+
+
+QUICK_START = """
+import time
+began = time.perf_counter()
+from beltarm_env import ArmParams
+imported = time.perf_counter()
+ArmParams().plant()
+print(imported - began, time.perf_counter() - imported)
+"""
+
+
+@pytest.mark.slow
+def test_bench_prints_ratios(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a start-up whose kernel is compiled in a moment."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(start_up, "_FIRST_STEP", QUICK_START)
+    options = ("--arms", "64", "--repetitions", "1", "--steps", "2", "--parts")
+    assert stopped(bench.main, options, tmp_path) == (0, "")
+    shown = capsys.readouterr().out
+    assert "vector step, N = 64" in shown
+    assert "CartPole-v1" in shown
+    rows = (
+        "full arm",
+        "motion",
+        "whole step",
+        "single step through make",
+        "tip error of 5",
+        "import beltarm_env",
+        "warm cache",
+        "cold cache",
+    )
+    assert [row for row in rows if row not in shown] == []
+
+
+def readme_examples() -> list[str]:
+    """As they are, but for the length of a training: one update tells as much as five."""
+    blocks = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1:]
+    return [block.split("```")[0].replace("learn(10_000)", "learn(1)") for block in blocks]
+
+
+@pytest.mark.parametrize("number", range(len(readme_examples())))
+def test_examples_of_the_readme_run(number: int, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-W", "error::UserWarning:beltarm_env", "-c", readme_examples()[number]]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr

@@ -1,0 +1,104 @@
+"""The documentation site, without the runs of tutorials and pictures: no warning, no other host, no dead link."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sphinx", reason="the site needs `make docs`'s packages")
+pytest.importorskip("sphinxcontrib.katex", reason="the site needs `make docs`'s packages")
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT_OUT = {".git", ".venv", "docs", "results", "runs"}
+LOADED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "source": "src", "video": "src"}
+"""Attributes that a browser loads by itself, by element."""
+
+
+class Page(HTMLParser):
+    """What a page loads, and where its links lead."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path, self.loads, self.links, self.anchors = path, [], [], set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        loaded = found.get(LOADED.get(tag, ""))
+        if loaded and loaded != "#":
+            self.loads.append(loaded)
+        if tag == "a" and found.get("href"):
+            self.links.append(str(found["href"]))
+        self.anchors |= {str(found[name]) for name in ("id", "name") if found.get(name)}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the pages, built from a copy, since the gallery is written among the sources."""
+    copy = tmp_path_factory.mktemp("checkout")
+    for path in ROOT.iterdir():
+        if path.is_file():
+            shutil.copy(path, copy)
+        elif path.name not in KEPT_OUT:
+            (copy / path.name).symlink_to(path)
+    shutil.copytree(ROOT / "docs", copy / "docs", ignore=shutil.ignore_patterns("_build", "gallery", "*.gif"))
+    (copy / "docs/comparison/motion.gif").touch()
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", "-D", "plot_gallery=0"]
+    command += ["-D", "plot_pre_code=motion = lambda *names: None", "docs", "site"]
+    done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return copy / "site"
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> list[Page]:
+    return [Page(path) for path in site.rglob("*.html")]
+
+
+def test_every_page_of_the_docs_is_in_the_site(site: Path):
+    for source in (ROOT / "docs").rglob("*.md"):
+        name = source.relative_to(ROOT / "docs")
+        if name.parts[0] not in ("_build", "_static", "gallery"):
+            assert (site / name).with_suffix(".html").is_file(), f"{name} is in no table of contents"
+    assert (
+        len(list((ROOT / "docs/tutorials").glob("*.py"))) == len(list((site / "gallery").glob("tutorial_*.html"))) == 6
+    )
+
+
+def test_pages_load_nothing_from_another_host(site: Path, pages: list[Page]):
+    assert len(pages) > 50
+    for page in pages:
+        for target in page.loads:
+            assert not re.match(r"(\w+:)?//", target), f"{page.path.relative_to(site)} loads {target}"
+            assert (page.path.parent / target.partition("?")[0]).is_file(), f"{page.path.name} lacks {target}"
+    for style in site.rglob("*.css"):
+        for target in re.findall(r"(?:url\(|@import\s*)[\"']?([^\"')]+)", style.read_text(encoding="utf-8")):
+            assert not re.match(r"(\w+:)?//", target), f"{style.name} loads {target}"
+
+
+def test_links_between_pages_lead_somewhere(site: Path, pages: list[Page]):
+    known = {page.path: page.anchors for page in pages}
+    for page in pages:
+        for link in page.links:
+            target, _, anchor = link.partition("#")
+            if ":" in link or not (page.path.parent / target).resolve().is_relative_to(site):
+                continue
+            path = (page.path.parent / target).resolve() if target else page.path
+            assert path.exists(), f"{page.path.relative_to(site)} has a link to {link}, which is not there"
+            if anchor and path in known:
+                assert anchor in known[path], f"{page.path.relative_to(site)} has a link to {link}: no such place"
+
+
+def test_formulas_are_formulas(site: Path):
+    """The docs have them in a forge's way, between $` and `$, which must not be seen on a page."""
+    physics = (site / "physics.html").read_text(encoding="utf-8")
+    assert physics.count('<span class="math') > 100
+    for path in site.rglob("*.html"):
+        assert "$`" not in re.sub(r"<pre>.*?</pre>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL), path.name
+    assert (site / "_static/katex/fonts/KaTeX_Math-Italic.woff2").is_file()
