@@ -119,53 +119,53 @@ clean:  ## Remove environments, results, the site and caches
 scenarios: $(READY)  ## Check the scenarios and that the physics is still theirs; ARGS=--write keeps those of a changed physics
 	$(BIN)/python eval/scenarios.py $(ARGS)
 
-physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in docs/crosscheck
+physics: $(READY)  ## Check the plant: order of convergence, and MuJoCo's arm in docs/results/physics
 	$(BIN)/python eval/convergence.py
-	$(BIN)/python eval/crosscheck.py --out docs/crosscheck $(ARGS)
+	$(BIN)/python eval/crosscheck.py --out docs/results/physics $(ARGS)
 
-paper: $(READY)  ## Regenerate the paper's figures and tables in docs/paper
-	$(BIN)/python eval/paper.py --out docs/paper $(ARGS)
+paper: $(READY)  ## Regenerate the paper's figures and tables in docs/results/paper
+	$(BIN)/python eval/paper.py --out docs/results/paper $(ARGS)
 
-loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/baselines
-	$(BIN)/python eval/baselines.py --out docs/baselines $(ARGS)
+loops: $(READY)  ## Margins, costs and times of every controller, and where it breaks, in docs/results/loops
+	$(BIN)/python eval/baselines.py --out docs/results/loops $(ARGS)
 
-tails: $(READY)  ## Tail risk of controllers on 25000 scenarios, in docs/tails: half an hour; goes on where it was interrupted
+tails: $(READY)  ## Tail risk of controllers on 25000 scenarios, in docs/results/tails: half an hour; goes on where it was interrupted
 	$(BIN)/python eval/compare.py --scenario-seed 1 --episodes 25000 --splits randomized \
-		--methods paper preview adaptive ppo student --out docs/tails $(ARGS)
+		--methods paper preview adaptive ppo student --out docs/results/tails $(ARGS)
 
 scaling: $(READY)  ## What tasks side by side take, by engine, in docs/scaling; takes ten minutes
 	$(BIN)/python eval/scaling.py --methods paper --out docs/scaling $(ARGS)
 
-drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/drive; takes five minutes
-	$(BIN)/python eval/drive.py --out docs/drive $(ARGS)
+drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/results/drive; takes five minutes
+	$(BIN)/python eval/drive.py --out docs/results/drive $(ARGS)
 
-sensors: $(READY)  ## What an accelerometer buys, in docs/sensors
-	$(BIN)/python eval/sensors.py --episodes 60 --out docs/sensors $(ARGS)
+sensors: $(READY)  ## What an accelerometer buys, in docs/results/sensors
+	$(BIN)/python eval/sensors.py --episodes 60 --out docs/results/sensors $(ARGS)
 
-guard: $(READY)  ## What the guard is worth where something breaks, in docs/guard; takes ten minutes
-	$(BIN)/python eval/faults.py --arms 60 --episodes 40 --out docs/guard $(ARGS)
+guard: $(READY)  ## What the guard is worth where something breaks, in docs/results/guard; takes ten minutes
+	$(BIN)/python eval/faults.py --arms 60 --episodes 40 --out docs/results/guard $(ARGS)
 
-embedded: $(READY)  ## Controllers as programs: equality, time, flash and memory, in docs/embedded; takes ten minutes
-	$(BIN)/python eval/embedded.py --out docs/embedded $(ARGS)
+embedded: $(READY)  ## Controllers as programs: equality, time, flash and memory, in docs/results/embedded; takes ten minutes
+	$(BIN)/python eval/embedded.py --out docs/results/embedded $(ARGS)
 
-observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/observers
-	$(BIN)/python eval/observers.py --out docs/observers $(ARGS)
+observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/results/observers
+	$(BIN)/python eval/observers.py --out docs/results/observers $(ARGS)
 
-steps: $(READY)  ## What each step from the paper's controller to the best classical one brings, in docs/from_1991
-	$(BIN)/python eval/from_1991.py --out docs/from_1991 $(ARGS)
+steps: $(READY)  ## What each step from the paper's controller to the best classical one brings, in docs/results/steps
+	$(BIN)/python eval/from_1991.py --out docs/results/steps $(ARGS)
 
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
 	$(BIN)/python baselines/tune.py --all --budget 8000000 $(ARGS)
 
-learning: $(READY)  ## Ablations of the training in docs/learning: two hours or more; goes on where it was interrupted
-	$(BIN)/python eval/ablations.py --out docs/learning $(ARGS)
+learning: $(READY)  ## Ablations of the training in docs/results/learning: two hours or more; goes on where it was interrupted
+	$(BIN)/python eval/ablations.py --out docs/results/learning $(ARGS)
 
 film: $(READY)  ## Regenerate the film on the README's first screen
 	$(BIN)/python eval/watch.py --controller paper --controller adaptive --policy agents/policies/student/seed0 \
-		--speed 0.5 --out docs/comparison/motion.gif
+		--speed 0.5 --out docs/results/comparison/motion.gif
 
-readme: $(READY)  ## Regenerate the README, docs/comparison, docs/iterative and docs/training
-	$(BIN)/python eval/compare.py --episodes 500 --out docs/comparison
-	$(BIN)/python eval/iterative.py --out docs/iterative
-	$(BIN)/python eval/curves.py --out docs/training
+readme: $(READY)  ## Regenerate the README, docs/results/comparison, docs/results/iterative and docs/results/curves
+	$(BIN)/python eval/compare.py --episodes 500 --out docs/results/comparison
+	$(BIN)/python eval/iterative.py --out docs/results/iterative
+	$(BIN)/python eval/curves.py --out docs/results/curves
 	$(BIN)/python eval/readme.py

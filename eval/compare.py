@@ -53,7 +53,7 @@ class Config(SideBySide):
     methods: tuple[str, ...] = ()
     """Which of the project's own methods run, by name; what --add and --policy give always runs. Default: all shipped
     policies, the yardstick, and the classical controllers, without those that a simpler one beats everywhere
-    (docs/baselines.md)."""
+    (docs/science/controllers.md)."""
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
     policy: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
@@ -68,7 +68,7 @@ class Config(SideBySide):
     in a process of its own, and whatever ends that is a failure of this controller alone."""
     guard: bool = False
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
-    (docs/guard/summary.md)."""
+    (docs/results/guard/summary.md)."""
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept. One
     that has results of more methods, splits or scenarios is left as it is."""
@@ -79,7 +79,7 @@ class Config(SideBySide):
     """Take a first look, with 24 scenarios per split."""
     scenarios: Literal["development", "test", "sealed"] | None = None
     """Set of scenarios: "development", on which controllers and agents may be chosen, "test", or "sealed", once its
-    seed is published (docs/leaderboard.md). Default: the test set."""
+    seed is published (docs/benchmark/leaderboard.md). Default: the test set."""
     scenario_seed: int | None = None
     """Draw a fresh set of scenarios by the same rules instead. Seeds 0, 1, 2, ... are used by nothing else."""
     maps: bool = False

@@ -1,7 +1,7 @@
 """Write the folder of a policy for the Hugging Face Hub: `python eval/hub.py agents/policies/student/seed0`.
 
 The folder has the policy, a card that the Hub reads, and what the card's scores rest on. Nothing is uploaded: the
-command that does is printed. docs/sharing.md says what is in the folder, and what is safe to load.
+command that does is printed. docs/guide/hub.md says what is in the folder, and what is safe to load.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from eval.sharing.citation import bibtex
 from eval.sharing.page import markdown, model_index
 from eval.sharing.scores import scores_of
 
-PUBLISHED = Path(__file__).resolve().parent.parent / "docs" / "comparison" / "results.json"
+PUBLISHED = Path(__file__).resolve().parent.parent / "docs" / "results" / "comparison" / "results.json"
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Write the comparison's numbers into the README: `python eval/readme.py`, or `make readme` to measure first.
 
-Everything between the README's markers comes from `docs/comparison/results.json`. `--check` fails where the README
+Everything between the README's markers comes from `docs/results/comparison/results.json`. `--check` fails where the README
 differs, and where the summary or a picture beside that file does not belong to it.
 The drawing of the arm, `docs/arm.svg`, is the report's.
 """
@@ -20,7 +20,7 @@ from eval.views.readme import blocks, of_other_results, updated
 from eval.views.report.arm import arm_drawing
 
 ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "docs" / "comparison" / "results.json"
+RESULTS = ROOT / "docs" / "results" / "comparison" / "results.json"
 README = ROOT / "README.md"
 ARM = ROOT / "docs" / "arm.svg"
 

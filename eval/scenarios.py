@@ -2,7 +2,7 @@
 
 With `--write`, seeds, hashes and a few motions of the development set are written to
 `eval/comparison/development.json`. With `--freeze-test`, the test set is drawn into `eval/comparison/scenarios.json`:
-once, after all controllers, agents and the protocol are frozen. The hash of the last commit of `docs/protocol.md`
+once, after all controllers, agents and the protocol are frozen. The hash of the last commit of `docs/benchmark/protocol.md`
 chooses the seeds.
 """
 
@@ -27,7 +27,7 @@ class Config:
     write: bool = False
     """Write eval/comparison/development.json again, after a change of the physics or of the splits."""
     freeze_test: bool = False
-    """Draw the test set, from the hash of the last commit of docs/protocol.md, and write
+    """Draw the test set, from the hash of the last commit of docs/benchmark/protocol.md, and write
     eval/comparison/scenarios.json. Refused if that file exists."""
 
 

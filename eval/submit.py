@@ -1,7 +1,7 @@
 """Submit a controller or policy to the leaderboard, or verify a submission: `python eval/submit.py results/mine`.
 
 Packs a comparison's folder into one archive in docs/leaderboard, to be offered by a pull request. Nothing of what is
-submitted is executed but by --verify, which runs it again and compares. docs/leaderboard.md says how to take part.
+submitted is executed but by --verify, which runs it again and compares. docs/benchmark/leaderboard.md says how to take part.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from eval.leaderboard.table import table
 from eval.leaderboard.verification import require_trust, rerun
 from eval.views.readme import updated
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "leaderboard.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmark" / "leaderboard.md"
 FOLDER = PAGE.with_suffix("")
 
 
@@ -71,7 +71,7 @@ class Config:
     jobs: int | None = None
     """Number of processes. Default: one per core."""
     table: bool = False
-    """Write the table in docs/leaderboard.md from the entries in docs/leaderboard."""
+    """Write the table in docs/benchmark/leaderboard.md from the entries in docs/leaderboard."""
 
     def check(self) -> None:
         """Check that one thing is asked for.

@@ -167,7 +167,7 @@ def _outcome(ray: Any, reference: Any) -> Any:
     return outcome
 
 
-_REMEDY = "every machine needs the same commit and the same packages, see docs/scaling.md"
+_REMEDY = "every machine needs the same commit and the same packages, see docs/guide/machines.md"
 
 
 # In other processes

@@ -6,7 +6,7 @@
     tau_b = K_s (1 - b + 2 b th^2 / (th^2 + theta_0^2)) th + D_s dth/dt,   th = theta_1 - phi        stiffening belt
 
 and friction as `friction` has it. The motor feels the belt through g = dtheta_1 / dtheta_a, which is not 1 / G: with
-any other factor the kinematic error would create energy. Sources and magnitudes are in docs/physics.md.
+any other factor the kinematic error would create energy. Sources and magnitudes are in docs/science/physics.md.
 
 `Drive` holds the coefficients. An arm whose drive is ideal has None in its place, and kernels compiled for None have
 nothing of all this in their loops.

@@ -56,7 +56,7 @@ DRIVE_RANGES: Ranges = {
     "belt_stiffening": (0.0, 0.25),
     "friction_drift": (-0.15, 0.15),
 }
-"""Ranges of the drive as it is built, each drawn uniformly and independently; sources in docs/physics.md."""
+"""Ranges of the drive as it is built, each drawn uniformly and independently; sources in docs/science/physics.md."""
 
 TRAIN_RANGES: Ranges = {**IDEAL_RANGES, **DRIVE_RANGES}
 """Ranges of the arms that training, tuning and the `randomized` split draw from: arm and drive."""

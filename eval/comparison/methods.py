@@ -27,7 +27,7 @@ Kind = Literal["classical", "learned", "privileged", "added"]
 PRIVILEGED = "privileged"
 PRIMARY = ("student", "adaptive")
 """Learned method and classical controller that the comparison is about first: the best ones on the development set,
-named in docs/protocol.md before the test scenarios were drawn."""
+named in docs/benchmark/protocol.md before the test scenarios were drawn."""
 LARGEST_BATCH = 500
 """Arms of several training seeds or splits: what is done once for all of them costs little beside so many."""
 

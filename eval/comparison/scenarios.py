@@ -49,7 +49,7 @@ from eval.comparison.splits import (
 )
 
 FILE = Path(__file__).with_name("scenarios.json")
-PROTOCOL = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
+PROTOCOL = Path(__file__).resolve().parents[2] / "docs" / "benchmark" / "protocol.md"
 RECORD = Path(__file__).with_name("development.json")
 FORMATS = {DEVELOPMENT_NAME: "beltarm-development", TEST_NAME: "beltarm-scenarios"}
 COMMAND, FREEZE = "python eval/scenarios.py --write", "python eval/scenarios.py --freeze-test"

@@ -41,7 +41,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Unpublished setting, chosen value, alternatives; docs/paper.md says why each is chosen."""
+    """Unpublished setting, chosen value, alternatives; docs/science/paper.md says why each is chosen."""
 
     name: str
     chosen: str

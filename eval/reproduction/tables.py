@@ -1,4 +1,4 @@
-"""The study as tables, `tables.md`; docs/paper.md says how to read them."""
+"""The study as tables, `tables.md`; docs/science/paper.md says how to read them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def markdown(study: PaperStudy, pictures: Sequence[Path], seconds: float) -> str
     start, goal, duration, ramp_time = study.move
     parts = [
         "# The paper, regenerated",
-        "`docs/paper.md` says how to read these tables, and what follows with the gains of Table 2.",
+        "`docs/science/paper.md` says how to read these tables, and what follows with the gains of Table 2.",
         f"K4 = {study.gains.k4:g} N m s/rad, ω_n = {study.gains.natural_frequency:g} rad/s, ξ = "
         f"{study.gains.damping:g}; standard move: {degrees(start)} to {degrees(goal)} in {duration:g} s with ramps of "
         f"{ramp_time:g} s.",

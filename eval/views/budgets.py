@@ -73,14 +73,14 @@ def model_steps(controller: Any) -> ModelSteps | None:
 
 
 SEARCHES = {"ppo": (24, 200e6)}
-"""Trials and samples of a search for settings that came before the training, by method; docs/training.md has it."""
+"""Trials and samples of a search for settings that came before the training, by method; docs/science/training.md has it."""
 TEACHERS = {"student": 20, "rma": 20}
 """Model steps that a teacher makes for each sample of the training, by algorithm: differences by every state."""
 
 BUDGETS_NOTE = (
     "Classical gains come from one search each: its samples are those of all trials and of the choice among the "
     "best; *refused* are proposals whose loop fell short of the margins, which cost no samples. Learned methods are "
-    "trained with settings that were found before, on samples of their own (docs/training.md); runs "
+    "trained with settings that were found before, on samples of their own (docs/science/training.md); runs "
     "are training seeds. *Model steps* are those of 1.5 ms that the controller's own model makes for each action: "
     "simulated with friction, drive and stiction, one after the other or for derivatives, + those of a linear plan, "
     "backward in time. A plan for the whole move has 1200, spread over the actions between two plans; one pass of an "

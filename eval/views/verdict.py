@@ -4,7 +4,7 @@ One question comes first: does the best learned method beat the best classical c
 development set (`eval.comparison.methods.PRIMARY`), and they are compared scenario by scenario on every split, in the
 cost and in what the arm's end does. "Better" takes both averages: the difference of interquartile means outlives Holm's
 correction over all splits, and the 95 % interval of the mean difference is clear of zero. An interquartile mean alone
-drops the worst quarter of the arms. docs/protocol.md fixed this before the test scenarios were drawn.
+drops the worst quarter of the arms. docs/benchmark/protocol.md fixed this before the test scenarios were drawn.
 
 Vibration is compared where both arrive: a method that never moves does not vibrate. Fewer than
 `eval.comparison.estimates.LEAST_SCENARIOS` scenarios decide nothing.

@@ -30,7 +30,12 @@ def test_shipped_cards_are_what_is_written_today(folder: Path):
     fields, body = halves(text)
     assert list(fields) == ["library_name", "pipeline_tag", "tags"]
     assert {"BeltArm-v0", "deep-reinforcement-learning", "reinforcement-learning", spec.algorithm} <= {*fields["tags"]}
-    for words in ("without the guard", "docs/deploy.md", content["weights"]["file"], "| payload_mass | 0 | 0.2 |"):
+    for words in (
+        "without the guard",
+        "docs/guide/export.md",
+        content["weights"]["file"],
+        "| payload_mass | 0 | 0.2 |",
+    ):
         assert words in body
     assert "CITATION.cff" in body and "{{ " not in body
 

@@ -206,7 +206,7 @@ for name in CONTROLLERS:
 @pytest.mark.slow
 def test_only_designs_that_are_said_to_depend_on_the_kernels_of_linear_algebra():
     """By kernels of this processor, and by those that all of its kind can run."""
-    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
     (named,) = re.findall(r"The designs of ([^.]*) do not", page)
     command = [sys.executable, "-c", COSTS, *re.findall(r"`(\w+)`", named)]
     found = {

@@ -42,20 +42,6 @@ from baselines.engines.parallel import (
 ROOT = Path(__file__).resolve().parents[2]
 
 
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 def outcomes(tasks: Mapping[str, Task[Any]], jobs: int = 2, **options: Any) -> dict[str, Any]:
     found = list(run_side_by_side(tasks, jobs, **options))
     assert len(found) == len(dict(found)), "one outcome for each task"
@@ -83,10 +69,6 @@ def test_a_failure_leaves_the_others_alone(jobs: int):
     assert found["b"].message.startswith("TypeError: a bug (tasks.py, line ")
 
 
-
-
-
-
 def test_what_cannot_be_sent_is_said():
     found = outcomes({"error": raise_unpicklable, "result": give_unpicklable, "good": partial(square, 2)})
     assert "UnpicklableError: 1 and 2" in found["error"].message
@@ -96,8 +78,6 @@ def test_what_cannot_be_sent_is_said():
 
 def test_an_exit_is_a_failure():
     assert "exit status 3" in outcomes({"exit": partial(sys_exit, 3)}, 1)["exit"].message
-
-
 
 
 def test_a_request_to_stop_reaches_what_runs_and_the_rest_does_not_begin(tmp_path: Path):
@@ -124,8 +104,6 @@ def test_a_request_to_stop_in_this_process():
 
 def ask_to_stop(stop: StopRequest, _: Channel) -> None:
     stop.made = True
-
-
 
 
 def test_workers_have_the_folder_and_the_threads_that_they_are_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -185,7 +163,7 @@ def process(tmp_path: Path):
     """A process with two tasks under way."""
     for name in "ab":
         (tmp_path / name).mkdir()
-    code = SCRIPT.format(root=str(ROOT), tests=str(ROOT / "tests"))
+    code = SCRIPT.format(root=str(ROOT), tests=str(ROOT / "tests" / "helpers"))
     started = subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=tmp_path,

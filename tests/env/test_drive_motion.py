@@ -90,7 +90,7 @@ def test_stick_slip_with_all_effects(number: int, model: str):
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "model"), [(4, "lagrangian"), (9, "lumped")])
 def test_what_fast_arms_are_off_by_is_the_error_of_the_step(number: int, model: str):
-    """Of 60 arms, these are off by most but for a sensitive one: docs/physics.md has the numbers."""
+    """Of 60 arms, these are off by most but for a sensitive one: docs/science/physics.md has the numbers."""
     params, start = drawn_arms(60, seed=78)[number], np.array([GEAR * 0.2, 0.0, 0.0, 0.0])
     once, twice = (largest_distance(params, model, swing, start, 1000, steps)[0] for steps in (1, 2))
     assert twice < 0.1 * once < 0.3e-6

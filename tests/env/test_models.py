@@ -369,7 +369,7 @@ def slowest_pair(a: Floats) -> complex:
 
 
 class TestWhatTheDocumentationSays:
-    """The table of modes in docs/physics.md."""
+    """The table of modes in docs/science/physics.md."""
 
     @pytest.mark.parametrize(
         ("model", "degrees", "stuck", "free", "damping"),

@@ -101,7 +101,7 @@ runpy.run_path({str(script)!r}, run_name="__main__")
 
 @pytest.mark.parametrize("regime", ["stick-slip", "drive"])
 def test_committed_report_is_what_the_command_measures(regime: str):
-    text = (ROOT / "docs/crosscheck/summary.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/results/physics/summary.md").read_text(encoding="utf-8")
     section = text.split(f"## {regime.capitalize()}")[1].split("\n## ")[0]
     (row,) = [line for line in section.splitlines() if line.startswith("| RK4 |")]
     seeds = re.search(r"seeds (\d+) to (\d+)", text)
@@ -112,7 +112,7 @@ def test_committed_report_is_what_the_command_measures(regime: str):
 
 
 def test_committed_order_is_what_the_command_measures():
-    text = (ROOT / "docs/physics.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/science/physics.md").read_text(encoding="utf-8")
     (row,) = [line for line in text.splitlines() if line.startswith("| lumped | 11 stops |")]
     cells = [float(cell) for cell in row.split("|")[3:8]]
     result = measure_convergence("lumped", "stick-slip")

@@ -231,5 +231,5 @@ def test_the_example_and_the_documented_lines_run(dataset: Any, folder: Path, ca
     example["main"]("paper", ID)
     shown = capsys.readouterr().out.splitlines()
     assert [line.split(": mean cost ")[0] for line in shown] == ["paper in the dataset", "clone of paper", "paper"]
-    lines = (ROOT / "docs/offline.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    lines = (ROOT / "docs/guide/dataset.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     exec(lines.replace("results/datasets", str(folder)).replace("beltarm/randomized/mixed-v0", ID), {})

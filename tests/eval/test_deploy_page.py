@@ -1,4 +1,4 @@
-"""The programs of docs/deploy.md, as on the page: Python is run, C is compiled against an exported controller."""
+"""The programs of docs/guide/export.md, as on the page: Python is run, C is compiled against an exported controller."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EXTRAS = ("fmpy", "onnx")
 
 def programs(language: str) -> list[str]:
     """Blocks of a language on the page."""
-    page = (ROOT / "docs/deploy.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/guide/export.md").read_text(encoding="utf-8")
     return re.findall(rf"^```{language}\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
 
 
@@ -58,18 +58,18 @@ def test_the_main_loop_on_the_page_compiles(compiler: tuple[str, ...], tmp_path:
     assert result.returncode == 0, result.stderr
     header = (tmp_path / "adaptive/adaptive.h").read_text(encoding="utf-8")
     watched = ("memory_guard_row", "memory_own_notes_tracks_surprise")
-    page = (ROOT / "docs/deploy.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/guide/export.md").read_text(encoding="utf-8")
     assert all(name in header and name in page for name in watched)
 
 
 def test_the_level_is_where_the_page_says():
     from baselines.guard.guard import LEVEL
 
-    assert f"memory_guard_row[{LEVEL}]" in (ROOT / "docs/deploy.md").read_text(encoding="utf-8")
+    assert f"memory_guard_row[{LEVEL}]" in (ROOT / "docs/guide/export.md").read_text(encoding="utf-8")
 
 
 def test_the_table_says_which_controllers_it_lacks():
-    page = (ROOT / "docs/embedded/summary.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/results/embedded/summary.md").read_text(encoding="utf-8")
     shown = re.findall(r"^\| `(\w+)` \| [\d ]+ of [\d ]+ \|", page, re.MULTILINE)
     assert shown and coverage(shown) in page
     for name in CONTROLLERS:

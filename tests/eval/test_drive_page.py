@@ -24,7 +24,7 @@ from eval.drives.effects import ALL, EFFECTS, IDEAL, heading, with_effect
 from eval.drives.page import training
 from eval.drives.study import choose_methods, trained_on
 
-PAGE = Path(__file__).parents[2] / "docs/drive"
+PAGE = Path(__file__).parents[2] / "docs/results/drive"
 
 
 def drawn(count: int) -> np.ndarray:

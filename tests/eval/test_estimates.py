@@ -102,7 +102,7 @@ def test_bootstrap_samples_are_of_scenarios_and_of_seeds():
 
 
 def test_there_are_as_many_as_the_protocol_says():
-    protocol = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
+    protocol = Path(__file__).resolve().parents[2] / "docs" / "benchmark" / "protocol.md"
     assert f"interval of {RESAMPLES} resamples" in protocol.read_text(encoding="utf-8")
 
 

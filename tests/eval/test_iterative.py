@@ -382,16 +382,16 @@ def test_arms_vary_as_in_the_split_of_the_same_name(kind: str):
 
 
 def test_committed_report_is_of_the_stated_seeds_and_arms():
-    stored = json.loads((ROOT / "docs/iterative/results.json").read_text())
+    stored = json.loads((ROOT / "docs/results/iterative/results.json").read_text())
     assert {row["split"] for row in stored["rows"]} == set(KINDS)
     assert not stored["provenance"]["commit"].endswith("-dirty")
     assert stored["provenance"]["seed"] == 4_100_000
-    assert stored["provenance"]["command"] == "python eval/iterative.py --out docs/iterative"
+    assert stored["provenance"]["command"] == "python eval/iterative.py --out docs/results/iterative"
 
 
 def test_costs_in_the_text_are_those_of_the_committed_report():
-    rows = json.loads((ROOT / "docs/iterative/results.json").read_text())["rows"]
-    text = (ROOT / "docs/baselines.md").read_text().split("## Learning from repetitions")[1].split("\n## ")[0]
+    rows = json.loads((ROOT / "docs/results/iterative/results.json").read_text())["rows"]
+    text = (ROOT / "docs/science/controllers.md").read_text().split("## Learning from repetitions")[1].split("\n## ")[0]
     costs = {int(number) for number in re.findall(r"\b(?!100\b)[12]\d\d\b", text)}
     assert costs
     assert costs <= {round(row["metrics"]["cost"]["iqm"]) for row in rows}

@@ -215,7 +215,8 @@ def test_gains_of_a_tree_that_was_not_committed_are_said_to_be():
     entries = read_file()
     unclean = {name for name, entry in entries.items() if entry["provenance"]["commit"].endswith("-dirty")}
     page, guide = (
-        (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("baselines/summary.md", "baselines.md")
+        (ROOT / "docs" / name).read_text(encoding="utf-8")
+        for name in ("results/loops/summary.md", "science/controllers.md")
     )
     for name in entries:
         origin = gains_table(name).splitlines()[-1]

@@ -13,8 +13,21 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 HISTORY = DOCS / "history"
 COMMIT = re.compile(r"(?:commit|beltarm(?: [\d.]+)?) \(?([0-9a-f]{7,40}(?:-dirty)?)\b")
 MEASURED = [
-    *(page for page in DOCS.glob("*/*.md") if page.name in ("summary.md", "tables.md", "tails.md", "ablations.md")),
-    *(DOCS / name for name in ("paper/drive.md", "speed/sizes.md", "performance.md", "mutation.md", "reliability.md")),
+    *(
+        page
+        for page in DOCS.glob("results/*/*.md")
+        if page.name in ("summary.md", "tables.md", "tails.md", "ablations.md")
+    ),
+    *(
+        DOCS / name
+        for name in (
+            "results/paper/drive.md",
+            "results/bench/sizes.md",
+            "guide/speed.md",
+            "mutation.md",
+            "reliability.md",
+        )
+    ),
 ]
 
 
@@ -34,9 +47,11 @@ def test_pages_are_found():
 
 def test_protocol_lists_commits_that_are_there():
     """What changed after the results, the committed results among it."""
-    changes = (DOCS / "protocol.md").read_text(encoding="utf-8").split("## Changes made after the results")[1]
+    changes = (
+        (DOCS / "benchmark" / "protocol.md").read_text(encoding="utf-8").split("## Changes made after the results")[1]
+    )
     named = sorted(set(re.findall(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7}\b", changes)))
-    results = json.loads((DOCS / "comparison/results.json").read_text(encoding="utf-8"))
+    results = json.loads((DOCS / "results/comparison/results.json").read_text(encoding="utf-8"))
     assert results["provenance"]["commit"] in named
     try:
         whole = git("rev-parse", "--is-shallow-repository").stdout.strip() == "false"

@@ -686,7 +686,7 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
 
 def recipes() -> list[str]:
     """Commands of the documentation that compare a method of one's own, in blocks of code or in backticks."""
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md")]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     pages += [*(ROOT / "docs").glob("tutorials/*.py"), *(ROOT / "docs").glob("examples/*.py")]
     texts = [page.read_text(encoding="utf-8").replace("\\\n", "") for page in pages]
     command = r"^[# ]*`?((?:make compare|\S*python eval/compare\.py)\b.*--(?:add|policy) .*)"

@@ -1,4 +1,4 @@
-"""`eval/paper.py` as a user runs it, and every number of docs/paper.md against what it computes."""
+"""`eval/paper.py` as a user runs it, and every number of docs/science/paper.md against what it computes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from eval.reproduction.study import (
 )
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs/paper.md"
+PAGE = ROOT / "docs/science/paper.md"
 TABLE_2, DEG_90 = ServoGains(), math.pi / 2
 PICTURES = {
     *("responses_standard.png", "responses_standard_as_analysed.png", "responses_to_0.png"),
@@ -120,7 +120,7 @@ class TestTables:
         number = re.compile(r"\d+(?:\.\d+)?")
         new, committed = (
             (folder / page).read_text(encoding="utf-8").rsplit("\n\n", 1)[0]
-            for folder in (regenerated.folder, ROOT / "docs/paper")
+            for folder in (regenerated.folder, ROOT / "docs/results/paper")
         )
         assert number.sub("#", new) == number.sub("#", committed), "run `make paper`"
         values = [np.array(number.findall(text), dtype=np.float64) for text in (new, committed)]
@@ -291,7 +291,7 @@ def prose() -> str:
 def check(claim: Claim, text: str) -> str:
     """The text without the claim's phrase, which stands there once and whose numbers are right as printed."""
     found = re.findall(re.escape(claim.phrase).replace(r"\{\}", r"(−?\d+(?:\.\d+)?)"), text)
-    assert len(found) == 1, f"docs/paper.md says {len(found)} times: {claim.phrase}"
+    assert len(found) == 1, f"docs/science/paper.md says {len(found)} times: {claim.phrase}"
     printed = found[0] if isinstance(found[0], tuple) else found
     for number, value in zip(printed, claim.values, strict=True):
         digits = len(number.partition(".")[2])
@@ -304,7 +304,7 @@ NAMES = "|".join(
     (
         r"K4 = 0(?:\.15)?(?!\.?\d)|K4|M2|l3|_a1|M_a1|Table \d|\(\d+[a-z]?\)|Figs?\. \d\([ab]\)|and 8\(b\)|Fig\. 6",
         r"(?:0|45|90)°|[+−]1/\(M|0\.2 kg|1\.5 ms|0\.3 s|Two-mass|\w+\.(?:png|md|py)|: 1 where all|left of 1 it",
-        r"mode, 28\.7 rad/s|less than 0\.1 %",  # in docs/physics.md, tests/env/test_models.py; below
+        r"mode, 28\.7 rad/s|less than 0\.1 %",  # in docs/science/physics.md, tests/env/test_models.py; below
     )
 )
 

@@ -267,7 +267,7 @@ def test_the_protocol_is_that_of_the_commit_which_chose_the_seeds():
         then = of_git("show", f"{commit}:docs/protocol.md")
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("the history is not here")
-    now = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    now = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
     assert now.split(CHANGES)[0] == then.split(CHANGES)[0]
     assert not of_git("ls-tree", commit, "eval/comparison/scenarios.json")
 

@@ -84,7 +84,7 @@ def commands_of(folder: Path, *targets: str) -> list[str]:
 def test_targets_write_the_pages_as_they_are_committed(folder: Path):
     """With the options that a page says it was made with; on how many cores that was does not matter."""
     made = {}
-    for page in (ROOT / "docs").glob("*/*.md"):
+    for page in (ROOT / "docs").rglob("*.md"):
         for command in re.findall(r"`(python eval/[^`]* --out docs/[^`]*)`, beltarm", page.read_text(encoding="utf-8")):
             words = re.sub(r" --jobs \d+", "", command).split()
             made[words[words.index("--out") + 1]] = sorted(words)

@@ -48,7 +48,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         elif path.name not in KEPT_OUT:
             (copy / path.name).symlink_to(path)
     shutil.copytree(ROOT / "docs", copy / "docs", ignore=shutil.ignore_patterns("_build", "gallery", "*.gif"))
-    (copy / "docs/comparison/motion.gif").touch()
+    (copy / "docs/results/comparison/motion.gif").touch()
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", "-D", "plot_gallery=0"]
     command += ["-D", "plot_pre_code=motion = lambda *names: None", "docs", "site"]
     done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)
@@ -97,7 +97,7 @@ def test_links_between_pages_lead_somewhere(site: Path, pages: list[Page]):
 
 def test_formulas_are_formulas(site: Path):
     """The docs have them in a forge's way, between $` and `$, which must not be seen on a page."""
-    physics = (site / "physics.html").read_text(encoding="utf-8")
+    physics = (site / "science/physics.html").read_text(encoding="utf-8")
     assert physics.count('<span class="math') > 100
     for path in site.rglob("*.html"):
         assert "$`" not in re.sub(r"<pre>.*?</pre>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL), path.name

@@ -38,7 +38,7 @@ from eval.comparison.splits import digest_of, draw_arms, first_seed
 from eval.leaderboard.archive import archived, read_archive
 from eval.siege.files import damage
 
-_RESULTS = Path(__file__).resolve().parents[3] / "docs" / "comparison" / "results.json"
+_RESULTS = Path(__file__).resolve().parents[3] / "docs" / "results" / "comparison" / "results.json"
 _SCENARIOS = 3
 
 Damaged = tuple[dict[str, bytes], bool]
