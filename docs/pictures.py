@@ -12,7 +12,7 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, BeltArmVectorEnv
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.seeds import fresh_arms
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
-from eval.style.colours import COLOURS
+from eval.report.style import COLOURS
 
 ARMS = 24
 MOVE = {"start": np.pi / 4, "goal": np.pi / 2, "duration": 0.8, "ramp_time": 0.12}

@@ -34,9 +34,9 @@ from eval.comparison.run import choose_methods, compare
 from eval.comparison.scenarios import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.leaderboard.sealed import sealed_set
+from eval.report.publish import publish
 from eval.tails.publish import publish as publish_tails
 from eval.tails.study import check_options, study
-from eval.views.publish import publish
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Write a dataset for offline learning, with Minari: `python eval/dataset.py`.
 
-Controllers take turns, on arms of their own; random torques disturb some of the episodes. docs/guide/dataset.md tells what is
-in a dataset, and how to use it. Needs the extra minari.
+Controllers take turns, on arms of their own; random torques disturb some of the episodes. docs/guide/dataset.md tells
+what is in a dataset, and how to use it. Needs the extra minari.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Write a controller or policy as C for a drive's processor: `python eval/export.py adaptive --out DIR`.
 
 The C99 is translated from the very kernels that comparisons run, and checked against them on development scenarios, bit
-for bit. `python eval/export.py arm --out DIR` writes the arm itself, as an FMU for other simulators. docs/guide/export.md
-tells how to use them.
+for bit. `python eval/export.py arm --out DIR` writes the arm itself, as an FMU for other simulators.
+docs/guide/export.md tells how to use them.
 """
 
 from __future__ import annotations

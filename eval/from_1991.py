@@ -18,8 +18,8 @@ try:
     from baselines.tools.files import require_writable, write_text
     from baselines.tools.provenance import command_line, commit
     from beltarm_env import __version__
-    from eval.advances.page import markdown, table
-    from eval.advances.study import ADVANCES, BESIDE, MOST_ARMS, measure
+    from eval.studies.steps.page import markdown, table
+    from eval.studies.steps.study import ADVANCES, BESIDE, MOST_ARMS, measure
 except ModuleNotFoundError as error:
     stop_without("eval/from_1991.py", error)
 

@@ -2,8 +2,8 @@
 
 Writes the motion of motor and tip with and without vibration feedback (Figs. 4b and 8b), root loci (Fig. 6), a map of
 the damping over K4 and M2, and tables.md: ringing before and after, poles, and alternatives to everything that the
-paper does not print. docs/science/paper.md draws conclusions. drive.md and its pictures show what becomes of the paper's
-conclusion on a drive that is not ideal.
+paper does not print. docs/science/paper.md draws conclusions. drive.md and its pictures show what becomes of the
+paper's conclusion on a drive that is not ideal.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Write the comparison's numbers into the README: `python eval/readme.py`, or `make readme` to measure first.
 
-Everything between the README's markers comes from `docs/results/comparison/results.json`. `--check` fails where the README
-differs, and where the summary or a picture beside that file does not belong to it.
+Everything between the README's markers comes from `docs/results/comparison/results.json`. `--check` fails where the
+README differs, and where the summary or a picture beside that file does not belong to it.
 The drawing of the arm, `docs/arm.svg`, is the report's.
 """
 
@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from baselines.tools.command import run_command
 from baselines.tools.files import write_text
 from eval.comparison.schema import read_results
-from eval.views.readme import blocks, of_other_results, updated
-from eval.views.report.arm import arm_drawing
+from eval.report.arm import arm_drawing
+from eval.report.readme import blocks, of_other_results, updated
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results" / "comparison" / "results.json"

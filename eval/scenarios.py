@@ -2,8 +2,8 @@
 
 With `--write`, seeds, hashes and a few motions of the development set are written to
 `eval/comparison/development.json`. With `--freeze-test`, the test set is drawn into `eval/comparison/scenarios.json`:
-once, after all controllers, agents and the protocol are frozen. The hash of the last commit of `docs/benchmark/protocol.md`
-chooses the seeds.
+once, after all controllers, agents and the protocol are frozen. The hash of the last commit of
+`docs/benchmark/protocol.md` chooses the seeds.
 """
 
 from __future__ import annotations

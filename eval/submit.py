@@ -1,7 +1,7 @@
 """Submit a controller or policy to the leaderboard, or verify a submission: `python eval/submit.py results/mine`.
 
 Packs a comparison's folder into one archive in docs/leaderboard, to be offered by a pull request. Nothing of what is
-submitted is executed but by --verify, which runs it again and compares. docs/benchmark/leaderboard.md says how to take part.
+submitted is executed but by --verify, which runs it again and compares. See docs/benchmark/leaderboard.md.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from eval.leaderboard.scores import first_difference, largest_difference
 from eval.leaderboard.submission import read
 from eval.leaderboard.table import table
 from eval.leaderboard.verification import require_trust, rerun
-from eval.views.readme import updated
+from eval.report.readme import updated
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmark" / "leaderboard.md"
 FOLDER = PAGE.with_suffix("")

@@ -24,8 +24,8 @@ from eval.comparison.methods import chosen, methods_side_by_side
 from eval.comparison.scenarios import choose_set
 from eval.comparison.sets import MOST, fresh_scenarios
 from eval.comparison.splits import EPISODES, SPLITS
-from eval.views import side_by_side
-from eval.views.film import require_writer
+from eval.report import side_by_side
+from eval.report.film import require_writer
 
 
 @dataclass(frozen=True)

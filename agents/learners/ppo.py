@@ -1,7 +1,7 @@
 """PPO, proximal policy optimisation, as learner: its options, defaults and model.
 
-The defaults are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see docs/science/training.md; the budget
-is twice a trial's.
+The defaults are what `python train/tune.py ppo --trials 24 --samples 12000000` found, see docs/science/training.md; the
+budget is twice a trial's.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Search spaces of the algorithms' options, for `train/tune.py`.
 
-Ranges are as wide as docs/science/learning.md leaves them sensible: what costs half as much again there is not searched again.
-Hidden layers are written as on the command line, "128 128".
+Ranges are as wide as docs/science/learning.md leaves them sensible: what costs half as much again there is not searched
+again. Hidden layers are written as on the command line, "128 128".
 """
 
 from __future__ import annotations

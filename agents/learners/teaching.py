@@ -16,9 +16,9 @@ which a residual u is held, the best one is
 Why the mean of this advice is what a student needs, who does not know the arm: the slope q is that of the student's own
 cost. For what a change of its torque does, a student that simulates its arm foresees, and its base reacts to it as the
 problem's feedback does; what the best later torques are does not enter q at all (the envelope theorem, which
-`tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of the student's
-torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is a
-Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
+`tests/agents/test_imitation.py` checks). So where E[w (y - u) | what the student sees] = 0, no small change of the
+student's torques lowers its expected cost, caution for what it does not know included. Fitting u to y with weights w is
+a Gauss-Newton step towards there: a policy gradient whose noise is that of arms, and not of torques tried at random.
 
 Where the motor sticks, torque changes nothing, and the slope is zero. So that a motor at rest is not pushed to and fro
 for nothing, by the base least of all, a price is added to the cost to go: p_0 tau^2 per sample of the whole torque over

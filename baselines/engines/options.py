@@ -26,8 +26,8 @@ class SideBySide:
     """Tasks at the same time, each in a process of its own. Default: one per core; with Ray, as many as there are cores
     for in the cluster."""
     engine: Literal["local", "ray"] = "local"
-    """What runs the tasks: processes of this machine ("local"), or Ray, on this machine or a cluster (docs/guide/machines.md).
-    Numbers are the same."""
+    """What runs the tasks: processes of this machine ("local"), or Ray, on this machine or a cluster
+    (docs/guide/machines.md). Numbers are the same."""
     address: str | None = None
     """Address of a running cluster of Ray, such as 10.0.0.1:6379, or auto. Default: begin one on this machine."""
 

@@ -47,7 +47,7 @@ axes.grid(alpha=0.3)
 # about the worst arms. The *mean* and the *worst 5 %* do; look at both before you believe in a
 # method. The table has them in "Mean and tail".
 
-from eval.comparison.estimates import interquartile_mean, worst_mean
+from eval.comparison.statistics import interquartile_mean, worst_mean
 
 for name, run in (("adaptive", adaptive), ("student", student)):
     middle, tail = interquartile_mean(run.cost), worst_mean(run.cost)
@@ -60,7 +60,7 @@ for name, run in (("adaptive", adaptive), ("student", student)):
 # how different. It comes from drawing the forty scenarios again and again with replacement. The
 # rows of a table of values are training seeds, here one.
 
-from eval.comparison.estimates import estimate
+from eval.comparison.statistics import estimate
 
 for name, run in (("adaptive", adaptive), ("student", student)):
     value = estimate(run.cost[None, :])
@@ -73,7 +73,7 @@ for name, run in (("adaptive", adaptive), ("student", student)):
 # they can be compared one by one, and what makes a scenario hard for both drops out. That interval
 # is narrower. It decides, together with a p value; fewer than twenty scenarios decide nothing:
 
-from eval.comparison.estimates import holm, paired
+from eval.comparison.statistics import holm, paired
 
 pair = paired(student.cost[None, :], adaptive.cost[None, :])
 value = pair.difference

@@ -9,12 +9,10 @@ from matplotlib.figure import Figure
 
 from beltarm_env.metrics import heading
 from beltarm_env.task.seeds import LOOPS
-from eval.advances.study import ADVANCES, BESIDE, SHOWN, Found
-from eval.comparison.estimates import average, interquartile_mean, worst_mean
-from eval.style.colours import BLUE, GREEN, VERMILION
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import rounded
+from eval.comparison.statistics import average, interquartile_mean, worst_mean
+from eval.report.style import BLUE, GREEN, VERMILION, save_figure
+from eval.report.text import markdown_table, rounded
+from eval.studies.steps.study import ADVANCES, BESIDE, SHOWN, Found
 
 
 def table(found: list[Found]) -> str:

@@ -1,4 +1,4 @@
-"""Results of the comparison as data; `eval.comparison.schema` writes them, `eval.views` shows them."""
+"""Results of the comparison as data; `eval.comparison.schema` writes them, `eval.report` shows them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ from baselines.tools.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
-from eval.comparison.estimates import (
+from eval.comparison.failures import Failure
+from eval.comparison.methods import PRIMARY, Method, is_shipped, policies_of
+from eval.comparison.pairs import LEFT, SENSITIVE, Metrics
+from eval.comparison.sets import SetLabel
+from eval.comparison.statistics import (
     LEAST_SCENARIOS,
     Estimate,
     Floats,
@@ -27,10 +31,6 @@ from eval.comparison.estimates import (
     profile,
     together,
 )
-from eval.comparison.failures import Failure
-from eval.comparison.methods import PRIMARY, Method, is_shipped, policies_of
-from eval.comparison.pairs import LEFT, SENSITIVE, Metrics
-from eval.comparison.sets import SetLabel
 
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 COMPUTING_TIME = "computing_time"

@@ -49,10 +49,10 @@ from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, in_a_line, list_
 from baselines.tools.schema import check as check_by
 from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
-from eval.comparison.estimates import Paired
 from eval.comparison.methods import Kind
 from eval.comparison.results import COMPUTING_TIME, PAIRED_METRICS, Against, Comparison, MethodOutcome, profiles
 from eval.comparison.sets import SetLabel
+from eval.comparison.statistics import Paired
 
 _REMEDY = "they cannot be merged: remove it, or choose another folder"
 AGAINST = ("best classical", "base")

@@ -11,7 +11,7 @@ from beltarm_env import CONTROL_PERIOD
 from eval.comparison.sets import SetLabel
 from eval.deploy.controllers import exportable
 from eval.deploy.study import SPREAD, Exported
-from eval.style.markdown_table import markdown_table
+from eval.report.text import markdown_table
 
 _AGREES, _COSTS = 1e-3, 0.01  # of the torque limit, and of the cost, by which single precision may be off
 

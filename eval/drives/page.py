@@ -13,12 +13,10 @@ from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.metrics import heading as of_metric
 from beltarm_env.task.seeds import DRIVE_SIZES
-from eval.comparison.estimates import estimate, interquartile_mean
+from eval.comparison.statistics import estimate, interquartile_mean
 from eval.drives.effects import ALL, EFFECTS, IDEAL, heading
 from eval.drives.study import SHOWN, DriveStudy
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import rounded
-from eval.style.text import number
+from eval.report.text import markdown_table, number, rounded
 
 _SHIPPED = "Controllers are as they are shipped. Classical ones are tuned on the training ranges, drives included."
 _FIRST_EDITION = (

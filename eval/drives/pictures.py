@@ -11,12 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from beltarm_env.metrics import heading
-from eval.comparison.estimates import interquartile_mean
+from eval.comparison.statistics import interquartile_mean
 from eval.drives.effects import EFFECTS
 from eval.drives.study import UPPER_END, DriveStudy
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
-from eval.style.figures import save_figures
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five, save_figures
 
 _FAMILIES: tuple[tuple[str, tuple[str, ...]], ...] = (
     (PINK, ("paper", "rigid", "retuned")),

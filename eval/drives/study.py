@@ -19,8 +19,8 @@ from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import DRIVE_SIZES
-from eval.comparison.estimates import average
 from eval.comparison.methods import Method, chosen, classical_methods, learned_methods, shipped_policies
+from eval.comparison.statistics import average
 from eval.drives.effects import EFFECTS, IDEAL, with_effect
 
 SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 from eval.engines.memory import Use
 from eval.engines.study import ARMS, METHOD, Overhead
-from eval.style.markdown_table import markdown_table
-from eval.style.text import number
+from eval.report.text import markdown_table, number
 
 
 class Findings(NamedTuple):

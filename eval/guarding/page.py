@@ -12,10 +12,8 @@ from baselines.guard.settings import GuardSettings
 from eval.comparison.sets import SetLabel
 from eval.guarding.faults import EARLIEST, FAULTS, LATEST
 from eval.guarding.study import BASES, LEARNED, MEASURES, NAN, Health, Outcome
-from eval.style.colours import BLUE, GREEN, VERMILION
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
-from eval.style.text import number
+from eval.report.style import BLUE, GREEN, VERMILION, save_figure
+from eval.report.text import markdown_table, number
 
 MARGIN = 1.1
 """What the guarded controller may come to, over its base alone."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.comparison.estimates import interquartile_mean, worst_mean
 from eval.comparison.pairs import LEFT, Metrics
 from eval.comparison.splits import main_split
+from eval.comparison.statistics import interquartile_mean, worst_mean
 
 Scores = dict[str, dict[str, dict[str, float]]]
 """By method, split and quantity (`QUANTITIES`)."""

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from beltarm_env.metrics import METRICS
 from eval.leaderboard.entries import SEALED, TEST, Entry
 from eval.leaderboard.scores import on_main_split, over_all_splits
-from eval.style.markdown_table import markdown_table
-from eval.style.text import number
+from eval.report.text import markdown_table, number
 
 _TITLES = ("method", "author", "kind", "IQM", "mean", "worst 5 %", "all splits")
 _SEALED_TITLES = ("sealed: IQM", "sealed: all splits")

@@ -19,10 +19,8 @@ from beltarm_env.task.seeds import ABLATIONS
 from eval.learning.ablation_runs import described
 from eval.learning.curves import BEST_CLASSICAL
 from eval.learning.variants import DEFAULT, FACTORS, Variant
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import COLOURS
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
+from eval.report.style import COLOURS, mark_one_two_five, save_figure
+from eval.report.text import markdown_table
 
 Floats = NDArray[np.float64]
 

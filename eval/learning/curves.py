@@ -15,9 +15,7 @@ from agents.policy.bundle import MANIFEST, BundleError, BundleSpec, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import validate
 from baselines import CONTROLLERS
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import COLOURS
-from eval.style.figures import save_figure
+from eval.report.style import COLOURS, mark_one_two_five, save_figure
 
 Floats = NDArray[np.float64]
 

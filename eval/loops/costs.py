@@ -20,7 +20,7 @@ from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.estimates import interquartile_mean
+from eval.comparison.statistics import interquartile_mean
 from eval.loops.changes import CHANGES, LIMITS, Change
 
 PRIVILEGED = "privileged"

@@ -8,7 +8,7 @@ from typing import Any
 from baselines import CONTROLLERS, TUNABLE
 from baselines.gains import read_file
 from baselines.servo.paper import PaperGains
-from eval.style.markdown_table import markdown_table
+from eval.report.text import markdown_table
 
 MEANING = {
     "angle": ("K_p", "1/s²"),

@@ -10,9 +10,9 @@ import numpy as np
 from baselines import CONTROLLERS
 from baselines.estimation.identification import IdentifyingController
 from beltarm_env.arrays import Floats
-from eval.advances.study import BESIDE
-from eval.comparison.estimates import interquartile_mean
+from eval.comparison.statistics import interquartile_mean
 from eval.loops.costs import blind, built_arms, run_arms
+from eval.studies.steps.study import BESIDE
 
 IDENTIFYING = BESIDE.name
 """Name of the controller that is asked about."""

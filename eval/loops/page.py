@@ -12,7 +12,7 @@ from eval.loops import tables
 from eval.loops.costs import PRIVILEGED
 from eval.loops.identification import IDENTIFYING, WORSE
 from eval.loops.study import LoopStudy
-from eval.views.budgets import BUDGETS_NOTE, Budget, budgets_table
+from eval.report.budgets import BUDGETS_NOTE, Budget, budgets_table
 
 _ASKED = MarginCondition()
 _LOOPS = (

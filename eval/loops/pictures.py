@@ -18,8 +18,7 @@ from eval.loops.changes import CHANGES
 from eval.loops.scan import Scan
 from eval.loops.study import LoopStudy
 from eval.loops.tables import ratio_text
-from eval.style.colours import BLUE, VERMILION
-from eval.style.figures import save_figures
+from eval.report.style import BLUE, VERMILION, save_figures
 
 _DEGREES = np.degrees(ANGLES)
 _WIDTH = 9.0  # [in], so that the smallest letters are legible where a page is 800 pixels wide

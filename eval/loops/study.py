@@ -14,7 +14,7 @@ from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
 from eval.loops.identification import Beside, worth
 from eval.loops.price import Price, price
 from eval.loops.scan import Scan, scan
-from eval.views.budgets import Budget, budgets
+from eval.report.budgets import Budget, budgets
 
 Result = TypeVar("Result")
 

@@ -9,15 +9,13 @@ import numpy as np
 
 from baselines.models.linear import ANGLES
 from beltarm_env.metrics import TORQUES, heading
-from eval.comparison.estimates import estimate, interquartile_mean, worst_mean
+from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
 from eval.loops.changes import CHANGES, LIMITS
 from eval.loops.costs import PRIVILEGED, Costs
 from eval.loops.gains import gains_table
 from eval.loops.scan import ARMS, Scan, at_angle
 from eval.loops.study import LoopStudy
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell, numbers
-from eval.style.text import number, poles_text
+from eval.report.text import cell, markdown_table, number, numbers, poles_text
 
 _SHOWN = (0, 45, 90)
 _SHOWN_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from eval.mutation.mutants import Mutant
 from eval.mutation.study import Tried
-from eval.style.markdown_table import markdown_table
+from eval.report.text import markdown_table
 
 _JUDGEMENTS = Path(__file__).with_name("judgements.json")
 _HEAD = """# Which faults the tests find

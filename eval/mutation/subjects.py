@@ -81,7 +81,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
         "tests/env/test_reference.py::TestInTheEnvironment",
     ),
     "beltarm_env/task/sensors.py": ("tests/env/test_sensors.py",),
-    "eval/comparison/estimates.py": (
+    "eval/comparison/statistics.py": (
         "tests/eval/test_estimates.py",
         "tests/eval/test_from_1991.py::test_worst_is_the_mean_of_a_twentieth",
     ),
@@ -93,7 +93,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
         "tests/eval/test_tails.py::test_tails_of_known_values",
         "tests/eval/test_tails.py::test_what_a_tail_is_told_by",
     ),
-    "eval/views/verdict.py": (
+    "eval/report/verdict.py": (
         "tests/eval/test_verdict.py::test_both_averages_decide",
         "tests/eval/test_verdict.py::test_a_learned_method_that_is_better_and_worse",
         "tests/eval/test_verdict.py::test_the_protocol_says_who_is_compared",

@@ -12,9 +12,8 @@ from agents.observer.network import Observer
 from agents.observer.quantities import NAMES, QUANTITIES
 from eval.comparison.sets import SetLabel
 from eval.observing.study import ACTING, HOLD, Seen, Watcher
-from eval.style.colours import BLUE, GREEN, ORANGE
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
+from eval.report.style import BLUE, GREEN, ORANGE, save_figure
+from eval.report.text import markdown_table
 
 Results = dict[tuple[str, str, str], Seen]
 """By acting controller, split and watcher."""

@@ -17,7 +17,7 @@ from eval.offline.disturbance import GAP, KINDS, LARGEST, MEMORY, STRETCH
 from eval.offline.episodes import Episode, in_turn
 from eval.offline.scores import EXPERT, reference_scores
 from eval.offline.writing import About, Place, metadata_of
-from eval.style.markdown_table import markdown_table
+from eval.report.text import markdown_table
 
 _USUAL = ("paper", "adaptive")
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, heading
-from eval.comparison.estimates import interquartile_mean, paired
+from eval.comparison.statistics import interquartile_mean, paired
 from eval.repetition.study import ARM, KINDS, MOTOR, TORQUE, RepetitionResult
-from eval.style.colours import BLUE, ORANGE, VERMILION
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
+from eval.report.style import BLUE, ORANGE, VERMILION, save_figure
+from eval.report.text import markdown_table
 
 Floats = NDArray[np.float64]
 _Label = tuple[float, str, str]  # value at the end of a curve, name, colour

@@ -19,7 +19,7 @@ from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.reference import sampled_moves
-from eval.comparison.estimates import Estimate, estimate
+from eval.comparison.statistics import Estimate, estimate
 
 Floats = NDArray[np.float64]
 

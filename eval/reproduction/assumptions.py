@@ -11,10 +11,10 @@ import numpy as np
 from beltarm_env import ArmParams
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.sensors import ENCODER_COUNTS
+from eval.report.text import degrees
 from eval.reproduction.loop import ServoGains
 from eval.reproduction.ringing import Suppression, suppression
 from eval.reproduction.runs import Conditions, is_allowed
-from eval.style.text import degrees
 
 USUAL_MOVE = MoveShape(np.pi / 4, np.pi / 2, 0.8, 0.12)
 """The standard move where no other is asked for."""

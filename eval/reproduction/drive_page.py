@@ -9,11 +9,10 @@ from beltarm_env import __version__
 from beltarm_env.arrays import Floats
 from beltarm_env.task.seeds import PAPER_DRIVES
 from eval.drives.effects import ALL, IDEAL, heading
+from eval.report.text import degrees, markdown_table, number
 from eval.reproduction.drives import DRIVES, Damped, DrivesStudy
 from eval.reproduction.ringing import ANSWERS, END_WINDOW, REDUCED, REMOVED, Answer
 from eval.reproduction.study import AS_ANALYSED, FRICTION, MAIN, STANDARD
-from eval.style.markdown_table import markdown_table
-from eval.style.text import degrees, number
 
 PICTURES = ("drive.png", "drive_ratios.png")
 _SHOWN_ANSWERS = ANSWERS[:3]

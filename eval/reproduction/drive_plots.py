@@ -10,13 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from eval.drives.effects import ALL, IDEAL, heading
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, mark_one_two_five, save_figures
 from eval.reproduction.drive_page import PICTURES
 from eval.reproduction.drives import DRIVES, DrivesStudy
 from eval.reproduction.ringing import PHASES, REDUCED, REMOVED
 from eval.reproduction.study import AS_ANALYSED, FRICTION, STANDARD
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import BLUE, GREEN, ORANGE, PINK
-from eval.style.figures import save_figures
 
 _TITLES = {IDEAL: "ideal drive", ALL: "all effects of the drive"}
 

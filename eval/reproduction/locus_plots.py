@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from eval.report.style import VERMILION
 from eval.reproduction.loop import (
     GAIN_RANGES,
     PAPER_ARM,
@@ -20,7 +21,6 @@ from eval.reproduction.loop import (
     nominal_m2,
     poles,
 )
-from eval.style.colours import VERMILION
 
 _POINTS = 241
 _LAST_LABEL = 0.5  # contours of higher damping are too close together for labels

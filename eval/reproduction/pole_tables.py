@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from beltarm_env import ArmParams
+from eval.report.text import markdown_table, number, poles_text
 from eval.reproduction.loop import (
     GAIN_RANGES,
     PAPER_ARM,
@@ -21,8 +22,6 @@ from eval.reproduction.loop import (
     sampled_poles,
     without_and_with,
 )
-from eval.style.markdown_table import markdown_table
-from eval.style.text import number, poles_text
 
 FREQUENCY_FACTORS = (0.5, 1.0, 2.0, 3.0)
 """Of omega_n, in the table of the damping over it."""

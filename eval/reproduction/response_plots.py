@@ -12,14 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from beltarm_env.task.seeds import PAPER_MOVES
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, save_figures
+from eval.report.text import degrees
 from eval.reproduction.locus_plots import damping_picture, locus_picture
 from eval.reproduction.loop import PAPER_ARM, k4_locus
 from eval.reproduction.responses import Response
 from eval.reproduction.ringing import PHASES, REDUCED, REMOVED, Suppression
 from eval.reproduction.study import AS_ANALYSED, FRICTION, MAIN, STANDARD, TO_0, PaperStudy, Scene
-from eval.style.colours import BLUE, GREEN, ORANGE, PINK
-from eval.style.figures import save_figures
-from eval.style.text import degrees
 
 WITHOUT, SUPPRESSED = ORANGE, BLUE
 """Colours of K4 = 0 and of the gain given."""

@@ -10,12 +10,11 @@ import numpy as np
 from baselines.tools.provenance import command_line, commit
 from beltarm_env import CONTROL_PERIOD, __version__
 from beltarm_env.task.seeds import PAPER_MOVES
+from eval.report.text import degrees, markdown_table, number
 from eval.reproduction.pole_tables import best_gain_table, frequency_table, full_arm_table, pole_table
 from eval.reproduction.responses import Response
 from eval.reproduction.ringing import ANSWERS, END_WINDOW, PHASES, Suppression
 from eval.reproduction.study import AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, TO_0, PaperStudy
-from eval.style.markdown_table import markdown_table
-from eval.style.text import degrees, number
 
 LEFT = "the arm left its workspace"
 _LAST = round(END_WINDOW / CONTROL_PERIOD)

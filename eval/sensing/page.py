@@ -8,13 +8,11 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from beltarm_env.metrics import TORQUE_QUALITY, heading
-from eval.comparison.estimates import average, interquartile_mean, paired
 from eval.comparison.sets import SetLabel
+from eval.comparison.statistics import average, interquartile_mean, paired
+from eval.report.style import BLUE, GREEN, ORANGE, save_figure
+from eval.report.text import cell, markdown_table, rounded
 from eval.sensing.study import COMPARED, NAMES, TIERS, Results, Times
-from eval.style.colours import BLUE, GREEN, ORANGE
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell, rounded
 
 _COLOURS = dict(zip(NAMES, (BLUE, ORANGE, GREEN), strict=True))
 

@@ -13,9 +13,9 @@ from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, 
 from agents.policy.card import ENVIRONMENT, Offer, card
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
+from eval.report import side_by_side
+from eval.report.film import require_writer
 from eval.sharing.scores import Scores, with_sensors
-from eval.views import side_by_side
-from eval.views.film import require_writer
 
 FORMAT = "beltarm-shared-policy"
 CONFIG, EXCERPT, FILM, MODEL = "config.json", "results.json", "replay.mp4", "policy.onnx"

@@ -11,9 +11,8 @@ from baselines.tools.provenance import commit
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
 from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
+from eval.report.text import cell, markdown_table
 from eval.sharing.scores import Scores
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell
 
 SHOWN = (*PAIRED_METRICS, "settling_s", "failure_share", NOT_ARRIVED)
 _FEW = "too few scenarios"

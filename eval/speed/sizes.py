@@ -16,10 +16,9 @@ from baselines.tools.files import write_text
 from baselines.tools.progress import progress_count
 from baselines.tools.provenance import command_line, software
 from beltarm_env.arrays import Floats
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, save_figure
 from eval.speed.peers import STEPPERS, Stepper, installed
 from eval.speed.timing import times_in_turns
-from eval.style.colours import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
-from eval.style.figures import save_figure
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 100_000)
 """Arms or carts of a batch."""

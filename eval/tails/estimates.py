@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest, ks_2samp, quantile_test
 
-from eval.comparison.estimates import CONFIDENCE, holm, interquartile_mean
+from eval.comparison.statistics import CONFIDENCE, holm, interquartile_mean
 
 Floats = NDArray[np.float64]
 SHARES = (0.5, 0.9, 0.99, 0.999)

@@ -9,9 +9,7 @@ from beltarm_env.metrics import ARRIVAL_BOUND, TORQUE_QUALITY, heading
 from beltarm_env.metrics import METRICS as KNOWN
 from eval.comparison.methods import Method
 from eval.comparison.splits import EPISODES, SPLITS
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import rounded
-from eval.style.text import degrees, number
+from eval.report.text import degrees, markdown_table, number, rounded
 from eval.tails.estimates import OF_DIFFERENCE, SHARES, WORST, Interval, Tail, tail_size
 from eval.tails.study import CASES, Outcome, Study
 

@@ -7,8 +7,7 @@ from matplotlib.figure import Figure
 
 from beltarm_env.metrics import heading
 from eval.comparison.splits import EPISODES
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import COLOURS
+from eval.report.style import COLOURS, mark_one_two_five
 from eval.tails.study import DRAWN, Outcome
 
 _LINES = ("-", "--", ":", "-.")

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from baselines.tools.files import write_text
 from eval.comparison.splits import EDITION, VERSION
-from eval.style.figures import save_figure
+from eval.report.style import save_figure
 from eval.tails.page import distribution, page, picture_of
 from eval.tails.pictures import draw
 from eval.tails.study import Outcome, Study

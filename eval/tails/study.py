@@ -18,7 +18,6 @@ from beltarm_env.arm import params_columns
 from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval.comparison import protocol
-from eval.comparison.estimates import interquartile_mean
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Method
 from eval.comparison.pairs import LEFT
@@ -26,6 +25,7 @@ from eval.comparison.results import provenance
 from eval.comparison.scenarios import require_same_physics
 from eval.comparison.sets import MOST, SetLabel, development_set, fresh_scenarios
 from eval.comparison.splits import EPISODES, Split
+from eval.comparison.statistics import interquartile_mean
 from eval.tails.estimates import Against, Interval, Tail, Unlike, against, share_of, tail_of, tail_size, unlike
 from eval.tails.shards import METRICS, NOT_SETTLED, Shard, merged, policy_of, run_shards, seconds_of, shards_of
 

@@ -8,9 +8,8 @@ import matplotlib.pyplot as plt
 
 from baselines.tools.provenance import command_line, commit
 from beltarm_env.mujoco.model import mujoco
-from eval.style.colours import COLOURS
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
+from eval.report.style import COLOURS, save_figure
+from eval.report.text import markdown_table
 from eval.verification.crosscheck import DRIVE, REGIMES, EngineDistance
 
 

@@ -16,8 +16,8 @@ from baselines.engines.parallel import Channel, Failure, run_side_by_side
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.rollout import Controller, Recording, record
-from eval.comparison.estimates import Paired, interquartile_mean, paired
 from eval.comparison.methods import classical_methods, learned_methods, shipped_policies
+from eval.comparison.statistics import Paired, interquartile_mean, paired
 from eval.verification.lugre import STEPS, LuGreArms
 
 Floats = NDArray[np.float64]

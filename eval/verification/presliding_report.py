@@ -8,12 +8,9 @@ import matplotlib.pyplot as plt
 
 from baselines.tools.provenance import command_line, commit
 from beltarm_env.metrics import METRICS
-from eval.comparison.estimates import estimate, interquartile_mean
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import COLOURS
-from eval.style.figures import save_figure
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell
+from eval.comparison.statistics import estimate, interquartile_mean
+from eval.report.style import COLOURS, mark_one_two_five, save_figure
+from eval.report.text import cell, markdown_table
 from eval.verification.lugre import STEPS
 from eval.verification.presliding import (
     CHECKED,

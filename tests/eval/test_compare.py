@@ -32,9 +32,9 @@ from eval.comparison.pairs import Metrics, Pair, run_pairs
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, check, read_results
 from eval.comparison.splits import EDITION, SPLITS, VERSION
-from eval.views.readme import answer, tables
-from eval.views.report import maps
-from eval.views.report.page import LARGEST
+from eval.report import maps
+from eval.report.page import LARGEST
+from eval.report.readme import answer, tables
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 from scipy.stats.mstats import trimmed_mean_ci
 
-from eval.comparison.estimates import (
+from eval.comparison.statistics import (
     RESAMPLES,
     all_paired,
     estimate,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import mistake, stopped
+from eval.studies.steps.study import ADVANCES, BESIDE, measure
 
 from baselines import CONTROLLERS
 from baselines.optimal.adaptive import AdaptiveController
@@ -15,8 +16,7 @@ from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
 from eval import from_1991
-from eval.advances.study import ADVANCES, BESIDE, measure
-from eval.comparison.estimates import worst_mean
+from eval.comparison.statistics import worst_mean
 
 
 def test_the_last_of_the_identifications_is_adaptive_as_it_is_shipped():

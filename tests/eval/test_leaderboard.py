@@ -35,7 +35,7 @@ from eval.leaderboard.submission import MANIFEST as SUBMISSION
 from eval.leaderboard.submission import RESULTS, SCHEMA, Rules, Submission, read
 from eval.leaderboard.table import NONE, table
 from eval.leaderboard.verification import require_trust, rerun
-from eval.views.readme import updated
+from eval.report.readme import updated
 
 ROOT = Path(__file__).resolve().parents[2]
 RULES = Rules(development_set().only(["nominal", "randomized"]), 4, ("paper", "rigid"))

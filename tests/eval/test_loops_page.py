@@ -28,7 +28,7 @@ from eval.loops.costs import blind, built_arms, run_arms
 from eval.loops.gains import gains_table
 from eval.loops.identification import worth
 from eval.loops.scan import scan
-from eval.views.budgets import ModelSteps, budgets, model_steps
+from eval.report.budgets import ModelSteps, budgets, model_steps
 
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "student"])
 
@@ -151,7 +151,7 @@ print(steps)
 class TestBudgets:
     def test_every_controller_states_what_its_model_simulates(self):
         for name in CONTROLLERS:
-            assert model_steps(CONTROLLERS[name]()), f"{name}: add its type to MODEL_STEPS in eval/views/budgets.py"
+            assert model_steps(CONTROLLERS[name]()), f"{name}: add its type to MODEL_STEPS in eval/report/budgets.py"
 
     @pytest.mark.parametrize("name", ["zv", "lqg", "preview", "adaptive"])
     def test_that_is_what_it_simulates(self, name: str):

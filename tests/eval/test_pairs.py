@@ -39,8 +39,8 @@ from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
-from eval.views import publish
-from eval.views.readme import tables
+from eval.report import publish
+from eval.report.readme import tables
 
 ROOT = Path(__file__).resolve().parents[2]
 

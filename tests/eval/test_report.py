@@ -30,21 +30,20 @@ from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set
 from eval.comparison.splits import SPLITS, Split
-from eval.style.colours import COLOURS
-from eval.views import traces
-from eval.views.frame import best_first, frame_of, frame_of_rows, lines, part
-from eval.views.markdown import markdown
-from eval.views.report import svg
-from eval.views.report.animation import EVERY, animation, encode
-from eval.views.report.arm import arm_drawing
-from eval.views.report.figures import forests, profile_panels
-from eval.views.report.maps import robustness_maps
-from eval.views.report.motions import scene_panels, spectrum
-from eval.views.report.page import LARGEST, render, without_paths
-from eval.views.report.scenes import Map, Recordings, Scene, record_scenes
-from eval.views.report.tables import effort_table, main_table, metric_tables, torque_table
-from eval.views.traces import Shown, motions, seed_note, shown_seed
-from eval.views.verdict import verdict
+from eval.report import svg, traces
+from eval.report.animation import EVERY, animation, encode
+from eval.report.arm import arm_drawing
+from eval.report.figures import forests, profile_panels
+from eval.report.frame import best_first, frame_of, frame_of_rows, lines, part
+from eval.report.maps import robustness_maps
+from eval.report.markdown import markdown
+from eval.report.motions import scene_panels, spectrum
+from eval.report.page import LARGEST, render, without_paths
+from eval.report.scenes import Map, Recordings, Scene, record_scenes
+from eval.report.style import COLOURS
+from eval.report.tables import effort_table, main_table, metric_tables, torque_table
+from eval.report.traces import Shown, motions, seed_note, shown_seed
+from eval.report.verdict import verdict
 
 ROOT = Path(__file__).resolve().parents[2]
 # The page
@@ -139,11 +138,11 @@ def test_a_colour_is_one_method_and_so_is_a_line_style():
 
 
 def test_the_page_itself_has_no_colour_that_a_method_has():
-    css = (ROOT / "eval/views/report/report.css").read_text()
+    css = (ROOT / "eval/report/report.css").read_text()
     greys = re.findall(r"--(?!c\d)\w+: #(..)(..)(..)", css)
     assert len(greys) >= 12
     assert all(max(int(part, 16) for part in grey) - min(int(part, 16) for part in grey) <= 8 for grey in greys)
-    script = (ROOT / "eval/views/report/animation.js").read_text()
+    script = (ROOT / "eval/report/animation.js").read_text()
     assert not re.search(r'colour\("--c|"--c\d', script)
 
 
@@ -362,7 +361,7 @@ def test_maps_are_of_every_classical_controller_best_first(monkeypatch: pytest.M
             raise RuntimeError("no such arm")
         return np.full((2, 5, 5), cells[of.method.name]), np.full((2, 3, 5), cells[of.method.name])
 
-    monkeypatch.setattr("eval.views.report.maps._costs", costs)
+    monkeypatch.setattr("eval.report.maps._costs", costs)
     classical = [outcome(name, "classical", cost) for name, cost in {"pid": 100.0, "lqg": 50.0, "bad": 1.0}.items()]
     maps, failures = robustness_maps(made(*classical, outcome("net", "learned", 60.0)))
     assert [(found.classical, found.ratio[0][0]) for found in maps] == [("lqg", 1.5)] * 2 + [("pid", 3.0)] * 2

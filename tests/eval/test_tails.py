@@ -19,12 +19,12 @@ from eval.comparison.methods import Method, classical_methods, learned_methods, 
 from eval.comparison.pairs import Pair, measure
 from eval.comparison.sets import MOST, fresh_scenarios, fresh_set
 from eval.comparison.splits import EPISODES, SPLITS, first_seed
+from eval.report import side_by_side
 from eval.tails import shards, study
 from eval.tails.estimates import against, percentile, share_of, tail_of, tail_size, unlike
 from eval.tails.page import page
 from eval.tails.publish import record
 from eval.tails.shards import KEPT, Shard, is_kept, keep, merged, policy_of, run, run_shards, shards_of
-from eval.views import side_by_side
 
 SPLIT = "randomized"
 

@@ -10,24 +10,24 @@ import pytest
 from outcomes import ORIGIN, made, outcome, outcome_of
 from rich.console import Console
 
-import eval.views.verdict
+import eval.report.verdict
 from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED, SHOWN
-from eval.comparison.estimates import Estimate, Paired
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Method
 from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, make_comparison
 from eval.comparison.schema import check, to_json
 from eval.comparison.sets import SetLabel
-from eval.views.markdown import paired_table, primary_table, tail_table
-from eval.views.readme import answer, tables, updated
-from eval.views.report.tables import main_table, metric_tables
-from eval.views.terminal import print_results
-from eval.views.verdict import Duel, duels
+from eval.comparison.statistics import Estimate, Paired
+from eval.report.markdown import paired_table, primary_table, tail_table
+from eval.report.readme import answer, tables, updated
+from eval.report.tables import main_table, metric_tables
+from eval.report.terminal import print_results
+from eval.report.verdict import Duel, duels
 
 
 def verdict(comparison: Comparison) -> tuple[str, ...]:
-    return eval.views.verdict.verdict(comparison).sentences
+    return eval.report.verdict.verdict(comparison).sentences
 
 
 def over(costs: dict[str, tuple[float, float]]) -> Comparison:
@@ -79,7 +79,7 @@ def test_an_added_controller_has_a_sentence_of_its_own():
 
 
 def test_the_duels_are_in_the_results_and_in_the_summary():
-    found = eval.views.verdict.verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
+    found = eval.report.verdict.verdict(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
     rows = {(row["metric"], row["split"]): row for row in found.rows()}
     assert {metric for metric, _ in rows} == set(PAIRED_METRICS) and len(rows) == 6
     row = rows["cost", "nominal"]
@@ -267,7 +267,7 @@ def still(away: float, seeds: int = 1) -> MethodOutcome:
 def test_doing_nothing_is_not_better_at_anything():
     pid = outcome("pid", "classical", 100.0)
     found = made(pid, still(1.0), outcome("lqg", "classical", 120.0))
-    said = eval.views.verdict.verdict(found)
+    said = eval.report.verdict.verdict(found)
     assert "better" not in " ".join(said.sentences) and "Zero does not arrive in 24 of 24 runs" in said.sentences[-1]
     assert {row["metric"] for row in said.rows()} == {"cost", "tip_rms_mm"}
     assert found.marks["nominal"]["residual_pp_mm"]["pid"] == "best"
@@ -298,7 +298,9 @@ def test_vibration_is_compared_where_both_arrive(away: float, compared: int):
     assert pair.scenarios == compared and pair.difference.low > 150
     assert pair.verdict == ("worse" if compared >= 20 else "too few scenarios")
     assert found.marks["nominal"]["residual_pp_mm"] == {"pid": "best"}
-    assert ("residual_pp_mm" in {row["metric"] for row in eval.views.verdict.verdict(found).rows()}) == (compared >= 20)
+    assert ("residual_pp_mm" in {row["metric"] for row in eval.report.verdict.verdict(found).rows()}) == (
+        compared >= 20
+    )
 
 
 def test_a_scenario_counts_where_all_training_seeds_arrive():
@@ -312,7 +314,7 @@ def test_a_scenario_counts_where_all_training_seeds_arrive():
 def test_four_scenarios_are_no_verdict():
     costs = np.full(4, 100.0)
     found = made(outcome("pid", "classical", costs), outcome("net", "learned", 0.5 * costs))
-    said = eval.views.verdict.verdict(found)
+    said = eval.report.verdict.verdict(found)
     assert said.rows() == [] and len(said.sentences) == 1 and "--episodes 20" in said.sentences[0]
     pair = found.against_best["nominal"]["net"]["cost"]
     assert (pair.p, pair.p_holm, pair.survives) == (1.0, 1.0, False)
@@ -340,7 +342,7 @@ def test_only_what_the_protocol_knows_was_frozen_before():
 def test_the_answer_of_the_readme():
     """Two sentences, and five methods best first: the four best, and the controller that all began with."""
     comparison = many()
-    said = eval.views.verdict.verdict(comparison)
+    said = eval.report.verdict.verdict(comparison)
     text, table, note = answer(to_json(comparison, said.sentences, said.rows())).split("\n\n")
     assert text == (
         "**Scenario by scenario, the learned correction, `student`, has a cost 13% lower than the best classical "
@@ -372,7 +374,7 @@ def test_the_answer_of_the_readme():
 )
 def test_the_answer_when_learning_loses(costs: tuple[float, float], words: str):
     found = over({"nominal": costs})
-    said = eval.views.verdict.verdict(found)
+    said = eval.report.verdict.verdict(found)
     assert words in answer(to_json(found, said.sentences, said.rows()))
 
 

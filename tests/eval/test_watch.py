@@ -14,7 +14,7 @@ from commands import mistake, stopped
 from PIL import Image, ImageSequence
 
 from eval import watch
-from eval.views.film import require_writer
+from eval.report.film import require_writer
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, str(ROOT / "eval/watch.py")]

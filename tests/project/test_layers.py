@@ -29,7 +29,7 @@ FLOORS = {
     ),
     "agents": ("residual", "policy", "runs", "learners observer"),
     "eval": (
-        *("style", "comparison", "views"),
+        *("comparison", "report"),
         *(
             "translation verification drives advances sensing observing guarding tails leaderboard offline",
             "deploy",

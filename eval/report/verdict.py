@@ -7,7 +7,7 @@ correction over all splits, and the 95 % interval of the mean difference is clea
 drops the worst quarter of the arms. docs/benchmark/protocol.md fixed this before the test scenarios were drawn.
 
 Vibration is compared where both arrive: a method that never moves does not vibrate. Fewer than
-`eval.comparison.estimates.LEAST_SCENARIOS` scenarios decide nothing.
+`eval.comparison.statistics.LEAST_SCENARIOS` scenarios decide nothing.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import Any, Literal
 
 from baselines import CONTROLLERS
 from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
-from eval.comparison.estimates import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
-from eval.style.metrics import with_unit
+from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
+from eval.report.text import with_unit
 
 Result = Literal["better", "worse", "open"]
 

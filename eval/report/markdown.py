@@ -9,18 +9,16 @@ from typing import Any, Literal
 import pandas as pd
 
 from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, REVERSAL_SWING, TORQUES, heading
-from eval.comparison.estimates import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES, tail_mean
 from eval.comparison.pairs import CHANGE, LEFT, NUDGE
 from eval.comparison.results import MOSTLY, PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EDITION, SPLITS
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import cell, numbers
-from eval.style.text import number
-from eval.views.budgets import BUDGETS_NOTE, budget_of, budgets_table
-from eval.views.frame import frame_of, lines, part
-from eval.views.terminal import TIE, result
-from eval.views.traces import seed_note, shown_methods
-from eval.views.verdict import Verdict
+from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES, tail_mean
+from eval.report.budgets import BUDGETS_NOTE, budget_of, budgets_table
+from eval.report.frame import frame_of, lines, part
+from eval.report.terminal import TIE, result
+from eval.report.text import cell, markdown_table, number, numbers
+from eval.report.traces import seed_note, shown_methods
+from eval.report.verdict import Verdict
 
 _MARKED = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 
@@ -168,7 +166,7 @@ def method_table(
     """Estimates: a row per method, a column per split or metric.
 
     Args:
-        found: Part of the comparison's table, see `eval.views.frame`.
+        found: Part of the comparison's table, see `eval.report.frame`.
         across: What the columns are.
         with_seeds: Whether the number of training seeds stands beside a learned method's name.
         intervals: Whether each estimate has its interval.

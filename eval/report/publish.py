@@ -17,12 +17,14 @@ from eval.comparison.failures import explained
 from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
 from eval.comparison.splits import Split
-from eval.views.markdown import markdown
-from eval.views.plots import plots, save_plot
-from eval.views.report import Recordings, record_scenes, robustness_maps, write_report
-from eval.views.terminal import print_results
-from eval.views.traces import record
-from eval.views.verdict import verdict
+from eval.report.maps import robustness_maps
+from eval.report.markdown import markdown
+from eval.report.page import write_report
+from eval.report.plots import plots, save_plot
+from eval.report.scenes import Recordings, record_scenes
+from eval.report.terminal import print_results
+from eval.report.traces import record
+from eval.report.verdict import verdict
 
 
 def publish(

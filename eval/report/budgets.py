@@ -32,8 +32,7 @@ from baselines.servo.pid import PidServo
 from baselines.servo.retuned import RetunedController
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from eval.comparison.methods import Method, learned_methods, shipped_policies
-from eval.style.markdown_table import markdown_table
-from eval.style.text import number
+from eval.report.text import markdown_table, number
 
 
 class ModelSteps(NamedTuple):
@@ -73,7 +72,7 @@ def model_steps(controller: Any) -> ModelSteps | None:
 
 
 SEARCHES = {"ppo": (24, 200e6)}
-"""Trials and samples of a search for settings that came before the training, by method; docs/science/training.md has it."""
+"""Trials and samples of a search for settings that came before the training, by method; docs/science/training.md."""
 TEACHERS = {"student": 20, "rma": 20}
 """Model steps that a teacher makes for each sample of the training, by algorithm: differences by every state."""
 

@@ -11,7 +11,7 @@ from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.timing import CONTROL_PERIOD
-from eval.views.report.scenes import Scene
+from eval.report.scenes import Scene
 
 EVERY = 4  # samples per frame: 6 ms
 COLUMNS = ("joint angle", "torsion", "radial error", "lateral error", "torque")

@@ -17,7 +17,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from eval.style.colours import COLOURS
+from eval.report.style import COLOURS
 
 INK = "#010203"  # stands for the page's colour of text
 MUTED = "#7f7f7e"  # of what is in the background

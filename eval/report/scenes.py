@@ -10,8 +10,8 @@ from beltarm_env.rollout import Recording
 from eval.comparison.failures import Failure
 from eval.comparison.results import Comparison
 from eval.comparison.splits import Split
-from eval.style.colours import COLOURS
-from eval.views.traces import Shown, motions, shown_seed
+from eval.report.style import COLOURS
+from eval.report.traces import Shown, motions, shown_seed
 
 _USUALLY = 5  # methods side by side
 

@@ -16,10 +16,8 @@ from beltarm_env.arrays import Floats
 from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
 from eval.comparison.results import Comparison, MethodOutcome, best_classical
-from eval.style.axes import mark_one_two_five
-from eval.style.colours import BLUE, COLOURS, OF_KIND
-from eval.style.figures import save_figure
-from eval.views.traces import Traces
+from eval.report.style import BLUE, COLOURS, OF_KIND, mark_one_two_five, save_figure
+from eval.report.traces import Traces
 
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")

@@ -14,12 +14,10 @@ from eval.comparison.methods import shipped_policies
 from eval.comparison.results import COMPUTING_TIME, TIMED_NOTE
 from eval.comparison.sets import SetLabel
 from eval.comparison.splits import SPLITS, main_split
-from eval.style.markdown_table import markdown_table
-from eval.style.metrics import numbers, with_unit
-from eval.style.text import number
-from eval.views.frame import frame_of_rows, lines, part
-from eval.views.markdown import method_table
-from eval.views.plots import RESULTS_KEY
+from eval.report.frame import frame_of_rows, lines, part
+from eval.report.markdown import method_table
+from eval.report.plots import RESULTS_KEY
+from eval.report.text import markdown_table, number, numbers, with_unit
 
 _SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", NOT_ARRIVED, *TORQUE_QUALITY)
 _ANSWERED = {

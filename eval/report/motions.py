@@ -19,8 +19,8 @@ from baselines.models.modes import held_mode
 from beltarm_env.arm import ArmParams
 from beltarm_env.rollout import Recording
 from beltarm_env.timing import CONTROL_PERIOD
-from eval.views.report.scenes import Scene
-from eval.views.report.svg import MUTED, SHADE, WIDTH, Panel, line, panel, panel_style
+from eval.report.scenes import Scene
+from eval.report.svg import MUTED, SHADE, WIDTH, Panel, line, panel, panel_style
 
 Floats = NDArray[np.float64]
 _EVERY = 3  # samples; 4.5 ms are finer than a line on the page

@@ -6,7 +6,7 @@ import math
 
 from beltarm_env.arm import ArmParams
 from beltarm_env.rendering.renderer import Point, posture
-from eval.views.report.templates import template
+from eval.report.templates import template
 
 _WIDTH, _HEIGHT = 640, 430
 _SHOULDER = (140.0, 236.0)

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
-from eval.comparison.estimates import interquartile_mean
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.splits import Split, beside_one_another, side_by_side
-from eval.style.colours import COLOURS
+from eval.comparison.statistics import interquartile_mean
+from eval.report.style import COLOURS
 
 Traces = dict[str, dict[str, Recording]]
 """Per split and method a recording of one arm, on the same scenario for all methods."""

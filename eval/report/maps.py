@@ -15,10 +15,10 @@ from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import MAPS
-from eval.comparison.estimates import interquartile_mean
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.results import Comparison, MethodOutcome
-from eval.views.report.scenes import Map
+from eval.comparison.statistics import interquartile_mean
+from eval.report.scenes import Map
 
 _STIFFNESS = [0.5, 0.65, 0.8, 1.0, 1.2]
 _PAYLOAD = [0.0, 0.1, 0.2, 0.35, 0.5]

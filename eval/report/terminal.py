@@ -1,4 +1,4 @@
-"""The comparison on the terminal: the main split and the verdict; `eval.views.markdown` has all metrics."""
+"""The comparison on the terminal: the main split and the verdict; `eval.report.markdown` has all metrics."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, heading
-from eval.comparison.estimates import LEAST_OF_TAIL, Paired, tail_mean
 from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
 from eval.comparison.splits import EPISODES, SPLITS
-from eval.style.metrics import cell, numbers, rounded, with_unit
-from eval.views.frame import best_first, frame_of, lines, part
+from eval.comparison.statistics import LEAST_OF_TAIL, Paired, tail_mean
+from eval.report.frame import best_first, frame_of, lines, part
+from eval.report.text import cell, numbers, rounded, with_unit
 
 TIE = "not shown to differ from the best, by the paired test with Holm's correction"
 _TERMINAL = ("cost", "residual_pp_mm")

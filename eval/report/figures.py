@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
-from eval.comparison.estimates import tail_mean
 from eval.comparison.results import Comparison, profiles
-from eval.style.axes import mark_one_two_five
-from eval.style.metrics import cell
-from eval.views.report.scenes import Map
-from eval.views.report.svg import GROUND, INK, WIDTH, Panel, colour_of, faint, line, panel, panel_style
+from eval.comparison.statistics import tail_mean
+from eval.report.scenes import Map
+from eval.report.style import mark_one_two_five
+from eval.report.svg import GROUND, INK, WIDTH, Panel, colour_of, faint, line, panel, panel_style
+from eval.report.text import cell
 
 STRONGEST = 4
 """Ratio of a map's strongest colour, in all maps, so that they can be compared."""

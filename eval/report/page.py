@@ -11,21 +11,21 @@ from typing import Any
 from baselines.tools.files import write_text
 from beltarm_env.metrics import ARRIVAL_BOUND, REVERSAL_SWING, SETTLING_BAND, heading
 from beltarm_env.timing import EPISODE_TIME
-from eval.comparison.estimates import LEAST_OF_TAIL, LEAST_SCENARIOS, RESAMPLES
 from eval.comparison.pairs import CHANGE, NUDGE
 from eval.comparison.results import MOSTLY, Comparison
 from eval.comparison.splits import EDITION, SPLITS
-from eval.style.colours import COLOURS
-from eval.views.frame import best_first
-from eval.views.report.animation import animation
-from eval.views.report.arm import arm_drawing
-from eval.views.report.figures import STRONGEST, background, forests, map_panels, profile_panels
-from eval.views.report.motions import scene_panels
-from eval.views.report.scenes import Map, Recordings
-from eval.views.report.svg import Panel, line
-from eval.views.report.tables import PERIOD_US, effort_table, main_table, metric_tables, torque_table
-from eval.views.report.templates import template
-from eval.views.traces import seed_note
+from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_SCENARIOS, RESAMPLES
+from eval.report.animation import animation
+from eval.report.arm import arm_drawing
+from eval.report.figures import STRONGEST, background, forests, map_panels, profile_panels
+from eval.report.frame import best_first
+from eval.report.motions import scene_panels
+from eval.report.scenes import Map, Recordings
+from eval.report.style import COLOURS
+from eval.report.svg import Panel, line
+from eval.report.tables import PERIOD_US, effort_table, main_table, metric_tables, torque_table
+from eval.report.templates import template
+from eval.report.traces import seed_note
 
 LARGEST = 3_000_000
 """Bytes that the page may have."""

@@ -20,8 +20,8 @@ from beltarm_env.rollout import Recording
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
 from eval.comparison.splits import Split
-from eval.views.film import FPS, REST_S, write_film
-from eval.views.report.animation import reference_angles
+from eval.report.animation import reference_angles
+from eval.report.film import FPS, REST_S, write_film
 
 _COLUMN = 480  # pixels across of one arm
 _PICTURE = _COLUMN * HEIGHT // WIDTH
@@ -88,7 +88,7 @@ def write(tracks: list[Track], speed: float, path: Path) -> None:
     Args:
         tracks: What to show.
         speed: Seconds of the arm's time per second.
-        path: Where to, see `eval.views.film`.
+        path: Where to, see `eval.report.film`.
 
     Raises:
         OSError: If it cannot be written.

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from math import isfinite
 
 from beltarm_env.metrics import TORQUES, heading
-from eval.comparison.estimates import tail_mean
 from eval.comparison.pairs import LEFT
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome
+from eval.comparison.statistics import tail_mean
 from eval.comparison.timing import PERIOD_US
-from eval.style.metrics import numbers, rounded
-from eval.views.budgets import budget_of
-from eval.views.frame import MethodLine
+from eval.report.budgets import budget_of
+from eval.report.frame import MethodLine
+from eval.report.text import numbers, rounded
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,78 @@
+"""Numbers, estimates and tables as text, written the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env.metrics import METRICS
+
+
+def number(value: float | np.floating | NDArray[np.float64], digits: int) -> str:
+    """A number with a proper minus sign, none before zero; a dash where there is no number."""
+    if not np.isfinite(value):
+        return "–"
+    text = f"{float(value):.{digits}f}"
+    return (text if float(text) else text.lstrip("-")).replace("-", "−")
+
+
+def degrees(angle: float) -> str:
+    """An angle [rad] as text in degrees."""
+    return f"{np.degrees(angle):.0f}°"
+
+
+def poles_text(poles: NDArray[np.complex128], digits: int = 1) -> str:
+    """Poles [1/s] in their order, each conjugate pair once with its damping ratio to one digit more."""
+    parts = []
+    for pole in poles[poles.imag > -1e-6]:
+        pair = f" ± {number(pole.imag, 1)}j (ζ {number(-pole.real / abs(pole), digits + 1)})"
+        parts.append(number(pole.real, digits) + (pair if pole.imag > 1e-6 else ""))
+    return ", ".join(parts)
+
+
+def numbers(name: str, value: Any) -> tuple[str, str, str]:
+    """Estimate `iqm` of a value, its interval's ends `low` and `high`, rounded as suits the metric; dashes for none."""
+    metric = METRICS[name]
+    factor = 100 if metric.share else 1
+    point, low, high = (
+        f"{factor * number:.{metric.digits}f}" if isfinite(number) else "–"
+        for number in (value.iqm, value.low, value.high)
+    )
+    return point, low, high
+
+
+def rounded(name: str, value: float) -> str:
+    """Value of a metric by itself, rounded as suits it."""
+    metric = METRICS[name]
+    return number(100 * value if metric.share else value, metric.digits)
+
+
+def cell(name: str, value: Any) -> str:
+    """Estimate with its interval, such as `4.8 [4.5, 5.2]`; a dash for none."""
+    point, low, high = numbers(name, value)
+    return f"{point} [{low}, {high}]" if isfinite(value.iqm) else point
+
+
+def with_unit(name: str, text: str) -> str:
+    """Text followed by the unit of a metric, if it has one."""
+    return f"{text} {METRICS[name].unit}".rstrip()
+
+
+_RULES = {"l": "---", "r": "---:"}
+
+
+def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], align: str = "") -> str:
+    """A table in Markdown.
+
+    Args:
+        titles: Of the columns.
+        rows: Cells of each row.
+        align: "l" or "r" for each column; by default numbers to the right of a column of names.
+    """
+    rules = [_RULES[side] for side in align or "l" + "r" * (len(titles) - 1)]
+    lines = [f"| {' | '.join(titles)} |", f"|{'|'.join(rules)}|"]
+    return "\n".join(lines + [f"| {' | '.join(row)} |" for row in rows])

@@ -1,1 +1,0 @@
-"""Views of the comparison: terminal, Markdown, pictures, HTML report, films."""
