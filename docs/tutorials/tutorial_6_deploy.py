@@ -9,18 +9,17 @@ the comparison, to the last bit.
 # %%
 # Export
 # ------
-# ``eval/export.py`` is the command. It does what follows here in single steps, with ``adaptive``, the
+# ``eval/export.py c`` is the command. It does what follows here in single steps, with ``adaptive``, the
 # best classical controller, and the guard behind it:
 
 import tempfile
 from pathlib import Path
 
-from eval.deploy.controllers import controller_of, loop_of
-from eval.deploy.package import write
+from eval.exports.program import controller_of, loop_of, write_program
 
 folder = Path(tempfile.mkdtemp()) / "adaptive"
 loop = loop_of("adaptive", guard=True)
-write(folder, loop)
+write_program(folder, loop)
 for file in sorted(folder.iterdir()):
     print(f"{file.name:16}{file.stat().st_size / 1024:8.1f} kB")
 
@@ -40,15 +39,15 @@ print(header[header.index("/* Set up") : header.rindex("#ifdef")])
 
 from beltarm_env.rollout import rollout
 from eval.comparison.sets import development_set
-from eval.deploy.building import here
-from eval.deploy.in_the_loop import InTheLoop
+from eval.exports.compilers import native
+from eval.exports.in_the_loop import InTheLoop
 
 ARMS = 4
 split = development_set().splits["randomized"]
 arms = split.arguments(slice(ARMS))  # their constants, moves and sensors
 
 python = rollout(controller_of("adaptive", guard=True), ARMS, **arms)
-with InTheLoop(folder, loop.name, split.moves[:ARMS], loop.params.torque_limit, here(), 4000) as program:
+with InTheLoop(folder, loop.name, split.moves[:ARMS], loop.params.torque_limit, native(), 4000) as program:
     compiled = rollout(program, ARMS, **arms)
     times = program.times()
 
@@ -99,8 +98,8 @@ class Broken:
 figure, (torque, angle) = plt.subplots(2, 1, figsize=(7.5, 5), sharex=True)
 for guard in (False, True):
     made = folder.with_name("guarded" if guard else "bare")
-    write(made, loop_of("adaptive", guard))
-    with InTheLoop(made, loop.name, split.moves[:1], loop.params.torque_limit, here(), 4000) as program:
+    write_program(made, loop_of("adaptive", guard))
+    with InTheLoop(made, loop.name, split.moves[:1], loop.params.torque_limit, native(), 4000) as program:
         run = rollout(Broken(program, 200), 1, **split.arguments(slice(1)))
     name = "with the guard" if guard else "without"
     torque.plot(run.time[: len(run.torque)], 1e3 * run.torque[:, 0], label=name)

@@ -10,7 +10,7 @@ from refusals import refused
 
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.kernels.layout import LANES, Rows
-from eval.deploy.source import for_one_lane
+from eval.exports.source import for_one_lane
 from eval.translation.types import TranslationError
 
 

@@ -14,7 +14,7 @@ import pytest
 from refusals import refused
 from translating import Calls, Kernel, Translated, assert_same, compiler, translate
 
-from eval.deploy.building import SANITISED
+from eval.exports.compilers import SANITISED
 from eval.translation.program import Program
 from eval.translation.types import NotConstantError, TranslationError
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.deploy.building import Toolchain, here
-from eval.deploy.source import TEMPLATES
+from eval.exports.compilers import Toolchain, native
+from eval.exports.source import TEMPLATES
 from eval.translation.arrays import contiguous
 from eval.translation.function import Function
 from eval.translation.program import Program
@@ -27,7 +27,7 @@ INTEGERS = np.int64  # arrays of whole numbers, as the program has them
 def compiler() -> Toolchain:
     """This machine's compiler; the test is skipped where there is none."""
     try:
-        return here()
+        return native()
     except ValueError as error:
         pytest.skip(str(error))
 

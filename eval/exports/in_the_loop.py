@@ -1,10 +1,11 @@
-"""Software in the loop: the generated sources, compiled, as a controller of simulated arms, over a pipe."""
+"""Software in the loop: exported sources, compiled, drive simulated arms over a pipe, and are compared with Python."""
 
 from __future__ import annotations
 
 import contextlib
 import subprocess
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -13,19 +14,23 @@ import numpy as np
 
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.observation import index, scales
-from eval.deploy.building import Toolchain
+from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.sensors import ENCODER_COUNTS
+from eval.comparison.splits import Split
+from eval.exports.compilers import Toolchain, native
+from eval.exports.source import Loop
 
 _ANGLE = index("motor_angle")
 _ANGLE_SCALE = scales()[_ANGLE]
 
 
 def counts_of(observation: Singles, resolution: float) -> Integers:
-    """Counts of the encoders that observations are of, shape (n,); resolution in rad per count."""
+    """Counts of the encoders behind observations, shape (n,); resolution in rad per count."""
     return np.rint(observation[:, _ANGLE] * _ANGLE_SCALE / resolution).astype(np.intp)
 
 
 class StepTimes(NamedTuple):
-    """Time per sample of one arm [us]."""
+    """Time of one arm per sample [us]."""
 
     samples: int
     median: float
@@ -35,16 +40,16 @@ class StepTimes(NamedTuple):
 
 
 class InTheLoop:
-    """A generated controller as a `Controller`: from an observation it takes the encoder's count and nothing else.
+    """An exported controller as a `Controller`: of an observation it takes the encoder's count and nothing else.
 
     Args:
-        folder: With the sources.
-        name: Of the controller.
-        moves: Asked of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4).
-        torque_limit: Of the arms [N m].
-        toolchain: To compile and run with.
-        counts_per_turn: Of their encoders.
-        flags: More for the compiler: `-DBELTARM_SINGLE`, sanitizers.
+        folder: Folder with the sources.
+        name: Name of the controller.
+        moves: Moves of the arms: start, goal [rad], duration, ramp time [s]; shape (n, 4).
+        torque_limit: Torque limit of the arms [N m].
+        toolchain: Compiler, and what runs its programs.
+        counts_per_turn: Counts of the encoders.
+        flags: Further flags for the compiler, such as `-DBELTARM_SINGLE`.
 
     Raises:
         ValueError: If the sources do not compile, or the program refuses to run.
@@ -136,3 +141,77 @@ class InTheLoop:
                     stream.close()
         self._process.wait()
         self._made.cleanup()
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far a program agrees with the controller, in closed loop on the scenarios of a split."""
+
+    samples: int
+    equal: int  # samples whose torques are equal to the last bit
+    largest: float  # difference of torques [N m]
+    costs: tuple[Floats, Floats]  # of the controller, of the program; shape (episodes,)
+    times: StepTimes
+
+    @property
+    def excess_cost(self) -> float:
+        """Mean cost of the program over that of the controller, less 1."""
+        return float(self.costs[1].mean() / self.costs[0].mean() - 1)
+
+    def words(self) -> str:
+        """Sentences on equality, cost and time."""
+        times = self.times
+        return (
+            f"{self.equal} of {self.samples} torques are equal to the last bit, and the mean cost is "
+            f"{100 * self.excess_cost:+.2f} % off. On this machine a sample takes "
+            f"{times.median:.2g} us (median), {times.longest:.0f} us at most, and a reset {times.longest_reset:.0f} us."
+        )
+
+
+def compare(
+    folder: Path,
+    loop: Loop,
+    python: Controller | Recording,
+    split: Split,
+    episodes: int,
+    toolchain: Toolchain | None = None,
+    flags: tuple[str, ...] = (),
+) -> Agreement:
+    """Run a program beside its controller on the first scenarios of a split.
+
+    Args:
+        folder: Folder with the sources.
+        loop: The loop that they were made from.
+        python: The same controller in Python, or what was recorded of it on these scenarios.
+        split: The split.
+        episodes: Number of scenarios.
+        toolchain: Compiler of the sources; by default this machine's.
+        flags: Further flags for the compiler.
+
+    Raises:
+        ValueError: If there is no compiler, or the sources do not compile.
+    """
+    arguments = split.arguments(slice(episodes))
+    recording = python if isinstance(python, Recording) else rollout(python, episodes, **arguments)
+    with program_for(folder, loop, split, episodes, toolchain, flags) as program:
+        compiled = rollout(program, episodes, **arguments)
+        times = program.times()
+    length = min(len(recording.torque), len(compiled.torque))
+    a, b = recording.torque[:length], compiled.torque[:length]
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    largest = float(np.nanmax(np.abs(a - b), initial=0.0))
+    return Agreement(same.size, int(same.sum()), largest, (recording.cost, compiled.cost), times)
+
+
+def program_for(
+    folder: Path,
+    loop: Loop,
+    split: Split,
+    episodes: int,
+    toolchain: Toolchain | None = None,
+    flags: tuple[str, ...] = (),
+) -> InTheLoop:
+    """Compile a program for the first scenarios of a split and start it; see `compare`."""
+    counts = int(split.settings.get("encoder_counts", ENCODER_COUNTS))
+    moves, limit = split.moves[:episodes], loop.params.torque_limit
+    return InTheLoop(folder, loop.name, moves, limit, toolchain or native(), counts, flags)

@@ -1,12 +1,17 @@
-"""Controllers that can become programs: how each one's loop is made of its kernels."""
+"""A controller or policy as C for a drive's processor.
+
+The C99 is translated from the kernels that comparisons run, and checked against them on development scenarios, bit for
+bit. docs/guide/export.md tells how to use it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 
 from agents.policy.bundle import MANIFEST, load_controller, read_spec
 from agents.policy.correction import correction
@@ -21,10 +26,14 @@ from baselines.guard.controller import guarded, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.tools.command import nearest
+from baselines.tools.command import nearest, require_bounds
 from beltarm_env import ArmParams
-from eval.deploy.source import Loop
-from eval.deploy.tiers import (
+from eval.comparison.sets import development_set
+from eval.comparison.splits import main_split
+from eval.exports.compilers import FLAGS, footprint, native, processors_for
+from eval.exports.folder import require_free, write_export
+from eval.exports.in_the_loop import compare
+from eval.exports.kernels import (
     Filtering,
     Guarded,
     GuardMemory,
@@ -32,10 +41,83 @@ from eval.deploy.tiers import (
     Learned,
     classical,
     guarded_step,
-    identifying,
     learned,
     step_of,
 )
+from eval.exports.source import TEMPLATES, Loop, sources
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write a controller or policy as C."""
+
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER|POLICY")]
+    """Name of a classical controller, or folder of a policy."""
+    out: Path
+    """Folder to write: a new or empty one, or one of an earlier export."""
+    name: str = ""
+    """Name of functions and files, instead of the controller's: for several exports in one program."""
+    guard: bool = True
+    """Leave out the guard between controller and motor."""
+    plan_samples: int = 1
+    """Samples over which a plan is spread that `adaptive` makes anew while the arm moves, 1 to 19. For processors on
+    which it takes longer than a sample. 1 is what was compared; more is another controller, if only a little."""
+    check: bool = True
+    """Write the sources alone, without compiling them and comparing them with Python."""
+    episodes: int = 4
+    """Development scenarios that they are compared on, 1 to 200."""
+
+
+def export(options: Options) -> None:
+    """Write the folder and check the program in it.
+
+    Raises:
+        ValueError: If an option is not allowed, something cannot be translated, there is no compiler, or program and
+            controller differ.
+        OSError: If the folder cannot be written to.
+    """
+    require_bounds(options, episodes=(1, 200), plan_samples=(1, 19))
+    require_free(options.out)
+    if options.check:
+        native()  # before the work, not after it
+    loop = loop_of(options.source, options.guard, options.plan_samples)
+    loop = replace(loop, name=options.name) if options.name else loop
+    write_program(options.out, loop)
+    print(f"written to {options.out}: {loop.name}.h, {loop.name}.c and what goes with them")
+    if options.check:
+        _check(options, loop)
+
+
+def _check(options: Options, loop: Loop) -> None:
+    """Compare the program with its controller, and print what it takes.
+
+    Raises:
+        ValueError: If there is no compiler, or a torque differs.
+    """
+    splits = development_set().splits
+    split, controller = splits[main_split(list(splits))], controller_of(options.source, options.guard)
+    agreement = compare(options.out, loop, controller, split, options.episodes)
+    print(agreement.words())
+    for core in processors_for(loop.identifies):
+        if taken := footprint(options.out, loop.name, core):
+            kilobytes = [f"{size / 1024:.0f} kB of {kind}" for size, kind in zip(taken, taken._fields, strict=True)]
+            print(f"{core}: {', '.join(kilobytes)}")
+    differing = agreement.samples - agreement.equal
+    if differing and options.plan_samples == 1:
+        raise ValueError(f"program and controller differ in {differing} of {agreement.samples} samples")
+
+
+def write_program(folder: Path, loop: Loop) -> None:
+    """Write the sources of a loop, a page on how to use them and a manifest into a folder: all of them, or nothing.
+
+    Raises:
+        TranslationError: If a kernel cannot be translated.
+        ValueError: If the folder is in use for something else.
+        OSError: If it cannot be written.
+    """
+    texts = sources(loop)
+    texts["README.md"] = TEMPLATES.get_template("README.md.j2").render(loop=loop, flags=" ".join(FLAGS))
+    write_export(folder, loop.name, loop.title, loop.params, {name: text.encode() for name, text in texts.items()})
 
 
 def exportable() -> list[str]:
@@ -58,7 +140,7 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         controller: Any = CONTROLLERS[source]()
         kernel = _kernel(controller, source, plan_samples)
         identifies, params = isinstance(controller, IdentifyingController), controller.params
-        propose = identifying(kernel.law) if identifies else classical(kernel.law)
+        propose = classical(kernel.law, identifies)
         title = f"Controller {source!r} of beltarm"
         loop = Loop(source, title, params, step_of(propose), kernel.design, kernel.memory, identifies, identifies)
         return _behind_guard(loop, propose, source, 0.0) if guard else loop

@@ -15,7 +15,7 @@ import numpy as np
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
 from beltarm_env.kernels.layout import LANES, Rows
 from beltarm_env.task.reference import MoveShape
-from eval.deploy.loop import begin, empty_device
+from eval.exports.kernels import begin, empty_device
 from eval.translation.arrays import contiguous
 from eval.translation.program import Function, Program
 from eval.translation.scope import RESERVED

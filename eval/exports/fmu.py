@@ -1,6 +1,7 @@
-"""The arm as a Functional Mock-up Unit, FMI 2.0 for co-simulation: its plant translated to C, for other simulators.
+"""The arm as a Functional Mock-up Unit, FMI 2.0 for co-simulation, for other simulators.
 
 For the same torques its states are the environment's, bit for bit. All constants of `ArmParams` are parameters.
+docs/guide/export.md tells how to use it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from baselines.tools.files import write_atomically
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
@@ -24,9 +26,10 @@ from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.timing import EPISODE_TIME
-from eval.deploy.building import Toolchain, here
-from eval.deploy.plant import OUTPUTS, REFUSALS, begin, empty_memory, look, refusal, step
-from eval.deploy.source import MOST_COUNTS, SINGLE_LANE, TAKEN, TEMPLATES, body, fields_of, members
+from eval.exports.compilers import Toolchain, native
+from eval.exports.folder import require_free, write_export
+from eval.exports.plant import OUTPUTS, REFUSALS, begin, empty_memory, look, refusal, step
+from eval.exports.source import MOST_COUNTS, SINGLE_LANE, TAKEN, TEMPLATES, body, fields_of, members
 from eval.translation.program import Program
 from eval.translation.types import BOOL, INT, REAL, Scalar
 
@@ -49,15 +52,39 @@ _OWN = {
     ("Darwin", "x86_64"): ("darwin64", ".dylib"),
     ("Darwin", "arm64"): ("darwin64", ".dylib"),
 }
-"""Folder of binaries, and how files end in it, for the machine that the compiler is on."""
+"""Folder of binaries and suffix of its files, by operating system and processor of this machine."""
 _TARGETS = {
     "linux64": ("x86_64-linux-gnu", ".so"),
     "win64": ("x86_64-windows-gnu", ".dll"),
     "darwin64": ("x86_64-macos", ".dylib"),
     "aarch64-linux": ("aarch64-linux-gnu", ".so"),
 }
-"""The same for those that zig compiles for."""
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # a time of files that is the same each time
+"""Target of zig and suffix of files, by folder of binaries."""
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # time of all files in the archive, so that two exports are equal
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write the arm as an FMU."""
+
+    out: Path
+    """Folder to write beltarm.fmu into: a new or empty one, or one of an earlier export."""
+
+
+def export(options: Options) -> None:
+    """Write the folder.
+
+    Raises:
+        ValueError: If the folder is in use for something else, or there is no compiler.
+        OSError: If it cannot be written.
+    """
+    require_free(options.out)
+    params = ArmParams()
+    with tempfile.TemporaryDirectory() as made:
+        path = Path(made) / "beltarm.fmu"
+        platforms = write_fmu(path, params)
+        write_export(options.out, "arm", "The arm of beltarm as an FMU", params, {path.name: path.read_bytes()})
+    print(f"written to {options.out}: beltarm.fmu, for {', '.join(platforms)}")
 
 
 @dataclass(frozen=True)
@@ -78,33 +105,30 @@ class Variable:
 
 
 def variables(params: ArmParams) -> list[Variable]:
-    """List the variables of an arm's FMU: constants, what begins and moves it, what is known of it."""
-    fixed = ("parameter", "fixed")
-    found = []
+    """List the variables of an arm's FMU: constants, initial state, torque and outputs."""
+    parameter: dict[str, Any] = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
     comments = {name: rest for name, *rest in _COMMENT.findall(inspect.getsource(ArmParams))}
-    for reference, (name, start) in enumerate(zip(FIELDS, astuple(params), strict=True)):
+    listed = []
+    for name, start in zip(FIELDS, astuple(params), strict=True):
         symbol, unit, text = comments[name]
-        what = f"{name.replace('_', ' ').capitalize()} {symbol}".rstrip()
-        text = _ASSUMED.sub("", text)
-        description = f"{what}: {text}" if text else what
-        unit = unit if unit in _UNITS else ""
+        title, text = f"{name.replace('_', ' ').capitalize()} {symbol}".rstrip(), _ASSUMED.sub("", text)
+        description, unit = f"{title}: {text}" if text else title, unit if unit in _UNITS else ""
         bounds = bounds_of(name)[:2]
-        found.append(Variable(name, reference, description, *fixed, unit, "exact", start, bounds))
-    rest = "Joint angle theta_a / G at which the arm rests at the start"
-    within = (LOWEST, HIGHEST)
-    found.append(Variable("initial_joint_angle", len(found), rest, *fixed, "rad", "exact", 0.0, within))
+        listed.append(Variable(name, len(listed), description, unit=unit, start=start, bounds=bounds, **parameter))
+    rest, within = "Joint angle theta_a / G at which the arm rests at the start", (LOWEST, HIGHEST)
+    angle = Variable("initial_joint_angle", len(listed), rest, unit="rad", start=0.0, bounds=within, **parameter)
     command = "Torque command, sampled and held over a control period; cut at torque_limit"
-    found.append(Variable("torque", len(found), command, "input", "continuous", "N m", start=0.0))
-    for name, (unit, what) in OUTPUTS.items():
-        if name != "encoder_count":
-            found.append(Variable(name, len(found), what, "output", "continuous", unit, "calculated"))
-    counts = "Counts of the encoder per turn of the motor"
-    found.append(
-        Variable("counts_per_turn", 0, counts, *fixed, "", "exact", ENCODER_COUNTS, (1, MOST_COUNTS), "Integer")
-    )
-    name, (unit, what) = list(OUTPUTS.items())[-1]
-    found.append(Variable(name, 1, what, "output", "discrete", unit, "calculated", type="Integer"))
-    return [replace(variable, index=k + 1) for k, variable in enumerate(found)]
+    torque = Variable("torque", len(listed) + 1, command, "input", "continuous", "N m", start=0.0)
+    listed += [angle, torque]
+    *reals, (count, (_, counted)) = OUTPUTS.items()
+    for name, (unit, text) in reals:
+        listed.append(Variable(name, len(listed), text, "output", "continuous", unit, "calculated"))
+    turn, turns = "Counts of the encoder per turn of the motor", (1, MOST_COUNTS)
+    listed += [
+        Variable("counts_per_turn", 0, turn, start=ENCODER_COUNTS, bounds=turns, type="Integer", **parameter),
+        Variable(count, 1, counted, "output", "discrete", "", "calculated", type="Integer"),
+    ]
+    return [replace(variable, index=k + 1) for k, variable in enumerate(listed)]
 
 
 def fmu_texts(params: ArmParams) -> dict[str, str]:
@@ -153,10 +177,10 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
 
 
 def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
-    """Folder of binaries, their name's end and the compiler, for every kind of machine that there is one for."""
+    """Folder of binaries, suffix of its files and compiler, for every kind of machine that there is a compiler for."""
     own = _OWN.get((platform.system(), platform.machine()))
     if own is not None:
-        yield *own, here()
+        yield *own, native()
     if find_spec("ziglang") is not None:
         for folder, (target, suffix) in _TARGETS.items():
             if own is None or folder != own[0]:
@@ -166,15 +190,15 @@ def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
 def write_fmu(path: Path, params: ArmParams) -> list[str]:
     """Write an arm as an FMU.
 
-    Binaries are for this kind of machine, and for the others where the package `ziglang` is installed. The sources are
-    in the FMU too.
+    Binaries are for this kind of machine, and for others where the package `ziglang` is installed. The FMU holds the
+    sources too.
 
     Args:
-        path: Of the file, `.fmu`.
+        path: The file, `.fmu`.
         params: Start values of the FMU's parameters.
 
     Returns:
-        What there are binaries for, as FMI 2.0 names it: "linux64", "win64", ...
+        Platforms of the binaries as FMI 2.0 names them: "linux64", "win64", ...
 
     Raises:
         ValueError: If there is no compiler, or it fails.
@@ -192,7 +216,7 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
             try:
                 toolchain.build(sources, library, "-fvisibility=hidden", "-shared", *position)
             except ValueError:
-                if not made:  # this machine's own; others are a gift
+                if not made:  # only this machine's own is needed
                     raise
                 continue
             files[f"binaries/{kind}/{library.name}"] = library.read_bytes()

@@ -1,8 +1,15 @@
-"""One sample of a controller, with all that stands between the encoder's count and the motor's torque.
+"""One sample of a controller as kernels, from the encoder's count to the motor's torque; kernels of one arm.
 
-A controller proposes: a base torque, a residual where it has learned one, and how surprised its observer is. The guard
-chooses, or there is none. Functions here are made for a controller from its kernels, and are kernels themselves:
-`step(design, limit, device, memory, count)` gives the torque [N m].
+Between count and controller stands the environment's own observation, single precision and scales included, so the
+drive's processor computes the torque that was compared, to the last bit.
+
+    begin(device, plant, resolution, move, count)           a move begins, the arm at rest
+    observe(device, count)                                  writes the sample's observation
+    commanded(device, action, limit)                        the torque, remembered as the last command
+    step(design, limit, device, memory, count)              all of a sample, made by `step_of` or `guarded_step`
+
+A controller proposes a base torque, a residual where it has learned one, and how surprised its observer is. The guard,
+where there is one, chooses between them.
 """
 
 from __future__ import annotations
@@ -19,10 +26,78 @@ from agents.residual.limits import cut
 from baselines.estimation.identify import identify
 from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
 from baselines.reading import Sample, sample_from
-from beltarm_env.arrays import Floats, Integers
-from eval.deploy.loop import Device, commanded, observe
+from beltarm_env.arm import Plant
+from beltarm_env.arrays import Floats, Integers, Singles
+from beltarm_env.jit import compiled
+from beltarm_env.kernels import layout as at
+from beltarm_env.kernels.layout import IDEAL, LANES, store_plant
+from beltarm_env.kernels.observe import observe_block
+from beltarm_env.kernels.tile import TILE_ROWS
+from beltarm_env.observation import ENCODER, size
+from beltarm_env.task.reference import TRAPEZOID, MoveShape
 
 Kernel = Callable[..., Any]
+
+
+class Device(NamedTuple):
+    """Memory of the loop for one arm."""
+
+    block: Floats  # one arm as `beltarm_env.kernels.layout` has it: encoder, move, last command
+    tile: Singles  # of the observation, on its way
+    observation: Singles  # shape (1, 25)
+    begins: Integers  # 1 until the move's first sample is over, shape (1,)
+
+
+def empty_device(lanes: int = LANES) -> Device:
+    """Memory of a loop, for a number of lanes per block."""
+    return Device(
+        np.zeros(at.ROWS * lanes),
+        np.zeros(TILE_ROWS * lanes, np.float32),
+        np.zeros((1, size()), np.float32),
+        np.zeros(1, np.intp),
+    )
+
+
+@compiled
+def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, count: int) -> None:
+    """Begin a move with an arm at rest.
+
+    Args:
+        device: Written.
+        plant: Arm with the gear ratio of the drive.
+        resolution: Of the encoder [rad per count].
+        move: What is asked of the arm.
+        count: The encoder's.
+    """
+    block = device.block
+    for row in range(at.ROWS):
+        block[row * LANES] = 0.0
+    store_plant(block, 0, plant)
+    block[at.RESOLUTION * LANES] = resolution
+    block[at.MOVE * LANES], block[(at.MOVE + 1) * LANES] = move.start, move.goal
+    block[(at.MOVE + 2) * LANES], block[(at.MOVE + 3) * LANES] = move.duration, move.ramp_time
+    for k in range(at.COUNT_HISTORY):
+        block[(at.COUNTS + k) * LANES] = float(count)
+    device.begins[0] = 1
+
+
+@compiled
+def observe(device: Device, count: int) -> None:
+    """Write the observation of a sample."""
+    block = device.block
+    block[(at.COUNTS + 1) * LANES] = block[at.COUNTS * LANES]
+    block[at.COUNTS * LANES] = float(count)
+    observe_block(block, device.tile, device.observation, TRAPEZOID, ENCODER, IDEAL)
+
+
+@compiled
+def commanded(device: Device, action: float, limit: float) -> float:
+    """Torque of an action, from -1 to 1 [N m]; the sample is over."""
+    block = device.block
+    block[at.ACTION * LANES] = action
+    block[at.STEP * LANES] += 1.0
+    device.begins[0] = 0
+    return action * limit
 
 
 class Proposal(NamedTuple):
@@ -65,24 +140,13 @@ class GuardMemory(NamedTuple):
     asked: Integers  # whether it asked for the servo at the last sample, shape (1,)
 
 
-def classical(law: Kernel) -> Kernel:
-    """Proposal of a classical controller by its law."""
+def classical(law: Kernel, identifies: bool) -> Kernel:
+    """Proposal of a classical controller by its law; `identifies` tells whether the law has an observer."""
 
     def propose(design: Any, limit: float, device: Device, now: Sample, begins: bool, memory: Any) -> Proposal:
         torque = law(design, now, begins, memory)
         action: Any = np.float32(cut(torque / limit, 1.0))
-        return Proposal(action, 0.0, action, 1.0)
-
-    return propose
-
-
-def identifying(law: Kernel) -> Kernel:
-    """Proposal of a classical controller that identifies its arm."""
-
-    def propose(design: Any, limit: float, device: Device, now: Sample, begins: bool, memory: Any) -> Proposal:
-        torque = law(design, now, begins, memory)
-        action: Any = np.float32(cut(torque / limit, 1.0))
-        return Proposal(action, 0.0, action, memory.notes.tracks.surprise[0])
+        return Proposal(action, 0.0, action, memory.notes.tracks.surprise[0] if identifies else 1.0)
 
     return propose
 

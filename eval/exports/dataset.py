@@ -1,0 +1,278 @@
+"""Datasets for offline learning, in Minari's format.
+
+Controllers take turns, on arms of their own; random torques disturb some of the episodes. docs/guide/dataset.md tells
+what a dataset holds, and how to use it. Needs the extra minari.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import gymnasium
+import numpy as np
+import tyro
+from gymnasium.error import DependencyNotInstalled
+from rich.console import Console
+
+from agents.policy.bundle import POLICIES, load_controller
+from baselines.tools.command import require_bounds
+from baselines.tools.files import replace_folder, require_writable
+from baselines.tools.progress import progress_count
+from baselines.tools.provenance import commit, software
+from beltarm_env import __version__
+from beltarm_env.arrays import Flags, Singles
+from beltarm_env.observation import LAYOUT, Sensors
+from beltarm_env.rollout import Controller, rollout
+from beltarm_env.task.ranges import EDITION
+from beltarm_env.task.seeds import DATASET_SCORES, DATASET_SPACING, MAX_DATASET_SEED, dataset_arms
+from eval.comparison.methods import methods_side_by_side
+from eval.exports.episodes import KINDS, NOISE, run_episodes
+from eval.report.text import markdown_table
+
+if TYPE_CHECKING:
+    from minari.data_collector import EpisodeBuffer
+
+PIECE = 384
+"""Episodes that are simulated and written together: 70 MB."""
+SCORED = 100
+"""Arms of each reference score."""
+EXPERT = POLICIES / "student" / "seed0"
+"""Folder of the policy whose score is 1."""
+_USUAL = ("paper", "adaptive")
+_DESCRIPTION = """\
+Moves of a belt-driven flexible arm with friction, every one on an arm of its own. Controllers take turns: {names}. \
+{share} of the episodes are disturbed by smooth random torques: half of these all along ("noise"), half in stretches \
+in which the controller is not asked ("stretches"). An episode's metadata has its controller, its disturbance with the \
+standard deviation noise_size, its cost, and seed and options that recreate it: env.reset(seed=seed, options=options). \
+infos["not_observed"] has what no controller sees: the true state (motor angle, motor speed, torsion, its rate; rad \
+and rad/s) and the error of the arm's end (m). infos["behaviour"] says how an action came about: it is \
+clip(controller_action * (not alone) + noise, -1, 1). All infos have a row per observation; row k + 1 belongs to \
+action k. Scores: 0 is the mean return of uniform random actions, 1 that of the shipped student."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write a dataset for offline learning."""
+
+    id: str = "beltarm/randomized/mixed-v0"
+    """Name of the dataset."""
+    out: Path = Path("results/datasets")
+    """Folder that datasets are in: MINARI_DATASETS_PATH, where Minari is to find it."""
+    controller: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A classical controller by name, or one of your own as path/to/file.py:Class. Repeat the option for more."""
+    policy: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Folder of a policy, such as runs/ppo/best. Repeat the option for more. Without --controller and --policy: paper,
+    adaptive and the shipped student."""
+    disturbed: float = 0.5
+    """Share of episodes that random torques disturb, 0 to 1."""
+    episodes: int = 600
+    """Number of episodes; controllers take turns."""
+    seed: int = 0
+    """Datasets of different seeds have different arms and moves."""
+    randomization: Literal["off", "ideal", "train"] = "train"
+    """Ranges that arms are drawn from."""
+    sensors: Sensors = "encoder"
+    """What the observations hold."""
+    overwrite: bool = False
+    """Replace a dataset of this name."""
+
+    @property
+    def path(self) -> Path:
+        """Folder of the dataset."""
+        return self.out / self.id
+
+
+def export(options: Options) -> None:
+    """Run the controllers and write the dataset.
+
+    Raises:
+        DependencyNotInstalled: If Minari is not installed.
+        ValueError: If an option is not allowed.
+        OSError: If the folder cannot be written to.
+    """
+    require_bounds(options, episodes=(1, DATASET_SPACING), seed=(0, MAX_DATASET_SEED), disturbed=(0, 1))
+    _require_place(options)
+    with progress_count("episodes", Console()) as done:
+        metadata = write_dataset(options, done)
+    megabytes = sum(path.stat().st_size for path in options.path.rglob("*")) / 1e6
+    print(cost_table(metadata))
+    print(f"written to {options.path}, {megabytes:.0f} MB; in Python, with MINARI_DATASETS_PATH={options.out}:")
+    print(f'  dataset = minari.load_dataset("{options.id}")')
+
+
+def _require_place(options: Options) -> None:
+    """Check that Minari is installed and that the dataset can be written.
+
+    Raises:
+        DependencyNotInstalled: If Minari is not installed.
+        ValueError: If Minari does not allow the name, or it is taken.
+        OSError: If the folder cannot be written to.
+    """
+    try:
+        import h5py  # noqa: F401  # which Minari imports as it writes
+        from minari.dataset.minari_dataset import parse_dataset_id
+    except ImportError:
+        raise DependencyNotInstalled("datasets need Minari: pip install 'beltarm-env[minari]'") from None
+    path = options.path
+    try:
+        parse_dataset_id(options.id)
+    except (TypeError, ValueError):  # TypeError where there is no version
+        raise ValueError(f"--id must be like beltarm/randomized/mixed-v0, got {options.id!r}") from None
+    if path.exists() and not (path / "data" / "metadata.json").is_file():
+        raise ValueError(f"{path} is there and is no dataset: choose another --id or --out")
+    if path.exists() and not options.overwrite:
+        raise ValueError(f"{path} holds a dataset: choose another --id or --out, or replace it by --overwrite")
+    require_writable(options.out)
+
+
+def write_dataset(options: Options, done: Callable[[int, int], object]) -> list[dict[str, Any]]:
+    """Write a dataset under a temporary name, then rename it: where that fails, an older one stays as it was.
+
+    Args:
+        options: The options, checked.
+        done: Called with the number of episodes that have been written, and that of all.
+
+    Returns:
+        Metadata of each episode.
+    """
+    folder = options.out.resolve()  # Minari does not find the size of a dataset with a relative path
+    made = Path(tempfile.mkdtemp(dir=folder, prefix=".dataset-"))
+    try:
+        with _datasets_in(made):
+            metadata = _fill(options, done)
+        _create_namespace(options)
+        replace_folder(options.path, made / options.id)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+    return metadata
+
+
+@contextmanager
+def _datasets_in(folder: Path) -> Iterator[None]:
+    """Have Minari find and write datasets in a folder."""
+    name = "MINARI_DATASETS_PATH"
+    before = os.environ.get(name)
+    os.environ[name] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+def _create_namespace(options: Options) -> None:
+    """Create the folders that the dataset stands in, as Minari wants them."""
+    from minari.namespace import create_namespace, list_local_namespaces
+
+    namespace = options.id.rpartition("/")[0]
+    with _datasets_in(options.out):
+        if namespace and namespace not in list_local_namespaces():
+            create_namespace(namespace)
+
+
+def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str, Any]]:
+    """Create the dataset, piece by piece: no more episodes than one piece are held in memory."""
+    import minari
+
+    settings: dict[str, Any] = {"randomization": options.randomization, "sensors": options.sensors}
+    usual = not options.controller and not options.policy
+    sources = (_USUAL, (EXPERT,)) if usual else (options.controller, options.policy)
+    methods = dict(methods_side_by_side(*sources))
+    controllers = {name: method.controller(0, []) for name, method in methods.items()}
+    names, share = ", ".join(methods), f"{100 * options.disturbed:g} %"
+    low, high = reference_scores(options.randomization)
+    spec = gymnasium.make("BeltArm-v0", **settings).spec
+    about: dict[str, Any] = {
+        "algorithm_name": f"{names}; {share} of the episodes disturbed by random torques",
+        "author": "The beltarm developers",
+        "code_permalink": f"beltarm-env {__version__}, commit {commit()}, eval/export.py dataset",
+        "ref_min_score": low,
+        "ref_max_score": high,
+        "num_episodes_average_score": SCORED,
+        "description": _DESCRIPTION.format(names=names, share=share),
+        "requirements": [f"beltarm-env=={__version__}"],
+    }
+    more = {
+        "edition": EDITION,
+        "layout": LAYOUT,
+        "seed": options.seed,
+        "controllers": {name: method.identity for name, method in methods.items()},
+        "disturbed": options.disturbed,
+        "noise": NOISE,
+        "software": software("gymnasium", "h5py", "minari", "numba", "numpy", "torch"),
+    }
+    dataset: minari.MinariDataset | None = None
+    written: list[dict[str, Any]] = []
+    for buffers, metadata in pieces(controllers, options, settings):
+        if dataset is None:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message="`author_email` is set to None")  # there is none
+                dataset = minari.create_dataset_from_buffers(
+                    options.id, buffers, env=spec, eval_env=spec, data_format="hdf5", **about
+                )
+            dataset.storage.update_metadata({"beltarm": more})
+        else:
+            dataset.update_dataset_from_buffer(buffers)
+        dataset.storage.update_episode_metadata(metadata, range(len(written), len(written) + len(metadata)))
+        written += metadata
+        done(len(written), options.episodes)
+    return written
+
+
+Piece = tuple[list["EpisodeBuffer"], list[dict[str, Any]]]
+"""Episodes and the metadata of each."""
+
+
+def pieces(controllers: Mapping[str, Controller], options: Options, settings: Mapping[str, Any]) -> Iterator[Piece]:
+    """Run controllers in turn on the arms of a dataset; `settings` are arguments of `BeltArmVectorEnv`."""
+    first = dataset_arms(options.seed).first
+    for begin in range(first, first + options.episodes, PIECE):
+        seeds = range(begin, min(begin + PIECE, first + options.episodes))
+        by_seed = {}
+        for k, (name, controller) in enumerate(controllers.items()):
+            if own := [seed for seed in seeds if (seed - first) % len(controllers) == k]:
+                by_seed |= run_episodes(name, controller, own, options.disturbed, settings)
+        buffers, metadata = zip(*(by_seed[seed] for seed in seeds), strict=True)
+        yield list(buffers), list(metadata)
+
+
+class _RandomTorques:
+    """Controller whose actions are uniform and independent."""
+
+    def __init__(self) -> None:
+        self._random = np.random.default_rng(DATASET_SCORES.first)
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, None]:
+        return self._random.uniform(-1, 1, (len(observation), 1)).astype(np.float32), None
+
+
+def reference_scores(randomization: str) -> tuple[float, float]:
+    """Mean returns of random torques and of the expert, sums of rewards that are not discounted."""
+    arms = {"seed": DATASET_SCORES.first, "randomization": randomization}
+    low, high = (rollout(each, SCORED, **arms).cost for each in (_RandomTorques(), load_controller(EXPERT)))
+    return -float(np.mean(low)), -float(np.mean(high))
+
+
+def cost_table(metadata: Sequence[Mapping[str, Any]]) -> str:
+    """Number of episodes and their mean cost by controller and disturbance, in Markdown."""
+    costs: dict[str, dict[str, list[float]]] = {}
+    for episode in metadata:
+        by_kind = costs.setdefault(episode["controller"], {kind: [] for kind in KINDS})
+        by_kind[episode["disturbance"]].append(episode["cost"])
+    rows = [
+        [name, *(f"{np.mean(each):.0f} ({len(each)})" if each else "–" for each in by_kind.values())]
+        for name, by_kind in costs.items()
+    ]
+    return markdown_table(("mean cost (episodes)", *KINDS), rows)

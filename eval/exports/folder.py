@@ -1,0 +1,86 @@
+"""Folders of exports: written as a whole or not at all, and never over a user's files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from baselines.tools.files import replace_folder
+from baselines.tools.provenance import command_line, software
+from beltarm_env import ArmParams
+from beltarm_env.task.ranges import EDITION
+
+FORMAT = "beltarm-export"
+MANIFEST = "manifest.json"
+
+
+def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> None:
+    """Check that a folder is not there, is empty, or was written by an export of the same kind.
+
+    Args:
+        folder: The folder.
+        marker: JSON file by whose entry "format" an export is known.
+        form: That entry.
+
+    Raises:
+        ValueError: If it holds anything else.
+        OSError: If it cannot be read, or its parent cannot be written to.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is a file: choose another folder for --out")
+    if folder.exists() and any(folder.iterdir()) and not is_export(folder, marker, form):
+        raise ValueError(f"{folder} holds other files: choose an empty folder for --out, or one of an earlier export")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder.parent, os.W_OK):
+        raise OSError(f"cannot write to {folder.parent}; choose another folder")
+
+
+def is_export(folder: Path, marker: str, form: str) -> bool:
+    """Tell whether a folder holds an export."""
+    try:
+        return json.loads((folder / marker).read_text(encoding="utf-8"))["format"] == form
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def write_export(folder: Path, name: str, title: str, params: ArmParams, files: dict[str, bytes]) -> None:
+    """Write files and their manifest into a folder, which is replaced if it holds an earlier export.
+
+    Raises:
+        ValueError: If the folder is in use for something else.
+        OSError: If it cannot be written.
+    """
+    require_free(folder)
+    manifest: dict[str, Any] = {
+        "format": FORMAT,
+        "name": name,
+        "title": title,
+        "edition": EDITION,
+        "gear_ratio": params.gear_ratio,
+        "torque_limit": params.torque_limit,
+        "command": command_line(),
+        "software": software("numpy", "numba"),
+        "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())},
+    }
+    write_folder(folder, {**files, MANIFEST: (json.dumps(manifest, indent=2) + "\n").encode()})
+
+
+def write_folder(folder: Path, files: dict[str, bytes]) -> None:
+    """Write files into a new folder and put it in the place of an older one.
+
+    Raises:
+        OSError: If it cannot be written; an older one is then as it was.
+    """
+    made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    try:
+        for file, content in files.items():
+            (made / file).write_bytes(content)
+        made.chmod(0o755)
+        replace_folder(folder, made)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

@@ -1,0 +1,188 @@
+"""The folder of a policy for the Hugging Face Hub: the policy, a card that the Hub reads, and the card's scores.
+
+Nothing is uploaded: the command that does is printed. docs/guide/hub.md says what is in the folder, and what is safe to
+load. Needs the extra hub.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+import yaml
+from gymnasium.error import DependencyNotInstalled
+
+from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_spec, read_weights
+from agents.policy.card import ENVIRONMENT, Offer, card, model_name
+from agents.runs.command_line import compare_command
+from eval.comparison.sets import development_set
+from eval.comparison.splits import main_split
+from eval.exports.folder import require_free, write_folder
+from eval.exports.scores import Scores, eval_results, markdown, scores_of, with_sensors
+from eval.report import side_by_side
+from eval.report.film import require_writer
+
+ROOT = Path(__file__).resolve().parents[2]
+PUBLISHED = ROOT / "docs" / "results" / "comparison" / "results.json"
+CITATION: dict[str, Any] = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+FORMAT = "beltarm-shared-policy"
+CONFIG, EXCERPT, FILM, MODEL = "config.json", "results.json", "replay.mp4", "policy.onnx"
+_LARGE = ("*.safetensors", "*.onnx", "*.mp4")
+_SPEED = 0.5  # of the film
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write the folder of a policy for the Hugging Face Hub."""
+
+    policy: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    """Folder of a policy, such as runs/ppo/best."""
+    out: Path | None = None
+    """Folder to write. Default: results/hub/NAME, by the repository's name or the algorithm's."""
+    results: Path | None = None
+    """results.json of a comparison in which the policy took part. Default: the published one, if it did in that; else
+    the card has no scores."""
+    repo_id: str = ""
+    """Repository on the Hub, ORG/NAME, for the card and the printed command."""
+    license: str = "mit"
+    """Licence that you offer the policy under, as the Hub abbreviates it."""
+    onnx: bool = False
+    """Write the policy's network as policy.onnx too. Needs the extra onnx."""
+    video: bool = False
+    """Write a film, replay.mp4, which the Hub shows. Needs the extra video."""
+    overwrite: bool = False
+    """Replace a folder that was written before."""
+
+
+def export(options: Options) -> None:
+    """Write the folder, and print how to upload it.
+
+    Raises:
+        ValueError: If an option is not allowed, the policy is damaged, or the results are not of it.
+        DependencyNotInstalled: If a package is not installed.
+        OSError: If the folder cannot be written.
+    """
+    _require_names(options)
+    _, content = read_spec(options.policy)
+    out = options.out or Path("results/hub") / (options.repo_id.split("/")[-1] or model_name(content))
+    require_free(out, CONFIG, FORMAT)
+    if out.exists() and any(out.iterdir()) and not options.overwrite:
+        raise ValueError(f"{out} is there already: replace it with --overwrite, or choose another with --out")
+    scores = scores_of(options.policy, content["content_hash"], options.results or PUBLISHED)
+    if scores is None and options.results is not None:
+        raise ValueError(
+            f"{options.policy} took no part in {options.results}: give it to eval/compare.py with --policy"
+        )
+    files = files_of(options, scores)
+    write_folder(out, files)
+    if scores is None:
+        print(f"without scores: `{compare_command([options.policy])}` makes some, for --results")
+    print(f"written to {out}: {', '.join(sorted(files))}")
+    print(f"to upload it: {shlex.join(['hf', 'upload', options.repo_id or 'ORG/NAME', str(out)])}")
+
+
+def _require_names(options: Options) -> None:
+    """Check the repository's name and the licence.
+
+    Raises:
+        DependencyNotInstalled: If huggingface_hub is not installed.
+        ValueError: If one is not allowed.
+    """
+    try:
+        from huggingface_hub.utils import HFValidationError, validate_repo_id
+    except ImportError:
+        raise DependencyNotInstalled("this needs huggingface_hub: pip install 'beltarm-env[hub]'") from None
+    try:
+        if options.repo_id:
+            validate_repo_id(options.repo_id)
+            if "/" not in options.repo_id:
+                raise HFValidationError("it names no owner")
+    except HFValidationError as error:
+        line = " ".join(str(error).split())
+        raise ValueError(f"--repo-id must be ORG/NAME as the Hub allows it, got {options.repo_id!r}: {line}") from None
+    if not re.fullmatch(r"[a-z0-9][a-z0-9.-]*", options.license):
+        raise ValueError(f"--license must be the Hub's abbreviation, such as mit, got {options.license!r}")
+
+
+def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
+    """Files of the folder by name: the bundle as it is, under a new card, and the rows of its scores.
+
+    Raises:
+        BundleError: If the bundle is missing, damaged, or foreign.
+        DependencyNotInstalled: If a package is not installed.
+    """
+    _, _, content = read_weights(options.policy)
+    config = {
+        "format": FORMAT,
+        "environment": ENVIRONMENT,
+        "manifest": MANIFEST,
+        "content_hash": content["content_hash"],
+        **{name: content[name] for name in ("algorithm", "base", "sensors", "residual", "edition", "layout")},
+    }
+    texts = {
+        CARD: card_of(content, options, scores),
+        CONFIG: _json(config),
+        ".gitattributes": "".join(f"{pattern} filter=lfs diff=lfs merge=lfs -text\n" for pattern in _LARGE),
+        **({EXCERPT: _json(scores.excerpt())} if scores else {}),
+    }
+    files = {**{name: text.encode() for name, text in texts.items()}, **bundle_files(options.policy)}
+    if options.onnx:
+        from agents.policy.onnx_model import onnx_model
+
+        files[MODEL] = onnx_model(options.policy).SerializeToString()
+    if options.video:
+        files[FILM] = film_of(options.policy)
+    return files
+
+
+def _json(content: Any) -> str:
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def card_of(content: dict[str, Any], options: Options, scores: Scores | None) -> str:
+    """Card of a policy by its manifest; its scores are the Hub's model index, and Markdown."""
+    from huggingface_hub import ModelCard
+
+    text = markdown(scores) if scores else ""
+    made = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
+    if scores:
+        made.data["model_name"], made.data["eval_results"] = model_name(content), eval_results(scores)
+    return str(made)
+
+
+def bibtex() -> str:
+    """Write CITATION.cff as BibTeX: the software, and the paper whose robot it simulates."""
+    author, paper = CITATION["authors"][0]["name"], CITATION["references"][0]
+    names = " and ".join(f"{each['family-names']}, {each['given-names']}" for each in paper["authors"])
+    software = {"year": str(CITATION["date-released"])[:4], "version": CITATION["version"]}
+    entries = [
+        ("software", "beltarm", {"title": f"{{{CITATION['title']}}}", "author": f"{{{author}}}", **software}),
+        ("article", "morimoto", {"title": f"{{{paper['title']}}}", "author": names}),
+    ]
+    lines: list[str] = []
+    for kind, key, fields in entries:
+        lines += [f"@{kind}{{{key},", *(f"  {name} = {{{value}}}," for name, value in fields.items()), "}", ""]
+    return "\n".join(lines[:-1])
+
+
+def film_of(policy: Path) -> bytes:
+    """Film of the policy on the first scenario of the development set's main split, as MP4.
+
+    Raises:
+        ValueError: If no package is installed that writes it.
+    """
+    require_writer(Path(FILM))
+    controller = load_controller(policy)
+    spec, _ = read_spec(policy)
+    splits = development_set().splits
+    split = with_sensors(splits[main_split(list(splits))], spec.sensors)
+    track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", split.run(controller, 0))
+    with tempfile.TemporaryDirectory() as made:
+        side_by_side.write([track], _SPEED, Path(made) / FILM)
+        return (Path(made) / FILM).read_bytes()

@@ -1,0 +1,242 @@
+"""Scores of a policy from the `results.json` of a comparison: for the Hub's model index, and in Markdown for people."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agents.policy.bundle import load_controller, read_spec
+from agents.policy.card import ENVIRONMENT
+from baselines.tools.files import sha256_of
+from baselines.tools.provenance import commit
+from beltarm_env.arrays import Floats
+from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
+from beltarm_env.rollout import rollout
+from eval.comparison.methods import shipped_policies
+from eval.comparison.results import PAIRED_METRICS
+from eval.comparison.scenarios import choose_set
+from eval.comparison.schema import AGAINST, read_results
+from eval.comparison.sets import SetLabel, fresh_set
+from eval.comparison.splits import Split, main_split
+from eval.exports.source import TEMPLATES
+from eval.report.text import cell, markdown_table
+
+if TYPE_CHECKING:
+    from huggingface_hub import EvalResult
+
+SHOWN = (*PAIRED_METRICS, "settling_s", "failure_share", NOT_ARRIVED)
+"""Metrics of the card."""
+_GUARDED = "+guard"
+_FEW = "too few scenarios"
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Scores of the method that a policy belongs to, and the reward of the policy itself.
+
+    A method of learning has a policy for each training seed, and a comparison scores all of them together. The Hub
+    ranks agents by the reward of one policy: it is run once more, on the comparison's scenarios of the main split.
+    """
+
+    results: Mapping[str, Any]  # content of results.json
+    digest: str  # SHA-256 of that file
+    method: str
+    rewards: Floats  # of the policy, a number for each scenario of the main split
+
+    @property
+    def label(self) -> SetLabel:
+        """Set of scenarios."""
+        return SetLabel(**self.results["scenario_set"])
+
+    @property
+    def mean_reward(self) -> str:
+        """Mean and standard deviation, as the Hub ranks them."""
+        return f"{np.mean(self.rewards):.2f} +/- {np.std(self.rewards):.2f}"
+
+    def rows(self) -> dict[str, dict[str, Any]]:
+        """Rows of the method by split, the main one first."""
+        rows = {row["split"]: row for row in self.results["rows"] if row["method"] == self.method}
+        home = main_split(list(rows))
+        return {home: rows[home], **rows}
+
+    def against_best(self) -> dict[str, dict[str, Any]]:
+        """Pairwise tests against the best classical controller by split, where one took part."""
+        wanted = (self.method, AGAINST[0])
+        return {row["split"]: row for row in self.results["paired"] if (row["method"], row["against"]) == wanted}
+
+    def best(self) -> dict[str, dict[str, Any]]:
+        """Rows of the best classical controllers by split, where one took part."""
+        wanted = {(row["other"], split) for split, row in self.against_best().items()}
+        return {row["split"]: row for row in self.results["rows"] if (row["method"], row["split"]) in wanted}
+
+    def excerpt(self) -> dict[str, Any]:
+        """Rows behind the card's numbers, after the entries that `huggingface_sb3` writes of its own agents."""
+        return {
+            "mean_reward": float(np.mean(self.rewards)),
+            "std_reward": float(np.std(self.rewards)),
+            "is_deterministic": True,
+            "n_eval_episodes": len(self.rewards),
+            "method": self.method,
+            "results_sha256": self.digest,
+            **{name: self.results[name] for name in ("edition", "version", "scenario_set", "provenance", "verdict")},
+            "rows": [*self.rows().values(), *self.best().values()],
+            "paired": [row for row in self.results["paired"] if row["method"] == self.method],
+        }
+
+
+def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
+    """Read the scores of a policy, and run it for its mean reward.
+
+    Args:
+        policy: Folder of the policy.
+        content_hash: Hash in its manifest, by which results know it.
+        path: `results.json` of a comparison.
+
+    Returns:
+        The scores; None where the policy took no part in the comparison.
+
+    Raises:
+        ValueError: If the results are damaged, or of other scenarios than this checkout has.
+    """
+    results = read_results(path)
+    method = _method_of(content_hash, results, path)
+    if method is None:
+        return None
+    label = SetLabel(**results["scenario_set"])
+    fresh = re.fullmatch(r"seed (\d+)", label.name)
+    scenarios = fresh_set(int(fresh[1])) if fresh else choose_set(label.name)
+    if scenarios.label != label:
+        raise ValueError(f"{path} is of other scenarios than this checkout's {label.title}: run the comparison again")
+    rows = {row["split"]: row for row in results["rows"] if row["method"] == method}
+    home = main_split(list(rows))
+    split = with_sensors(scenarios.splits[home], read_spec(policy)[0].sensors)
+    arguments = split.later(1e-6 * rows[home].get("added_latency_us", 0.0)).arguments(slice(rows[home]["episodes"]))
+    run = rollout(load_controller(policy), rows[home]["episodes"], **arguments)
+    return Scores(results, sha256_of(path), method, -run.cost)
+
+
+def with_sensors(split: Split, sensors: str) -> Split:
+    """Return the same scenarios for a controller with other sensors."""
+    return replace(split, settings={**split.settings, "sensors": sensors})
+
+
+def _method_of(content_hash: str, results: Mapping[str, Any], path: Path) -> str | None:
+    """Name of the method that a policy belongs to: results list the policies of all methods in their order."""
+    ran = results["provenance"].get("policies", [])
+    if content_hash not in ran:
+        return None
+    seeds = {row["method"]: row["seeds"] for row in results["rows"] if row["kind"] == "learned"}
+    owners = [name for name, count in seeds.items() for _ in range(count)]
+    if len(owners) != len(ran):
+        raise ValueError(f"{path} lists {len(ran)} policies, its rows have {len(owners)}: run the comparison again")
+    own = [name for name, hashed in zip(owners, ran, strict=True) if hashed == content_hash]
+    return next((name for name in own if not name.endswith(_GUARDED)), None)
+
+
+def eval_results(scores: Scores) -> list[EvalResult]:
+    """Entries of the Hub's model index; `mean_reward` comes first, where the Hub's rankings look."""
+    from huggingface_hub import EvalResult
+
+    results = []
+    for split, row in scores.rows().items():
+        common: dict[str, Any] = {
+            "task_type": "reinforcement-learning",
+            "task_name": "reinforcement-learning",
+            "dataset_type": ENVIRONMENT,
+            "dataset_name": f"{ENVIRONMENT} {split}",
+            "dataset_config": split,
+            "dataset_split": scores.label.name,
+            "dataset_args": {
+                "episodes": row["episodes"],
+                "sha256": scores.results["provenance"]["split_sha256"][split],
+            },
+        }
+        if not results:
+            name = "mean_reward"
+            results.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
+        for name in SHOWN:
+            if name in row["metrics"]:
+                estimate, share = row["metrics"][name], METRICS[name].share
+                label = f"{METRICS[name].title}, as a share" if share else heading(name)
+                average = f"{'mean' if share else 'interquartile mean'} over {row['seeds']} training seed"
+                metric: dict[str, Any] = {
+                    "metric_type": name,
+                    "metric_name": f"{label}: {average}{'s'[: row['seeds'] > 1]}",
+                    "metric_value": estimate["iqm"],
+                    "metric_args": {"low": estimate["low"], "high": estimate["high"]},
+                }
+                results.append(EvalResult(**common, **metric))
+    return results
+
+
+def markdown(scores: Scores) -> str:
+    """Scores of a card for people: splits where the policy loses, a table of all, and how the numbers were made."""
+    rows, pairs, best = scores.rows(), scores.against_best(), scores.best()
+    shown = [name for name in SHOWN if name != NOT_ARRIVED or name in next(iter(rows.values()))["metrics"]]
+    table = []
+    for split, row in rows.items():
+        cells = [
+            cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–" for name in shown
+        ]
+        beside = ["–", "–"]
+        if split in pairs:
+            cost, rival = pairs[split]["metrics"]["cost"], best[split]
+            difference = f"{cell('cost', SimpleNamespace(**cost))}: {cost['verdict']}"
+            beside = [f"`{rival['method']}` {rival['metrics']['cost']['iqm']:.0f}", difference]
+        table.append([split, *cells, *beside])
+    shipped = {folder.parent.name for folder in shipped_policies()}
+    return TEMPLATES.get_template("card_scores.md.j2").render(
+        scores=scores,
+        losses=losses(scores.method, pairs),
+        table=markdown_table(["split", *map(heading, shown), "best classical", "difference in cost"], table),
+        note=scores.label.note_with([] if scores.method in shipped else [scores.method]),
+        home=next(iter(rows)),
+        row=next(iter(rows.values())),
+        provenance=scores.results["provenance"],
+        commit=commit(),
+    )
+
+
+def _cell(row: Mapping[str, Any], name: str) -> str:
+    """Estimate of a metric with its interval; a dash where no arm arrives."""
+    return cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–"
+
+
+def losses(method: str, pairs: Mapping[str, Mapping[str, Any]]) -> str:
+    """Sentences on where the best classical controller is shown to be better, or is not shown to differ.
+
+    Args:
+        method: Name of the method.
+        pairs: By split its pairwise test against that controller.
+    """
+    verdicts = {
+        name: {split: row["metrics"].get(name, {}).get("verdict", _FEW) for split, row in pairs.items()}
+        for name in PAIRED_METRICS
+    }
+
+    def splits(name: str, *wanted: str) -> str:
+        chosen = [split for split, verdict in verdicts[name].items() if verdict in wanted]
+        return f"all {len(pairs)} splits" if len(chosen) == len(pairs) else ", ".join(f"`{each}`" for each in chosen)
+
+    def places(verdict: str) -> str:
+        return "; ".join(
+            f"in {METRICS[name].title} on {on}" for name in PAIRED_METRICS if (on := splits(name, verdict))
+        )
+
+    if not pairs:
+        return "That is not known: no classical controller took part in its comparison."
+    if few := splits("cost", _FEW):
+        return f"That is not known: there were too few scenarios on {few}."
+    worse = places("worse") or f"on none of {len(pairs)} splits"
+    sentences = [f"`{method}` is worse than the best classical controller {worse}."]
+    if same := places("no difference shown"):
+        sentences.append(f"It is not shown to differ {same}.")
+    if away := splits("residual_pp_mm", _FEW):
+        sentences.append(f"On {away} the two arrive too seldom to compare their vibration.")
+    return " ".join(sentences)

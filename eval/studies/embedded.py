@@ -1,0 +1,232 @@
+"""Controllers as programs: whether they are what was compared, and what they take.
+
+Exports controllers behind the guard, compiles each and runs it in the loop with arms of the development set, in double
+and in single precision.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from agents.policy.bundle import POLICIES
+from baselines import CONTROLLERS
+from baselines.tools.progress import progress_over
+from beltarm_env import CONTROL_PERIOD
+from beltarm_env.arrays import Floats
+from beltarm_env.rollout import Controller, Recording, rollout
+from eval.comparison.methods import chosen
+from eval.comparison.sets import development_set
+from eval.comparison.splits import Split
+from eval.exports.compilers import PROCESSORS, SINGLE, Footprint, footprint, native, processors_for
+from eval.exports.in_the_loop import Agreement, compare, program_for
+from eval.exports.program import controller_of, exportable, loop_of, write_program
+from eval.exports.source import Loop
+from eval.report.text import markdown_table
+from eval.studies._frame import Pictures, StudyOptions
+
+QUICK = {"controllers": ("adaptive",), "splits": ("nominal",), "episodes": 1}
+PLAN_SAMPLES = 8
+"""Samples over which plans are spread."""
+_LEARNED = tuple(f"{method}/seed0" for method in ("ppo", "student"))
+_ANYWAY = (SINGLE, "-DBELTARM_SINGLE_ANYWAY")  # also where sources refuse single precision
+_SHARES = (0.5, 0.999, 1.0)  # quantiles of the torque's error in single precision
+_AGREES, _COSTS = (
+    1e-3,
+    0.01,
+)  # largest such error, over the torque limit, and largest change of the cost that is allowed
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (1, 200)}
+
+    controllers: tuple[str, ...] = (
+        *("paper", "ei", "smooth", "flat", "disturbance", "adrc", "lqg", "robust", "preview", "adaptive"),
+        *_LEARNED,
+    )
+    """Controllers, folders of policies, and shipped policies such as student/seed0. Default: classical controllers
+    without variants of others, and a policy of each method."""
+    splits: tuple[str, ...] = ()
+    """Splits of the development set. Default: all."""
+    episodes: int = 8
+    """Scenarios per split, 1 to 200."""
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Measure each controller as a program."""
+    native()  # before the work, not after it
+    scenarios = development_set()
+    splits = [scenarios.splits[name] for name in chosen("split", options.splits, scenarios.splits)]
+    rows = [_row(name, splits, options.episodes) for name in progress_over("controllers", options.controllers)]
+    names, able = [row["name"] for row in rows], exportable()
+    return {
+        "note": scenarios.label.note,
+        "period_us": 1e6 * CONTROL_PERIOD,
+        "plan_samples": PLAN_SAMPLES,
+        "not_measured": [name for name in able if name not in names],
+        "not_exported": [name for name in CONTROLLERS if name not in able],
+        "rows": rows,
+    }
+
+
+def _row(name: str, splits: list[Split], episodes: int) -> dict[str, Any]:
+    """Export a controller into a temporary folder, and measure it on the first scenarios of splits."""
+    source = str(POLICIES / name) if name in _LEARNED else name
+    loop, controller = loop_of(source), controller_of(source)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "export"
+        write_program(folder, loop)
+        recordings, errors = _with_single_precision(folder, loop, controller, splits, episodes)
+
+        def agreements(folder: Path, loop: Loop, *flags: str) -> list[Agreement]:
+            pairs = zip(recordings, splits, strict=True)
+            return [compare(folder, loop, python, split, episodes, flags=flags) for python, split in pairs]
+
+        double, single = agreements(folder, loop), agreements(folder, loop, *_ANYWAY)
+        sizes = {core: footprint(folder, loop.name, core) for core in processors_for(loop.identifies)}
+        spread = None
+        if loop.plans:
+            spread_loop = loop_of(source, plan_samples=PLAN_SAMPLES)
+            write_program(folder, spread_loop)
+            programs = agreements(folder, spread_loop)
+            spread = {"times": _slowest(programs), "cost": _excess(programs)}
+    errors = np.quantile(errors, _SHARES)
+    return {
+        "name": loop.name,
+        "identifies": loop.identifies,
+        "samples": sum(each.samples for each in double),
+        "equal": sum(each.equal for each in double),
+        "times": _slowest(double),
+        "spread": spread,
+        "sizes": {core: size._asdict() if (size := sizes.get(core)) else None for core in PROCESSORS},
+        "single": {"errors": errors, "cost": _excess(single)},
+    }
+
+
+def _slowest(programs: list[Agreement]) -> dict[str, float]:
+    """Times [us] on the split with the longest sample."""
+    return max((each.times for each in programs), key=lambda times: times.longest)._asdict()
+
+
+def _excess(programs: list[Agreement]) -> float:
+    """Mean cost of the programs over that of their controllers, less 1."""
+    python, compiled = (np.concatenate([each.costs[k] for each in programs]) for k in (0, 1))
+    return float(compiled.mean() / python.mean() - 1)
+
+
+def _with_single_precision(
+    folder: Path, loop: Loop, controller: Controller, splits: list[Split], episodes: int
+) -> tuple[list[Recording], Floats]:
+    """Record a controller on splits, with a program in single precision beside it that moves nothing.
+
+    Returns:
+        A recording of each split, and errors of the program's torques over the limit, for the same encoder counts.
+    """
+    errors: list[Floats] = []
+    recordings = []
+    for split in splits:
+        with program_for(folder, loop, split, episodes, flags=_ANYWAY) as program:
+
+            class Both:
+                params = loop.params
+
+                def predict(
+                    self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+                ) -> Any:
+                    """Action of the controller; see `Controller`."""
+                    action, memory = controller.predict(observation, state and state[0], episode_start)
+                    beside, kept = program.predict(observation, state and state[1], episode_start)
+                    errors.append(np.abs(beside - action)[:, 0])
+                    return action, (memory, kept)
+
+            recordings.append(rollout(Both(), episodes, **split.arguments(slice(episodes))))
+    return recordings, np.concatenate(errors)
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables of the page, and names of the controllers that some sentences are about."""
+    rows = data["rows"]
+    return {
+        "times": _times_table(rows),
+        "spread": _spread_table(rows),
+        "sizes": _sizes_table(rows),
+        "single": _single_table(rows),
+        "holding": _listed(row["name"] for row in rows if _holds(row)),
+        "identifying": _listed(row["name"] for row in rows if row["identifies"]),
+        "not_measured": _listed(data["not_measured"]),
+        "not_exported": _listed(data["not_exported"]),
+        "measured_sizes": any(size for row in rows for size in row["sizes"].values()),
+    }
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """No pictures: the page has tables alone."""
+    return {}
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _holds(row: dict[str, Any]) -> bool:
+    """Tell whether single precision does for a controller."""
+    return row["single"]["errors"][1] <= _AGREES and abs(row["single"]["cost"]) <= _COSTS
+
+
+def _times_table(rows: list[dict[str, Any]]) -> str:
+    """Equality and time."""
+    cells = [
+        [
+            f"`{row['name']}`",
+            f"{row['equal']:,} of {row['samples']:,}".replace(",", " "),
+            *(_time(row["times"][name]) for name in ("median", "high", "longest", "longest_reset")),
+        ]
+        for row in rows
+    ]
+    return markdown_table(
+        ["controller", "equal to the last bit", "sample, median (µs)", "99 %", "longest", "reset"], cells
+    )
+
+
+def _time(microseconds: float) -> str:
+    return f"{microseconds:.2g}" if microseconds < 100 else f"{microseconds:.0f}"
+
+
+def _spread_table(rows: list[dict[str, Any]]) -> str:
+    """Times and cost of plans that are spread over samples."""
+    cells = []
+    for row in rows:
+        if spread := row["spread"]:
+            times = [f"{each['median']:.2g} / {each['longest']:.0f}" for each in (row["times"], spread["times"])]
+            cells.append([f"`{row['name']}`", *times, f"{100 * spread['cost']:+.2f} %"])
+    return markdown_table(["sample, median / longest (µs)", "at once", "spread", "mean cost"], cells)
+
+
+def _sizes_table(rows: list[dict[str, Any]]) -> str:
+    """Flash, memory and stack."""
+    cells = []
+    for row in rows:
+        sizes = [size[name] if size else None for size in row["sizes"].values() for name in Footprint._fields]
+        cells.append([f"`{row['name']}`", *("–" if size is None else f"{size / 1024:.1f}" for size in sizes)])
+    heads = [f"{core}: {name}" for core in PROCESSORS for name in Footprint._fields]
+    return markdown_table(["controller (kB)", *heads], cells)
+
+
+def _single_table(rows: list[dict[str, Any]]) -> str:
+    """Errors and cost of single precision."""
+    cells = []
+    for row in rows:
+        errors = [f"{1000 * error:.2g}" for error in row["single"]["errors"]]
+        cells.append(
+            [f"`{row['name']}`", *errors, f"{100 * row['single']['cost']:+.2f} %", "yes" if _holds(row) else "no"]
+        )
+    head = ["torque off, median (‰ of limit)", "99.9 %", "largest", "mean cost", "holds"]
+    return markdown_table(["controller", *head], cells)
