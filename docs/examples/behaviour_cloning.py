@@ -1,7 +1,7 @@
 """Clone a controller from a dataset: `python docs/examples/behaviour_cloning.py [CONTROLLER [DATASET]]`.
 
 A network learns from observations alone what the controller wanted to do, without a simulator. Then it moves arms that
-are in no dataset. `python eval/dataset.py` writes the dataset.
+are in no dataset. `python eval/export.py dataset` writes the dataset.
 """
 
 import os

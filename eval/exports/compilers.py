@@ -55,8 +55,8 @@ def native() -> Toolchain:
     except ValueError as error:
         raise ValueError(f"CC={named!r} is no command: {error}") from None
     for name, *arguments in commands:
-        if found := shutil.which(name):
-            return Toolchain((found, *arguments))
+        if path := shutil.which(name):
+            return Toolchain((path, *arguments))
     looked = f"CC={named!r} is not there" if named else "neither cc, gcc nor clang is there"
     raise ValueError(f"no C compiler: {looked}. Install one, name it in CC, or write the sources alone with --no-check")
 
@@ -100,24 +100,20 @@ def footprint(folder: Path, name: str, core: str) -> Footprint | None:
     with tempfile.TemporaryDirectory() as made:
         target = Path(made) / "controller.o"
         chain.build([folder / f"{name}.c"], target, "-c", "-fstack-usage", *PROCESSORS[core])
-        flash = _flash(chain, target)
+        sizes = _columns(chain, target)
         stack = _stack((folder / f"{name}.c").read_text(encoding="utf-8"), target.with_suffix(".su").read_text())
         probe = Path(made) / "memory.c"
         probe.write_text(_MEMORY.format(name=name))
         chain.build([probe], target, "-c", "-I", str(folder), *PROCESSORS[core])
         memory = _columns(chain, target)["data"]
-    return Footprint(flash, memory, stack)
+    return Footprint(sizes["text"] + sizes["data"], memory, stack)
 
 
 def _columns(chain: Toolchain, target: Path) -> dict[str, int]:
+    """Sizes of an object's sections [bytes]."""
     tool = re.sub("gcc$", "size", chain.compiler[0])
     heads, numbers = subprocess.run([tool, str(target)], capture_output=True, text=True, check=True).stdout.splitlines()
     return dict(zip(heads.split(), (int(word) for word in numbers.split()[:3]), strict=False))
-
-
-def _flash(chain: Toolchain, target: Path) -> int:
-    found = _columns(chain, target)
-    return found["text"] + found["data"]
 
 
 def _stack(source: str, usage: str) -> int:

@@ -65,9 +65,9 @@ def begin(device: Device, plant: Plant, resolution: float, move: MoveShape, coun
     Args:
         device: Written.
         plant: Arm with the gear ratio of the drive.
-        resolution: Of the encoder [rad per count].
-        move: What is asked of the arm.
-        count: The encoder's.
+        resolution: Resolution of the encoder [rad per count].
+        move: The move.
+        count: Count of the encoder.
     """
     block = device.block
     for row in range(at.ROWS):
@@ -101,7 +101,7 @@ def commanded(device: Device, action: float, limit: float) -> float:
 
 
 class Proposal(NamedTuple):
-    """What a controller came to at a sample."""
+    """Torques that a controller proposes at a sample."""
 
     base: float  # torque over its limit
     residual: float  # the same, to be added to it
@@ -113,7 +113,7 @@ class Learned(NamedTuple):
     """Design, or memory, of a base with a learned residual."""
 
     base: Any  # of the base's law
-    filter: Any  # of an identification that runs beside the base; None where the base's is shared, or nothing is told
+    filter: Any  # of an identification that runs beside the base; None where the base's is shared, or there is none
     correction: Any  # of `agents.policy.correction.correct`
 
 
@@ -151,20 +151,20 @@ def classical(law: Kernel, identifies: bool) -> Kernel:
     return propose
 
 
-def learned(law: Kernel, told: bool, shared: bool) -> Kernel:
+def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
     """Proposal of a base with a residual.
 
     Args:
-        law: Of the base.
-        told: Whether the agent is told what an identification believes.
-        shared: Whether that is the base's own.
+        law: Law of the base.
+        informed: Whether the agent observes what an identification believes.
+        shared: Whether that identification is the base's own.
     """
 
     def propose(design: Learned, limit: float, device: Device, now: Sample, begins: bool, memory: Learned) -> Proposal:
         torque = law(design.base, now, begins, memory.base)
         base: Any = np.float32(cut(torque / limit, 1.0))
         filters, surprise = None, 1.0
-        if told:
+        if informed:
             if not shared:
                 inputs = memory.filter.inputs
                 inputs.angle[0], inputs.command[0], inputs.begins[0] = now.motor_angle, now.last_command, begins
@@ -197,7 +197,7 @@ def guarded_step(propose: Kernel, servo: Kernel | None) -> Kernel:
     """Step of a controller behind the guard.
 
     Args:
-        propose: Of the controller.
+        propose: Proposal of the controller.
         servo: Law of the servo that it falls back to; None if there is none.
     """
 

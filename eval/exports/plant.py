@@ -38,7 +38,7 @@ OUTPUTS = {
     "motor_torque": ("N m", "Torque of the motor, behind its current loop"),
     "encoder_count": ("", "Count of the encoder on the motor's shaft"),
 }
-"""What is known of the arm, with its unit and what it is."""
+"""Outputs with unit and description."""
 _MOST_COUNTS = 2.0**31 - 1
 _LOW = np.array([bounds_of(name).low for name in FIELDS])
 _HIGH = np.array([bounds_of(name).high for name in FIELDS])
@@ -111,7 +111,7 @@ def begin(memory: Memory, joint_angle: float, resolution: float) -> None:
     Args:
         memory: Written, but for the constants.
         joint_angle: theta_a / G [rad].
-        resolution: Of the encoder [rad per count].
+        resolution: Resolution of the encoder [rad per count].
     """
     block = memory.block
     for row in range(at.ROWS):

@@ -151,14 +151,14 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     controller, (spec, content) = load_controller(source), read_spec(source)
     base: Any = controller.informed.base
     kernel, corrected = _kernel(base, spec.base, plan_samples), correction(controller)
-    told, shared = spec.residual.knowledge != "none", corrected.identifier is None
-    filtering = _filtering() if told and not shared else None
+    informed, shared = spec.residual.knowledge != "none", corrected.identifier is None
+    filtering = _filtering() if informed and not shared else None
     design = Learned(kernel.design, corrected.identifier.design if corrected.identifier else None, corrected.design)
     memory = Learned(kernel.memory, filtering, corrected.memory)
     title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {content['content_hash']}"
-    propose = learned(kernel.law, told, shared)
+    propose = learned(kernel.law, informed, shared)
     params, plans = controller.params or ArmParams(), isinstance(base, AdaptiveController)
-    loop = Loop(spec.algorithm, title, params, step_of(propose), design, memory, told, plans)
+    loop = Loop(spec.algorithm, title, params, step_of(propose), design, memory, informed, plans)
     return _behind_guard(loop, propose, spec.base, spec.residual.limit) if guard else loop
 
 
@@ -166,9 +166,9 @@ def _behind_guard(loop: Loop, propose: Kernel, base: str, residual: float) -> Lo
     """Loop with the guard behind a controller.
 
     Args:
-        loop: Of the controller alone.
-        propose: Of the controller.
-        base: Name of the controller, or of what it corrects.
+        loop: Loop of the controller alone.
+        propose: Proposal of the controller.
+        base: Name of the controller, or of the one that it corrects.
         residual: Largest residual, over the torque limit.
     """
     servo: Any = servo_for(base)

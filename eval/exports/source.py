@@ -22,7 +22,7 @@ from eval.translation.scope import RESERVED
 from eval.translation.types import REAL, SMALL, Array, Const, Group, Scalar, TranslationError, Value, dtype_of
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
-"""What differs from the kernels in Python: they are compiled for many arms side by side."""
+"""Constants that differ from the kernels in Python, which are compiled for many arms side by side."""
 TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
     keep_trailing_newline=True,
@@ -30,7 +30,7 @@ TEMPLATES = jinja2.Environment(
     trim_blocks=True,
 )
 MOST_COUNTS = 10_000_000
-"""Of an encoder, per turn of the motor."""
+"""Most counts of an encoder per turn of the motor."""
 FAULTS = {
     "counts": f"counts_per_turn must be a whole number from 1 to {MOST_COUNTS}",
     "sums": "sums are not rounded to nearest one by one: build without -fassociative-math, -funsafe-math-optimizations "
@@ -64,7 +64,7 @@ TAKEN = {
     "REAL_MIN",
     *_CPP.split(),
 }
-"""Names that no other has in a program: those of the templates, and keywords of C++."""
+"""Names that are taken in a program: those of the templates, and keywords of C++."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 
 
@@ -74,7 +74,7 @@ class Loop:
 
     name: str  # of the C functions
     title: str
-    params: ArmParams  # whose gear ratio and torque limit it is made for
+    params: ArmParams  # arm with the gear ratio and torque limit that it is made for
     step: Any  # function of design, limit, device, memory and count
     design: Any
     memory: Any  # array, or named tuple of arrays

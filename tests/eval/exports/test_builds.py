@@ -1,0 +1,206 @@
+"""Exported C as others build it: flags, C++, several exports in one program."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import stopped
+
+from eval import export
+from eval.exports.program import loop_of, write_program
+from eval.exports.source import FAULTS
+
+POLICIES = Path(__file__).resolve().parents[3] / "agents" / "policies"
+RIGHT = ("-std=c99", "-O2", "-ffp-contract=off")
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+UNSEEN = (
+    *("-U__FAST_MATH__", "-U__ASSOCIATIVE_MATH__", "-U__RECIPROCAL_MATH__", "-U__FINITE_MATH_ONLY__"),
+    *("-U__NO_SIGNED_ZEROS__", "-U__FLT_EVAL_METHOD__", "-D__FLT_EVAL_METHOD__=0"),
+)
+"""Flags that make a compiler one without macros for what it does."""
+SEEN_ONLY = ("-fsingle-precision-constant", "-mfpmath=both")
+"""Flags that only a compiler's macros and types tell of for sure."""
+WRONG = [
+    *("-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-freciprocal-math", "-ffinite-math-only"),
+    *("-fno-signed-zeros", "-fassociative-math -fno-signed-zeros -fno-trapping-math", "-mfpmath=387"),
+    *("-ffp-contract=fast -march=native", "-ffp-model=fast", "-std=gnu99 -mfpmath=387", *SEEN_ONLY),
+]
+MAIN = """
+#include <stdio.h>
+#include "{name}.h"
+
+static {name} controller;
+
+int main(void)
+{{
+    const int32_t why = {name}_init(&controller, 4000);
+    const {name}_move move = {{0.2, 1.2, 0.6, 0.15}};
+    {name}_reset(&controller, &move, 11204);
+    for (int64_t k = 0; k < 400; ++k) {{ /* about as the arm is to move */
+        const int64_t count = 11204 + 56023 * (1200 * k * k - 2 * k * k * k) / 64000000;
+        printf("%a\\n", (double){name}_step(&controller, (int32_t)count));
+    }}
+    return (int)why;
+}}
+"""
+
+
+@pytest.fixture(scope="module")
+def exported(exports: Any) -> Path:
+    """Folder of `ei`, with a program that calls it."""
+    folder = exports.of("ei").folder
+    (folder / "main.c").write_text(MAIN.format(name="ei"))
+    return folder
+
+
+def built(command: tuple[str, ...], folder: Path, program: Path) -> bool:
+    line = [*command, f"-I{folder}", str(folder / "main.c"), str(folder / "ei.c"), "-lm", "-o", str(program)]
+    return subprocess.run(line, capture_output=True, check=False).returncode == 0
+
+
+def ran(program: Path) -> tuple[int, list[float]]:
+    """Exit status of a program, which is the fault of its controller, and its torques."""
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    return done.returncode, [float.fromhex(word) for word in done.stdout.split()]
+
+
+@pytest.fixture(scope="module")
+def reference(exported: Path, compiler: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> list[float]:
+    """Torques of a right build."""
+    program = tmp_path_factory.mktemp("reference") / "program"
+    assert built((*compiler, *RIGHT), exported, program)
+    fault, torques = ran(program)
+    assert fault == 0 and len(set(torques)) > 50
+    return torques
+
+
+@pytest.mark.parametrize("more", ["-O0", "-O1", "-Os", "-O3 -march=native", "-fno-math-errno", "-std=gnu11"])
+@pytest.mark.parametrize("name", COMPILERS)
+def test_right_flags_give_the_same_torques(
+    exported: Path, reference: list[float], tmp_path: Path, name: str, more: str
+):
+    assert built((name, *RIGHT, *more.split()), exported, tmp_path / "program")
+    assert ran(tmp_path / "program") == (0, reference)
+    if "native" in more:
+        assert built((name, "-O3", "-march=native"), exported, tmp_path / "program")  # without -ffp-contract
+        assert ran(tmp_path / "program") == (0, reference)
+
+
+@pytest.mark.parametrize("unseen", [False, True], ids=["as they are", "without macros"])
+@pytest.mark.parametrize("flags", WRONG)
+@pytest.mark.parametrize("name", COMPILERS)
+def test_wrong_flags_are_refused(exported: Path, tmp_path: Path, name: str, flags: str, unseen: bool):
+    wrong, empty = tuple(flags.split()), tmp_path / "empty.c"
+    empty.write_text("int main(void) { return 0; }\n")
+    command = [name, *RIGHT, "-Werror", *wrong, str(empty), "-o", str(tmp_path / "empty")]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip(f"{name} does not take {flags} here")
+    if unseen and flags in SEEN_ONLY:
+        pytest.skip("a macro or a type tells of it, always")
+    if "fast -march" in flags and "fma" not in Path("/proc/cpuinfo").read_text():
+        pytest.skip("this machine fuses nothing")
+    if built((name, *RIGHT, *wrong, *(UNSEEN if unseen else ())), exported, tmp_path / "program"):
+        fault, torques = ran(tmp_path / "program")
+        assert 2 <= fault <= len(FAULTS) and set(torques) == {0.0}
+    else:
+        assert not unseen
+
+
+def test_a_mode_that_the_linker_sets_is_refused(exported: Path, tmp_path: Path):
+    """Start-up code of gcc for fast mathematics takes tiny numbers as zero in all of a program."""
+    if "gcc" not in COMPILERS:
+        pytest.skip("gcc is not installed")
+    objects = [tmp_path / f"{name}.o" for name in ("main", "ei")]
+    for target in objects:
+        subprocess.run(["gcc", *RIGHT, f"-I{exported}", "-c", exported / f"{target.stem}.c", "-o", target], check=True)
+    subprocess.run(["gcc", "-ffast-math", *objects, "-lm", "-o", tmp_path / "program"], check=True)
+    fault, torques = ran(tmp_path / "program")
+    if fault == 0:
+        pytest.skip("this gcc sets nothing")
+    assert fault == 1 + list(FAULTS).index("tiny") and set(torques) == {0.0}
+
+
+@pytest.mark.parametrize("counts", ["0", "-4000", "2000000000"])
+def test_wrong_counts_give_no_torque(exported: Path, tmp_path: Path, compiler: tuple[str, ...], counts: str):
+    shutil.copytree(exported, tmp_path / "ei")
+    (tmp_path / "ei" / "main.c").write_text(MAIN.format(name="ei").replace("4000", counts))
+    assert built((*compiler, *RIGHT), tmp_path / "ei", tmp_path / "program")
+    fault, torques = ran(tmp_path / "program")
+    assert fault == 1 + list(FAULTS).index("counts") and set(torques) == {0.0}
+
+
+def test_a_header_in_cpp(exported: Path, reference: list[float], tmp_path: Path, compiler: tuple[str, ...]):
+    cpp = shutil.which("g++") or shutil.which("clang++")
+    if cpp is None:
+        pytest.skip("no compiler for C++")
+    shutil.copy(exported / "main.c", tmp_path / "main.cpp")
+    subprocess.run([*compiler, *RIGHT, "-c", exported / "ei.c", "-o", tmp_path / "ei.o"], check=True)
+    command = [cpp, "-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{exported}"]
+    subprocess.run([*command, tmp_path / "main.cpp", tmp_path / "ei.o", "-o", tmp_path / "program"], check=True)
+    assert ran(tmp_path / "program") == (0, reference)
+
+
+def test_no_names_that_are_keywords_of_cpp(exports: Any):
+    """`adaptive` has a kernel with a variable `new`."""
+    if shutil.which("g++") is None:
+        pytest.skip("g++ is not installed")
+    source = exports.of("adaptive").folder / "adaptive.c"
+    subprocess.run(["g++", "-x", "c++", "-std=c++17", "-fsyntax-only", source], check=True)
+
+
+def test_exports_in_one_program(tmp_path: Path, compiler: tuple[str, ...]):
+    """Policies of two seeds and a controller, all in one folder and one program, do what each does alone."""
+    sources = {"ppo": str(POLICIES / "ppo/seed0"), "ppo_b": str(POLICIES / "ppo/seed1"), "ei": "ei"}
+    together, alone = tmp_path / "together", []
+    together.mkdir()
+    for name, source in sources.items():
+        write_program(tmp_path / name, replace(loop_of(source), name=name))
+        (tmp_path / name / "main.c").write_text(MAIN.format(name=name))
+        for file in (f"{name}.h", f"{name}.c"):
+            shutil.copy(tmp_path / name / file, together)
+        parts = [tmp_path / name / file for file in ("main.c", f"{name}.c")]
+        subprocess.run([*compiler, *RIGHT, *parts, "-lm", "-o", tmp_path / "one"], check=True)
+        alone += ran(tmp_path / "one")[1]
+    assert len(set(alone)) > 300
+    mains = [
+        MAIN.format(name=name).replace("main(", f"run_{name}(").replace("controller", f"of_{name}") for name in sources
+    ]
+    calls = " | ".join(f"run_{name}()" for name in sources)
+    (together / "main.c").write_text("\n".join(mains) + f"\nint main(void)\n{{\n    return {calls};\n}}\n")
+    subprocess.run([*compiler, *RIGHT, *together.glob("*.c"), "-lm", "-o", tmp_path / "all"], check=True)
+    assert ran(tmp_path / "all") == (0, alone)
+
+
+@pytest.mark.parametrize("name", ["mine", "Ab_2"])
+def test_all_names_begin_with_the_exports(tmp_path: Path, compiler: tuple[str, ...], name: str):
+    if shutil.which("nm") is None:
+        pytest.skip("nm is not installed")
+    assert stopped(export.main, ("c", "ei", "--out", "made", "--name", name, "--no-check"), tmp_path) == (0, "")
+    target, header = tmp_path / "made.o", (tmp_path / "made" / f"{name}.h").read_text()
+    subprocess.run([*compiler, *RIGHT, "-c", tmp_path / "made" / f"{name}.c", "-o", target], check=True)
+    listed = subprocess.run(["nm", "-g", "--defined-only", target], capture_output=True, text=True, check=True).stdout
+    assert {line.split()[-1] for line in listed.splitlines()} == {
+        f"{name}_{part}" for part in ("init", "reset", "step")
+    }
+    code = re.sub(r"/\*.*?\*/", "", header, flags=re.S)
+    defined = re.findall(r"#define (\w+)|^} (\w+);|^typedef \w+ (\w+);|(\w+)\(", code, re.M)
+    names = {each for groups in defined for each in groups if each} - {"defined"}
+    assert len(names) >= 7 and all(each == name or each.startswith(f"{name}_") for each in names)
+
+
+def test_the_command_says_why_a_program_refuses_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compiler: tuple[str, ...]
+):
+    wrapper = tmp_path / "cc"
+    wrapper.write_text(f'#!/bin/sh\nexec {compiler[0]} "$@" -funsafe-math-optimizations {" ".join(UNSEEN)}\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CC", os.fspath(wrapper))
+    code, errors = stopped(export.main, ("c", "ei", "--out", "made", "--episodes", "1"), tmp_path)
+    assert code == 2 and "-funsafe-math-optimizations" in errors

@@ -1,0 +1,307 @@
+"""Controllers as C: programs whose torques are those of Python, to the last bit, and the command that writes them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import mistake, stopped
+
+from baselines import CONTROLLERS
+from baselines.guard.guard import LEVEL
+from eval import export
+from eval.comparison.sets import development_set
+from eval.exports import folder as export_folder
+from eval.exports.compilers import FLAGS, PROCESSORS, SANITISED, Toolchain, footprint, native, processor
+from eval.exports.folder import FORMAT, MANIFEST
+from eval.exports.program import exportable, loop_of, write_program
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = (ROOT / "docs/guide/export.md").read_text(encoding="utf-8")
+STUDENT, PPO = (str(ROOT / "agents" / "policies" / name / "seed0") for name in ("student", "ppo"))
+SPLITS = list(development_set().splits)
+SOURCES = [*(name for name in CONTROLLERS if name != "mpc"), PPO, STUDENT]
+EXACT = {"sqrt", "floor", "ceil", "fmod", "fabs"}
+"""Functions of the maths library that are exact, or correctly rounded, everywhere."""
+EMULATED = {
+    "aarch64": ("aarch64-linux-gnu-gcc", "aarch64-linux-musl", ()),
+    "arm": ("arm-linux-gnueabihf-gcc", "arm-linux-musleabihf", ("-mcpu=cortex_a7",)),
+}
+"""Cross compiler, target of zig and its flags, by the machine that qemu emulates."""
+
+
+def identity(source: object) -> str | None:
+    return Path(source).parent.name or source if isinstance(source, str) else None
+
+
+def blocks(language: str) -> list[str]:
+    """Blocks of a language on the page."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+# Programs
+
+
+@pytest.mark.parametrize(
+    "source",
+    [each if each in ("paper", "ei", PPO) else pytest.param(each, marks=pytest.mark.slow) for each in SOURCES],
+    ids=identity,
+)
+def test_the_program_is_the_controller(exports: Any, source: str):
+    guard, first = source in ("ei", "adaptive", STUDENT), 2 * SOURCES.index(source)
+    made = exports.of(source, guard)
+    for k in range(len(SPLITS) if guard else 2):  # others on two splits each, by turns
+        made.assert_equal(SPLITS[(first + k) % len(SPLITS)])
+
+
+@pytest.mark.parametrize("name", ["gcc", "clang"])
+@pytest.mark.parametrize("source", ["ei", STUDENT], ids=identity)
+def test_the_program_of_another_compiler(exports: Any, name: str, source: str):
+    path = shutil.which(name)
+    if path is None or Path(path).resolve() == Path(exports.toolchain.compiler[0]).resolve():
+        pytest.skip(f"{name} is not installed, or the compiler of the other tests")
+    exports.of(source).assert_equal("randomized", Toolchain((path,)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("source", "split", "flags"),
+    [
+        ("adaptive", "payload", ("-O0",)),
+        ("adaptive", "payload", ("-O3", "-Wshadow=local")),
+        (STUDENT, "drive", (*SANITISED, "-O1")),
+    ],
+)
+def test_the_program_with_other_flags(exports: Any, source: str, split: str, flags: tuple[str, ...]):
+    """With sanitizers it stops where it reads or writes beyond an array, or overflows."""
+    exports.of(source).assert_equal(split, flags=flags)
+
+
+def test_a_simple_program_stays_within_its_memory(exports: Any):
+    exports.of("ei").assert_equal("drive", flags=(*SANITISED, "-O1"))
+
+
+@pytest.mark.parametrize("machine", EMULATED)
+def test_the_program_on_another_machine(exports: Any, machine: str):
+    cross, target, flags = EMULATED[machine]
+    runner = shutil.which(f"qemu-{machine}") or shutil.which(f"qemu-{machine}-static")
+    zig = (sys.executable, "-m", "ziglang", "cc", "-target", target, *flags) if find_spec("ziglang") else None
+    compiler = (cross,) if shutil.which(cross) else zig
+    if runner is None or compiler is None:
+        pytest.skip(f"no compiler and emulator for {machine}")
+    exports.of("ei").assert_equal("randomized", Toolchain((*compiler, "-static"), (runner,)))
+
+
+@pytest.mark.parametrize("core", PROCESSORS)
+def test_footprint(exports: Any, core: str):
+    if processor(core) is None:
+        pytest.skip(f"no compiler for {core}")
+    taken = footprint(exports.of("ei").folder, "ei", core)
+    assert taken is not None
+    assert 1000 < taken.flash < 30_000 and 100 < taken.memory < 10_000 and 50 < taken.stack < 10_000
+
+
+@pytest.mark.parametrize("source", ["adaptive", STUDENT], ids=identity)
+def test_the_program_calls_nothing_but_exact_functions(exports: Any, source: str, tmp_path: Path):
+    made, tool = exports.of(source), shutil.which("nm")
+    if tool is None:
+        pytest.skip("nm is not installed")
+    native().build([made.folder / f"{made.loop.name}.c"], tmp_path / "made.o", "-c", "-O0")
+    listed = subprocess.run([tool, "-u", tmp_path / "made.o"], capture_output=True, text=True, check=True).stdout
+    called = {line.split()[-1].lstrip("_") for line in listed.splitlines() if line.strip()}
+    assert called <= EXACT | {"memset", "memcpy", "memcmp", "stack_chk_fail", "GLOBAL_OFFSET_TABLE_"}
+    assert not re.search(r"^static [a-z_0-9]+ \w+(\[\d+\])?;", made.text, re.MULTILINE)  # no memory but the struct
+
+
+def test_the_same_sources_every_time(exports: Any, tmp_path: Path):
+    write_program(tmp_path / "again", loop_of("adaptive"))
+    assert (tmp_path / "again" / "adaptive.c").read_text() == exports.of("adaptive").text
+
+
+def test_programs_that_spread_their_plans_differ(exports: Any, tmp_path: Path):
+    write_program(tmp_path / "spread", loop_of("adaptive", plan_samples=8))
+    assert (tmp_path / "spread" / "adaptive.c").read_text() != exports.of("adaptive").text
+    with pytest.raises(ValueError, match="--plan-samples 8"):
+        loop_of("preview", plan_samples=8)
+
+
+# The page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(len(blocks("python"))))
+def test_python_on_the_page_runs(compiler: Any, number: int, tmp_path: Path):
+    for extra in ("fmpy", "onnx"):
+        if re.search(rf"(import|from) {extra}\b", blocks("python")[number]):
+            pytest.importorskip(extra)
+    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{blocks('python')[number]}"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
+    (program,), made = blocks("c"), exports.of("adaptive")
+    (tmp_path / "main.c").write_text(program, encoding="utf-8")
+    native().build([tmp_path / "main.c"], tmp_path / "main.o", "-I", str(made.folder), "-c")
+    header = (made.folder / "adaptive.h").read_text(encoding="utf-8")
+    assert all(name in header and name in PAGE for name in ("memory_guard_row", "memory_own_notes_tracks_surprise"))
+    assert f"memory_guard_row[{LEVEL}]" in PAGE
+    assert {"-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"} <= set(FLAGS)
+
+
+# The command
+
+
+def refusal(*arguments: str, cwd: Path) -> str:
+    """The line with which the command refuses to export C."""
+    line = mistake(export.main, ("c", *arguments), cwd)
+    assert line.startswith("eval/export.py: ")
+    return line
+
+
+def write(*arguments: str, cwd: Path) -> None:
+    assert stopped(export.main, ("c", *arguments), cwd) == (0, "")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write("ei", "--out", "made", "--episodes", "1", cwd=tmp_path)
+    assert re.search(r"(\d+) of \1 torques", capsys.readouterr().out)
+    files = contents(tmp_path / "made")
+    assert {"ei.c", "ei.h", "in_the_loop.c", "README.md", MANIFEST} == set(files)
+    manifest = json.loads(files.pop(MANIFEST))
+    assert manifest["format"] == FORMAT and manifest["name"] == "ei"
+    assert manifest["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    assert b"ei_init" in files["README.md"] and b"-ffp-contract=off" in files["README.md"]
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]  # no temporary folder
+
+
+def test_policy_by_its_folder_then_another_controller_in_its_place(tmp_path: Path):
+    write(PPO, "--out", "made", "--no-check", cwd=tmp_path)
+    title = json.loads((tmp_path / "made" / MANIFEST).read_text())["title"]
+    assert "content hash" in title and "guard" in title
+    write("paper", "--out", "made", "--no-check", "--no-guard", cwd=tmp_path)
+    assert "guard" not in json.loads((tmp_path / "made" / MANIFEST).read_text())["title"]
+    assert not (tmp_path / "made" / "ppo.c").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_users_files_are_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "thesis.tex").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    for out in ("work", "file", "file/below"):
+        assert out.split("/")[0] in refusal("ei", "--out", out, cwd=tmp_path)
+    monkeypatch.setattr(export_folder.os, "access", lambda *_: False)
+    assert "cannot write to" in refusal("ei", "--out", "made", cwd=tmp_path)
+    assert (tmp_path / "work" / "thesis.tex").read_text() == (tmp_path / "file").read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"work", "file"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("adaptiv",), ("'adaptiv'", "'adaptive'")),
+        (("Ei",), ("'Ei'", "'ei'")),
+        (("warp",), ("'warp'",)),
+        (("mpc",), ("'mpc'", *exportable())),
+        (("ei", "--episodes", "0"), ("--episodes", "200")),
+        (("ei", "--plan-samples", "20"), ("--plan-samples", "19")),
+        *((("ei", "--name", name), ("--name", repr(name))) for name in ("a-b", "2nd", "class", "int", "real", "_mine")),
+        *((("ei", "--name", name), ("--name", repr(name))) for name in ("a__b", "mine_", "begin", "in_the_loop")),
+    ],
+    ids=lambda words: " ".join(words),
+)
+def test_what_cannot_be_exported(arguments: tuple[str, ...], words: tuple[str, ...], tmp_path: Path):
+    line = refusal(*arguments, "--out", "made", "--no-check", cwd=tmp_path)
+    assert all(word in line for word in words), line
+    assert not list(tmp_path.iterdir())
+
+
+def test_exports_that_are_unknown(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert "'adaptive'" in mistake(export.main, ("adaptive", "--out", "made"), tmp_path)
+    assert stopped(export.main, (), tmp_path) == stopped(export.main, ("--help",), tmp_path) == (0, "")
+    shown = capsys.readouterr().out
+    assert all(f"\n    {name}" in shown for name in export.MODULES)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("PATH", ""), ("CC", "no-such-compiler"), ("CC", "no-such-compiler -O2"), ("CC", "gcc '")]
+)
+def test_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv(name, value)
+    line = refusal("ei", "--out", "made", cwd=tmp_path)
+    assert "C" in line and value in line and not list(tmp_path.iterdir())
+    write("ei", "--out", "made", "--no-check", cwd=tmp_path)
+    assert (tmp_path / "made" / "ei.c").is_file()
+
+
+def test_compilers_with_options_and_such_that_fail(compiler: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "a compiler").symlink_to(compiler[0])
+    monkeypatch.setenv("CC", f"'{tmp_path}/a compiler' -O1 -DNOTHING='1 2'")
+    assert native().compiler == (f"{tmp_path}/a compiler", "-O1", "-DNOTHING=1 2")
+    write("ei", "--out", "made", "--name", "mine", "--episodes", "1", cwd=tmp_path)
+    monkeypatch.setenv("CC", "false")
+    code, errors = stopped(export.main, ("c", "ei", "--out", "made", "--episodes", "1"), tmp_path)
+    assert code == 2 and "false" in errors
+
+
+@pytest.mark.parametrize("damage", ["manifest", "weights", "no weights"])
+def test_damaged_policy(tmp_path: Path, damage: str):
+    shutil.copytree(PPO, tmp_path / "policy")
+    (weights,) = (tmp_path / "policy").glob("*.safetensors")
+    if damage == "manifest":
+        (tmp_path / "policy" / "policy.json").write_text("{")
+    elif damage == "weights":
+        weights.write_bytes(b"0" * 100)
+    else:
+        weights.unlink()
+    assert "policy" in refusal("policy", "--out", "made", cwd=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["policy"]
+
+
+@pytest.mark.parametrize("failure", ["interrupted write", "failed rename"])
+def test_a_failed_export_leaves_the_earlier_one(failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = tmp_path / "made"
+    write_program(folder, loop_of("paper", False))
+    before, write_bytes, rename, written = contents(folder), Path.write_bytes, Path.rename, []
+
+    def stops(self: Path, content: bytes) -> int:
+        written.append(self.name)
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        return write_bytes(self, content)
+
+    def fails(self: Path, target: Path) -> Path:
+        if target == folder and not self.name.endswith("-replaced"):
+            raise OSError("disk full")
+        return rename(self, target)
+
+    if failure == "failed rename":
+        monkeypatch.setattr(Path, "rename", fails)
+    else:
+        monkeypatch.setattr(Path, "write_bytes", stops)
+    with pytest.raises((KeyboardInterrupt, OSError)):
+        write_program(folder, loop_of("rigid", False))
+    assert contents(folder) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_onnx(tmp_path: Path):
+    onnx = pytest.importorskip("onnx")
+    assert stopped(export.main, ("onnx", PPO, "--out", "made/policy.onnx"), tmp_path) == (0, "")
+    assert onnx.load(tmp_path / "made" / "policy.onnx").graph.output[0].name == "residual"
+    assert "--out" in mistake(export.main, ("onnx", PPO, "--out", "policy.txt"), tmp_path)
+    assert "nowhere" in mistake(export.main, ("onnx", "nowhere"), tmp_path)
