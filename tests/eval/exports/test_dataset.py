@@ -1,4 +1,4 @@
-"""Datasets for offline learning: what is written is what single environments do, and it is whole or not there."""
+"""Datasets for offline learning: they hold what single environments do, and appear when they are whole."""
 
 from __future__ import annotations
 
@@ -16,16 +16,14 @@ from commands import mistake, stopped
 
 from beltarm_env import EPISODE_STEPS, BeltArmEnv
 from beltarm_env.task.seeds import DATASETS, dataset_arms
-from eval.offline import contents, episodes, scores
-from eval.offline.disturbance import KINDS, LARGEST, draw_disturbance
-from eval.offline.episodes import in_turn
-from eval.offline.scores import Scores
-from eval.offline.writing import Place
+from eval import export
+from eval.exports import dataset as written
+from eval.exports.episodes import KINDS, LARGEST, draw_disturbance
 
 minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 RUNAWAY = '''
 import numpy as np
 
@@ -36,24 +34,20 @@ class Runaway:
         return np.ones((len(observation), 1), np.float32), None
 '''
 ID, COUNT = "beltarm/tests/mixed-v0", 12
-
-
-def write() -> None:
-    """What `eval/dataset.py` does, within this process."""
-    runpy.run_path(str(ROOT / "eval/dataset.py"), run_name="__main__")
+SMALL = ("dataset", "--episodes", "1", "--controller", "paper")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder that Minari finds a dataset in: of three controllers, one of which leaves the workspace."""
+    """Folder with a dataset of three controllers, one of which leaves the workspace."""
     made = tmp_path_factory.mktemp("datasets")
     (made / "runaway.py").write_text(RUNAWAY)
-    words = f"--out {made} --id {ID} --episodes {COUNT} --disturbed 0.5 --controller paper --controller adaptive"
+    words = f"dataset --out {made} --id {ID} --episodes {COUNT} --controller paper --controller adaptive"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scores, "EPISODES", 2)
-        patch.setattr(episodes, "PIECE", 7)  # so that a piece begins in the middle of the turns
+        patch.setattr(written, "SCORED", 2)
+        patch.setattr(written, "PIECE", 7)  # so that a piece begins in the middle of the turns
         arguments = (*words.split(), "--controller", f"{made}/runaway.py:Runaway")
-        assert stopped(write, arguments, made) == (0, "")
+        assert stopped(export.main, arguments, made) == (0, "")
     return made
 
 
@@ -63,7 +57,7 @@ def dataset(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return minari.load_dataset(ID)
 
 
-def told(dataset: Any) -> list[dict[str, Any]]:
+def metadata(dataset: Any) -> list[dict[str, Any]]:
     return list(dataset.storage.get_episode_metadata(dataset.episode_indices))
 
 
@@ -71,13 +65,13 @@ def test_episodes_are_those_of_the_recovered_environment_bit_for_bit(dataset: An
     """From the seed alone, and on a nominal environment from the options too."""
     nominal = gymnasium.make("BeltArm-v0")
     kinds = set()
-    for episode, of in zip(dataset, told(dataset), strict=True):
-        kinds.add((of["disturbance"], bool(episode.terminations[-1])))
-        for env, options in ((dataset.recover_environment(), None), (nominal, of["options"])):
+    for episode, about in zip(dataset, metadata(dataset), strict=True):
+        kinds.add((about["disturbance"], bool(episode.terminations[-1])))
+        for env, options in ((dataset.recover_environment(), None), (nominal, about["options"])):
             assert env.spec is not None and env.spec.max_episode_steps == EPISODE_STEPS
             arm = env.unwrapped
             assert isinstance(arm, BeltArmEnv)
-            seen, _ = env.reset(seed=of["seed"], options=options)
+            seen, _ = env.reset(seed=about["seed"], options=options)
             replayed, states, errors, rewards, ends = [seen], [arm.state], [], [], []
             for action in episode.actions if options is None else episode.actions[:40]:
                 seen, reward, terminated, truncated, info = env.step(action)
@@ -94,31 +88,37 @@ def test_episodes_are_those_of_the_recovered_environment_bit_for_bit(dataset: An
             assert np.array(errors, np.float32).tobytes() == hidden["tip_error"][1 : count + 1].tobytes()
             expected = np.stack([episode.terminations, episode.truncations], axis=1)[:count]
             np.testing.assert_array_equal(np.array(ends), expected)
-        assert len(episode) == of["total_steps"] and any(expected[-1]) == (count == len(episode))
-        assert of["cost"] == -np.sum(episode.rewards) and of["finished"] == episode.truncations[-1]
+        assert len(episode) == about["total_steps"] and any(expected[-1]) == (count == len(episode))
+        assert about["cost"] == -np.sum(episode.rewards) and about["finished"] == episode.truncations[-1]
     assert {kind for kind, _ in kinds} == set(KINDS) and {left for _, left in kinds} == {False, True}
 
 
 def test_infos_tell_how_every_action_came_about(dataset: Any):
     acted = set()
-    for episode, of in zip(dataset, told(dataset), strict=True):
+    for episode, about in zip(dataset, metadata(dataset), strict=True):
         rows = {name: values[1:] for name, values in episode.infos["behaviour"].items()}
         own = np.where(rows["alone"], 0, rows["controller_action"])
         np.testing.assert_array_equal(np.clip(own + rows["noise"], -1, 1), episode.actions[:, 0])
-        acted.add((of["disturbance"], bool(rows["noise"].any()), bool(rows["alone"].any())))
-        if of["controller"] == "Runaway":
+        acted.add((about["disturbance"], bool(rows["noise"].any()), bool(rows["alone"].any())))
+        if about["controller"] == "Runaway":
             assert (rows["controller_action"] == 1).all()
     expected = {("none", False, False), ("noise", True, False), ("stretches", True, True)}
     assert expected <= acted <= expected | {("stretches", False, False)}  # an arm may leave before the first stretch
 
 
-def test_controllers_take_turns_on_arms_of_the_datasets_own(dataset: Any):
-    assert [of["controller"] for of in told(dataset)] == ["paper", "adaptive", "Runaway"] * (COUNT // 3)
+def test_metadata(dataset: Any, monkeypatch: pytest.MonkeyPatch):
+    """Turns and seeds of the episodes, scores, and the environment, also where it is not registered."""
     first = dataset_arms(0).first
-    assert [of["seed"] for of in told(dataset)] == list(range(first, first + COUNT)) and first == DATASETS.first
-
-
-def test_the_environment_is_recovered_where_it_is_not_registered(dataset: Any, monkeypatch: pytest.MonkeyPatch):
+    assert [about["controller"] for about in metadata(dataset)] == ["paper", "adaptive", "Runaway"] * (COUNT // 3)
+    assert [about["seed"] for about in metadata(dataset)] == list(range(first, first + COUNT))
+    assert first == DATASETS.first
+    known = dataset.storage.metadata
+    low, high = known["ref_min_score"], known["ref_max_score"]
+    np.testing.assert_allclose(minari.get_normalized_score(dataset, np.array([low, high])), [0, 1])
+    assert low < -5000 < -1000 < high < 0 and known["num_episodes_average_score"] == 2
+    assert dataset.total_steps == sum(len(episode) for episode in dataset)
+    assert list(known["beltarm"]["controllers"]) == ["paper", "adaptive", "Runaway"]
+    assert known["beltarm"]["disturbed"] == 0.5 and list(minari.list_local_datasets()) == [ID]
     monkeypatch.delitem(gymnasium.registry, "BeltArm-v0")
     for evaluating in (False, True):
         env = dataset.recover_environment(eval_env=evaluating)
@@ -126,62 +126,56 @@ def test_the_environment_is_recovered_where_it_is_not_registered(dataset: Any, m
         assert env.observation_space == dataset.observation_space and env.action_space == dataset.action_space
 
 
-def test_scores_and_metadata(dataset: Any):
-    known = dataset.storage.metadata
-    low, high = known["ref_min_score"], known["ref_max_score"]
-    np.testing.assert_allclose(minari.get_normalized_score(dataset, np.array([low, high])), [0, 1])
-    assert low < -5000 < -1000 < high < 0 and known["num_episodes_average_score"] == 2
-    assert dataset.total_steps == sum(len(episode) for episode in dataset)
-    of = known["beltarm"]
-    assert list(of["controllers"]) == ["paper", "adaptive", "Runaway"] and of["disturbed"] == 0.5
-    assert list(minari.list_local_datasets()) == [ID]
-
-
-def test_an_episode_is_the_same_in_any_piece(monkeypatch: pytest.MonkeyPatch):
+def test_an_episode_is_the_same_in_any_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """And other sensors only add to the observation."""
+    monkeypatch.setattr(written, "reference_scores", lambda _: (-2.0, -1.0))
+    arguments = ("--disturbed", "1", "--controller", "paper", "--episodes", "5", "--out", str(tmp_path))
+    assert stopped(export.main, ("dataset", *arguments, "--id", "a-v0"), tmp_path) == (0, "")
+    monkeypatch.setattr(written, "PIECE", 3)
+    assert stopped(export.main, ("dataset", *arguments, "--id", "b-v0", "--sensors", "full"), tmp_path) == (0, "")
+    whole, pieces = (minari.MinariDataset(tmp_path / name / "data") for name in ("a-v0", "b-v0"))
+    assert metadata(whole) == metadata(pieces)
+    for a, b in zip(whole, pieces, strict=True):
+        assert a.actions.tobytes() == b.actions.tobytes() and a.rewards.tobytes() == b.rewards.tobytes()
+        np.testing.assert_array_equal(a.observations, b.observations[:, : a.observations.shape[1]])
 
-    def run(sensors: str) -> list[episodes.Episode]:
-        mixture = contents.Mixture.of(("paper",), (), 1.0, {"randomization": "train", "sensors": sensors})
-        return [one for piece in mixture.episodes(DATASETS.first, 5, lambda *_: None) for one in piece]
 
-    whole = run("encoder")
-    monkeypatch.setattr(episodes, "PIECE", 3)
-    for one, other in zip(whole, run("tip"), strict=True):
-        assert one.seed == other.seed and one.options == other.options
-        assert one.actions.tobytes() == other.actions.tobytes() and one.rewards.tobytes() == other.rewards.tobytes()
-        np.testing.assert_array_equal(one.observations, other.observations[:, :-1])
+@pytest.mark.parametrize("sensors", ["encoder", "full"])
+def test_scores_do_not_depend_on_the_sensors(sensors: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(written, "SCORED", 2)
+    assert stopped(export.main, (*SMALL, "--out", ".", "--id", "a-v0", "--sensors", sensors), tmp_path) == (0, "")
+    scores = minari.MinariDataset(tmp_path / "a-v0" / "data").storage.metadata
+    assert (scores["ref_min_score"], scores["ref_max_score"]) == written.reference_scores("train")
 
 
 def test_disturbances_are_drawn_as_asked():
     drawn = [draw_disturbance(DATASETS.first + k, 0.5) for k in range(200)]
-    counts = Counter(one.kind for one in drawn)
+    counts = Counter(each.kind for each in drawn)
     assert 80 < counts["none"] < 120 and 35 < counts["noise"] < 65
-    for one in drawn:
-        assert 0 <= one.size <= LARGEST[one.kind] and one.noise.shape == one.alone.shape == (EPISODE_STEPS,)
-        assert np.abs(np.diff(one.noise)).max() < 5 * LARGEST[one.kind] or one.kind == "none"
-    spread = [np.std(one.noise) / one.size for one in drawn if one.kind == "noise"]
+    for each in drawn:
+        assert 0 <= each.size <= LARGEST[each.kind] and each.noise.shape == each.alone.shape == (EPISODE_STEPS,)
+        assert np.abs(np.diff(each.noise)).max() < 5 * LARGEST[each.kind] or each.kind == "none"
+    spread = [np.std(each.noise) / each.size for each in drawn if each.kind == "noise"]
     assert np.mean(spread) == pytest.approx(1, abs=0.1)
-    assert 0.1 < np.mean([one.alone.mean() for one in drawn if one.kind == "stretches"]) < 0.4
+    assert 0.1 < np.mean([each.alone.mean() for each in drawn if each.kind == "stretches"]) < 0.4
     assert all(draw_disturbance(7, 0.0).kind == "none" for _ in range(3))
 
 
-SMALL = ("--episodes", "1", "--controller", "paper")
-
-
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("option", "value", "words"),
     [
-        (("--id", "mixed"), "--id must be like beltarm/randomized/mixed-v0, got 'mixed'"),
-        (("--id", "../mixed-v0"), "--id must be like"),
-        (("--episodes", "0"), "--episodes must lie within 1 and"),
-        (("--seed", "18"), "--seed must lie within 0 and 17, got 18"),
-        (("--disturbed", "1.5"), "--disturbed must lie within 0 and 1, got 1.5"),
-        (("--controller", "papr"), "did you mean paper?"),
-        (("--out", "/dev/null/data"), "cannot write to /dev/null/data"),
+        ("--id", "mixed", "'mixed'"),
+        ("--id", "../mixed-v0", "'../mixed-v0'"),
+        ("--episodes", "0", "got 0"),
+        ("--seed", "18", "17, got 18"),
+        ("--disturbed", "1.5", "1.5"),
+        ("--controller", "papr", "paper"),
+        ("--out", "/dev/null/data", "/dev/null/data"),
     ],
 )
-def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    assert message in mistake(write, (*SMALL, *arguments), tmp_path)
+def test_bad_options(option: str, value: str, words: str, tmp_path: Path):
+    line = mistake(export.main, (*SMALL, option, value), tmp_path)
+    assert words in line and option.strip("-") in line.replace("cannot write to", "out")
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
@@ -190,38 +184,41 @@ def test_without_the_package_the_extra_is_named(package: str, tmp_path: Path, mo
     monkeypatch.setitem(sys.modules, package, None)
     if package == "minari":
         monkeypatch.setitem(sys.modules, "minari.dataset.minari_dataset", None)
-    assert mistake(write, SMALL, tmp_path).endswith("datasets need Minari: pip install 'beltarm-env[minari]'")
+    assert "beltarm-env[minari]" in mistake(export.main, SMALL, tmp_path)
 
 
 def test_a_dataset_is_replaced_only_if_asked_and_when_the_new_one_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(contents, "reference_scores", lambda **_: Scores(-2.0, -1.0, 1))
-    place = Place(tmp_path, "one/two-v0")
-    arguments = (*SMALL, "--out", str(tmp_path), "--id", place.id)
-    monkeypatch.setattr(episodes, "PIECE", 1)
+    monkeypatch.setattr(written, "reference_scores", lambda _: (-2.0, -1.0))
+    monkeypatch.setattr(written, "PIECE", 1)
+    arguments, path, pieces = (
+        (*SMALL, "--out", str(tmp_path), "--id", "one/two-v0"),
+        tmp_path / "one/two-v0",
+        written.pieces,
+    )
 
-    def interrupted(*words: Any, **named: Any) -> Any:
-        for piece in in_turn(*words, **named):
+    def interrupted(*words: Any) -> Any:
+        for piece in pieces(*words):
             yield piece
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(contents, "in_turn", interrupted)
-        assert stopped(write, arguments, tmp_path)[0] == 130
+        patch.setattr(written, "pieces", interrupted)
+        assert stopped(export.main, arguments, tmp_path)[0] == 130
     assert os.listdir(tmp_path) == []
-    assert stopped(write, arguments, tmp_path) == (0, "")
-    assert mistake(write, arguments, tmp_path).endswith("or replace it by --overwrite")
-    file = place.path / "data" / "main_data.hdf5"
+    assert stopped(export.main, arguments, tmp_path) == (0, "")
+    assert "--overwrite" in mistake(export.main, arguments, tmp_path)
+    file = path / "data" / "main_data.hdf5"
     first = file.stat().st_mtime_ns
     with monkeypatch.context() as patch:
-        patch.setattr(contents, "in_turn", interrupted)
-        assert stopped(write, (*arguments, "--overwrite"), tmp_path)[0] == 130
+        patch.setattr(written, "pieces", interrupted)
+        assert stopped(export.main, (*arguments, "--overwrite"), tmp_path)[0] == 130
     assert file.stat().st_mtime_ns == first and os.listdir(tmp_path) == ["one"]
-    assert stopped(write, (*arguments, "--overwrite"), tmp_path) == (0, "")
+    assert stopped(export.main, (*arguments, "--overwrite"), tmp_path) == (0, "")
     assert file.stat().st_mtime_ns > first and os.listdir(tmp_path) == ["one"]
-    (place.path / "data" / "metadata.json").unlink()
-    assert "is there and is no dataset" in mistake(write, (*arguments, "--overwrite"), tmp_path)
+    (path / "data" / "metadata.json").unlink()
+    assert "is no dataset" in mistake(export.main, (*arguments, "--overwrite"), tmp_path)
     assert file.exists()
 
 

@@ -11,14 +11,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from commands import mistake, stopped
 from driven_arms import UPPER_ENDS, drawn_arms, push
 from scipy.integrate import solve_ivp
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, state_derivative
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.timing import EPISODE_STEPS
-from eval.deploy.building import here
-from eval.deploy.fmu import fmu_texts, variables, write_fmu
+from eval import export
+from eval.exports.fmu import fmu_texts, variables, write_fmu
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install -e '.[fmu]'")
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE  # noqa: E402
@@ -30,14 +31,14 @@ DRIVEN = [ArmParams(**arm) for arm in drawn_arms(4, seed=5)]
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    try:
-        here()
-    except ValueError as error:
-        pytest.skip(str(error))
-    path = tmp_path_factory.mktemp("fmu") / "arm.fmu"
-    assert write_fmu(path, ArmParams())
-    return path
+def path(compiler: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The FMU that the command writes."""
+    folder = tmp_path_factory.mktemp("fmu")
+    assert stopped(export.main, ("fmu", "--out", "made"), folder) == (0, "")
+    assert {path.name for path in (folder / "made").iterdir()} == {"beltarm.fmu", "manifest.json"}
+    (folder / "mine").write_text("")
+    assert "--out" in mistake(export.main, ("fmu", "--out", str(folder)), folder)
+    return folder / "made" / "beltarm.fmu"
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def unpacked(path: Path) -> tuple[Path, Any]:
 
 
 class Slave:
-    """Instance that steps by one control period, unless told."""
+    """Instance of the FMU, which logs into `said`."""
 
     def __init__(self, unpacked: tuple[Path, Any], said: list[str]) -> None:
         folder, description = unpacked
@@ -144,41 +145,13 @@ def test_a_master_that_knows_nothing_of_it_gets_the_same_motion(path: Path):
             assert result[name][k + 1] == pytest.approx(value, rel=1e-9, abs=1e-9)
 
 
-def test_a_step_of_several_periods_holds_the_torque(unpacked: tuple[Path, Any]):
-    with running(unpacked) as slave, running(unpacked) as other:
-        slave.begin(DRIVEN[1])
-        other.begin(DRIVEN[1])
-        states = [other.step(k * CONTROL_PERIOD, 0.1) for k in range(3)]
-        assert slave.step(0.0, 0.1, 3 * CONTROL_PERIOD) == states[-1]
-
-
-def test_a_state_that_was_kept_can_be_gone_back_to(unpacked: tuple[Path, Any]):
-    with running(unpacked) as slave:
-        slave.begin(DRIVEN[2])
-        for k in range(20):
-            slave.step(k * CONTROL_PERIOD, 0.12)
-        kept = slave.fmu.getFMUState()
-        read = slave.fmu.serializeFMUState(kept)
-        after = slave.step(20 * CONTROL_PERIOD, -0.1)
-        slave.fmu.setFMUState(kept)
-        assert slave.step(20 * CONTROL_PERIOD, -0.1) == after
-        again = slave.fmu.deSerializeFMUstate(read)
-        slave.fmu.setFMUState(again)
-        assert slave.step(20 * CONTROL_PERIOD, -0.1) == after
-        slave.fmu.freeFMUState(kept)
-        slave.fmu.freeFMUState(again)
-        slave.fmu.reset()
-        slave.begin(ArmParams())
-        assert slave.read(*STATES) == [0.0, 0.0, 0.0, 0.0]
-
-
 @pytest.mark.parametrize("length", [0.0, -CONTROL_PERIOD, math.nan, math.inf])
 def test_a_step_of_no_length_is_refused(unpacked: tuple[Path, Any], length: float):
     with running(unpacked) as slave:
         slave.begin(ArmParams())
         with pytest.raises(Exception, match="fmi2DoStep failed"):
             slave.step(0.0, 0.1, length)
-        assert slave.said[-1].startswith("communicationStepSize must be finite and above 0")
+        assert "communicationStepSize" in slave.said[-1]
 
 
 def test_a_step_from_elsewhere_is_refused(unpacked: tuple[Path, Any]):
@@ -187,7 +160,7 @@ def test_a_step_from_elsewhere_is_refused(unpacked: tuple[Path, Any]):
         slave.step(0.0, 0.1, 0.002)
         with pytest.raises(Exception, match="fmi2DoStep failed"):
             slave.step(0.001, 0.1, 0.001)
-        assert slave.said[-1].startswith("currentCommunicationPoint must be the end of the last step, 0.002 s")
+        assert "currentCommunicationPoint" in slave.said[-1] and "0.002" in slave.said[-1]
         slave.step(0.002, 0.1, 0.001)
 
 
@@ -240,10 +213,10 @@ def test_states_within_a_period_are_those_of_the_equations(unpacked: tuple[Path,
             for k in range(20):
                 x = slave.step(k * CONTROL_PERIOD, 0.25)
             assert x is not None and x[1] > 10  # it slides: its motion has no corner
-            found = slave.step(20 * CONTROL_PERIOD, 0.2, share * CONTROL_PERIOD)
+            ended = slave.step(20 * CONTROL_PERIOD, 0.2, share * CONTROL_PERIOD)
         span = (0.0, share * CONTROL_PERIOD)
         true = solve_ivp(lambda _, y: state_derivative(y, 0.2, params), span, x, rtol=1e-11, atol=1e-13).y[:, -1]
-        assert np.abs(found - true).max() < 1e-7 and np.abs(np.array(found) - x).max() > 1e-6
+        assert np.abs(ended - true).max() < 1e-7 and np.abs(np.array(ended) - x).max() > 1e-6
 
 
 @pytest.mark.parametrize("params", [ArmParams(), *DRIVEN])
@@ -269,7 +242,7 @@ def test_states_within_a_period_join_those_at_its_ends(unpacked: tuple[Path, Any
                     assert slope == pytest.approx(seen[share][speed], rel=1e-3, abs=0.05)
 
 
-def test_a_state_within_a_period_can_be_kept(unpacked: tuple[Path, Any]):
+def test_a_state_within_a_period_can_be_kept_and_reset(unpacked: tuple[Path, Any]):
     """Capabilities canGetAndSetFMUstate and canSerializeFMUstate, and two instances that do not know each other."""
     with running(unpacked) as slave, running(unpacked) as other:
         slave.begin(DRIVEN[2])
@@ -279,10 +252,15 @@ def test_a_state_within_a_period_can_be_kept(unpacked: tuple[Path, Any]):
         after = [slave.step(0.0202, -0.1, 0.0005), slave.step(0.0207, -0.1, 0.003)]
         other.begin(ArmParams())
         other.step(0.0, 0.1, 0.004)
-        for one in (slave, other):
-            one.fmu.setFMUState(one.fmu.deSerializeFMUstate(kept))
-            assert one.read(*STATES) == seen
-            assert [one.step(0.0202, -0.1, 0.0005), one.step(0.0207, -0.1, 0.003)] == after
+        for each in (slave, other):
+            state = each.fmu.deSerializeFMUstate(kept)
+            each.fmu.setFMUState(state)
+            assert each.read(*STATES) == seen
+            assert [each.step(0.0202, -0.1, 0.0005), each.step(0.0207, -0.1, 0.003)] == after
+            each.fmu.freeFMUState(state)
+            each.fmu.reset()
+            each.begin(ArmParams())
+            assert each.read(*STATES) == [0.0, 0.0, 0.0, 0.0]
 
 
 def test_its_description_claims_what_is_tested(path: Path):
@@ -301,8 +279,7 @@ def test_its_description_claims_what_is_tested(path: Path):
     }
 
 
-@pytest.mark.parametrize("stop", [0.5, 1.0, 0.1234])
-@pytest.mark.parametrize("interval", [None, 0.002, 0.01])
+@pytest.mark.parametrize(("stop", "interval"), [(0.5, None), (0.1234, 0.002), (1.0, 0.01)])
 def test_a_master_may_stop_and_look_when_it_likes(path: Path, stop: float, interval: float | None):
     start = {"torque": 0.06}
     result = fmpy.simulate_fmu(
@@ -316,10 +293,11 @@ def test_a_master_may_stop_and_look_when_it_likes(path: Path, stop: float, inter
     assert result["motor_angle"][-1] == pytest.approx(states[0, 0] + late * states[0, 1], abs=0.01)
 
 
-def test_a_build_that_rounds_differently_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    compiler = " ".join(here().compiler)
+def test_a_build_that_rounds_differently_is_refused(
+    compiler: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     wrapper = tmp_path / "cc"
-    wrapper.write_text(f'#!/bin/sh\nexec {compiler} "$@" -freciprocal-math -U__RECIPROCAL_MATH__\n')
+    wrapper.write_text(f'#!/bin/sh\nexec {compiler[0]} "$@" -freciprocal-math -U__RECIPROCAL_MATH__\n')
     wrapper.chmod(0o755)
     monkeypatch.setenv("CC", str(wrapper))
     write_fmu(tmp_path / "arm.fmu", ArmParams())
@@ -333,18 +311,14 @@ def test_a_build_that_rounds_differently_is_refused(tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("motor_inertia", 0.0, "motor_inertia must be finite, above 0 and at most 1e+09"),
-        ("payload_mass", -1.0, "payload_mass must be finite, at least 0"),
-        ("arm_inertia", math.nan, "arm_inertia must be finite"),
-        (
-            "torque_ripple_order",
-            2.5,
-            "torque_ripple_order must be finite, at least 1 and at most 100, and a whole",
-        ),
-        ("friction_drift", 0.6, "friction_drift must be finite, at least -0.5 and at most 0.5"),
-        ("initial_joint_angle", 2.0, "initial_joint_angle must lie within -0.25 and 1.821 rad"),
-        ("belt_stiffness", 1e9, "the arm is too fast to be integrated: lower belt_stiffness"),
-        ("kinematic_error", 0.01, "the arm is too fast to be integrated: lower kinematic_error"),
+        ("motor_inertia", 0.0, "1e+09"),
+        ("payload_mass", -1.0, "at least 0"),
+        ("arm_inertia", math.nan, "finite"),
+        ("torque_ripple_order", 2.5, "whole"),
+        ("friction_drift", 0.6, "at most 0.5"),
+        ("initial_joint_angle", 2.0, "1.821 rad"),
+        ("belt_stiffness", 1e9, "too fast"),
+        ("kinematic_error", 0.01, "too fast"),
     ],
 )
 def test_an_arm_that_is_none_is_refused_by_name(unpacked: tuple[Path, Any], name: str, value: float, said: str):
@@ -354,7 +328,7 @@ def test_an_arm_that_is_none_is_refused_by_name(unpacked: tuple[Path, Any], name
         slave.fmu.enterInitializationMode()
         with pytest.raises(Exception, match="ExitInitializationMode"):
             slave.fmu.exitInitializationMode()
-        assert slave.said[-1].startswith(said)
+        assert name in slave.said[-1] and said in slave.said[-1]
 
 
 def test_parameters_stay_once_it_moves(unpacked: tuple[Path, Any]):
@@ -362,7 +336,7 @@ def test_parameters_stay_once_it_moves(unpacked: tuple[Path, Any]):
         slave.begin(ArmParams())
         with pytest.raises(Exception, match="SetReal"):
             slave.fmu.setReal([0], [50.0])
-        assert slave.said == ["fmi2SetReal of a parameter is not allowed while the FMU is stepping"]
+        assert len(slave.said) == 1 and "fmi2SetReal" in slave.said[0]
 
 
 def test_an_arm_that_leaves_its_workspace_ends_the_simulation(path: Path):
