@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -79,8 +80,8 @@ def translate(function: Kernel, arguments: tuple[Any, ...], program: Program, na
     parameters: list[str] = []
     values = [value_of(argument, parameters) for argument in arguments]
     scope = Function(program, {}, {})
-    found = program.call(scope, getattr(function, "py_func", function), values)
-    for k, number in enumerate(results(found)):
+    returned = program.call(scope, getattr(function, "py_func", function), values)
+    for k, number in enumerate(results(returned)):
         scope.write(f"out[{k}] = (double)({number.code});")
     lines = "\n".join(f"    {line}" for line in ["(void)out;", *without_unused(scope)])
     head = f"void {name}({', '.join([*parameters, 'double *out'])})"
@@ -127,11 +128,6 @@ class Translated:
         return list(out)
 
 
-def numbers(found: Any) -> list[float]:
-    """Numbers that a kernel returned in Python."""
-    return [float(leaf) for leaf in leaves((found,))]
-
-
 def same(a: Any, b: Any) -> bool:
     """Whether numbers are equal to the last bit, the sign of zero included; one NaN is like another."""
     a, b = np.asarray(a, np.float64).ravel(), np.asarray(b, np.float64).ravel()
@@ -153,10 +149,47 @@ def assert_same(library: Translated, name: str, reference: Kernel, arguments: tu
     """Assert that a kernel returns and writes in C what it does in Python."""
     python, compiled = copied(arguments), tuple(a if isinstance(a, Const) else copied(a) for a in arguments)
     with np.errstate(all="ignore"):
-        wanted = numbers(reference(*python))
-    found = library.call(name, *compiled)[: len(wanted)]
-    assert same(wanted, found), f"{name}{arguments}: {wanted} in Python, {found} in C"
+        wanted = [float(leaf) for leaf in leaves((reference(*python),))]
+    result = library.call(name, *compiled)[: len(wanted)]
+    assert same(wanted, result), f"{name}{arguments}: {wanted} in Python, {result} in C"
     unknown = tuple(b for a, b in zip(arguments, python, strict=True) if not isinstance(a, Const))
     for a, b in zip(leaves(unknown), leaves(compiled), strict=True):
         if isinstance(a, np.ndarray):
             assert same(a, b), f"{name}{arguments} writes {a} in Python, {b} in C"
+
+
+class Cases(dict[str, tuple[Kernel, Kernel, Calls]]):
+    """Kernels by name, each with its reference and the arguments that it is called with."""
+
+    def case(self, *calls: tuple[Any, ...], of_numba: bool = False) -> Callable[[Kernel], Kernel]:
+        """Make a kernel a case.
+
+        Args:
+            *calls: Its arguments, for each call.
+            of_numba: Whether the reference is compiled by numba: where it has float32 beside float64, or np.sign.
+        """
+
+        def add(kernel: Kernel) -> Kernel:
+            self[kernel.__name__] = kernel, numba.njit(error_model="numpy")(kernel) if of_numba else kernel, list(calls)
+            return kernel
+
+        return add
+
+    def library(self, folder: Path, flags: tuple[str, ...] = (), more: Mapping[str, Any] | None = None) -> Translated:
+        """Translate all cases, and more kernels, for arguments as those of their first call."""
+        kernels = {name: (kernel, calls[0]) for name, (kernel, _, calls) in self.items()}
+        return Translated(folder, {**kernels, **(more or {})}, flags)
+
+    def check(self, library: Translated, name: str, folder: Path) -> None:
+        """Assert that a kernel does in C what it does in Python; for other shapes of arrays it is translated anew."""
+        kernel, reference, calls = self[name]
+        for k, arguments in enumerate(calls):
+            own = library
+            if _shapes(arguments) != _shapes(calls[0]):
+                (folder / str(k)).mkdir()
+                own = Translated(folder / str(k), {name: (kernel, arguments)})
+            assert_same(own, name, reference, arguments)
+
+
+def _shapes(arguments: tuple[Any, ...]) -> list[Any]:
+    return [getattr(argument, "shape", None) for argument in arguments]

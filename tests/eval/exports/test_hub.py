@@ -131,8 +131,8 @@ def test_scores_are_those_of_the_results(method: str):
         metrics = {each.metric_type: each for each in results[1:] if each.dataset_config == split}
         assert list(metrics) == [name for name in SHOWN if name in row["metrics"]]
         for name, metric in metrics.items():
-            assert {"iqm": metric.metric_value, **metric.metric_args} == row["metrics"][name]
-            assert metric.dataset_split == "test" and "5 training seeds" in metric.metric_name
+            assert {"iqm": metric.metric_value, **(metric.metric_args or {})} == row["metrics"][name]
+            assert metric.dataset_split == "test" and "5 training seeds" in (metric.metric_name or "")
         cost = row["metrics"]["cost"]
         assert f"| {split} | {cost['iqm']:.0f} [{cost['low']:.0f}, {cost['high']:.0f}] |" in page
     provenance = scores.results["provenance"]

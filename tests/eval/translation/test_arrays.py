@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from translating import INTEGERS, Calls, Kernel, Translated, assert_same
+from translating import INTEGERS, Cases, Translated
 
 from eval.translation.types import Const
 
-CASES: dict[str, tuple[Kernel, Calls]] = {}
+CASES = Cases()
+case = CASES.case
 TABLE = np.array([[1.0, 2.0, 3.0], [-4.0, 0.1, 6.0]])
 WHOLES = np.array([3, -1, 2])
 LAST = slice(2, 4)
@@ -31,16 +33,6 @@ class Inner(NamedTuple):
 
     row: Any
     times: int
-
-
-def case(*calls: tuple[Any, ...]) -> Any:
-    """Make a kernel a case, with the arguments it is called with."""
-
-    def add(kernel: Kernel) -> Kernel:
-        CASES[kernel.__name__] = kernel, list(calls)
-        return kernel
-
-    return add
 
 
 def row(n: int = 5) -> Any:
@@ -296,19 +288,9 @@ def guarded_reads(a: Any) -> tuple[Any, ...]:
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Translated:
-    kernels = {name: (kernel, calls[0]) for name, (kernel, calls) in CASES.items()}
-    return Translated(tmp_path_factory.mktemp("kernels"), kernels)
+    return CASES.library(tmp_path_factory.mktemp("kernels"))
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_kernel_in_c_is_the_kernel_in_python(
-    library: Translated, name: str, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    kernel, calls = CASES[name]
-    for k, arguments in enumerate(calls):
-        shapes = [getattr(argument, "shape", None) for argument in arguments]
-        if k and shapes != [getattr(argument, "shape", None) for argument in calls[0]]:
-            other = Translated(tmp_path_factory.mktemp(name), {name: (kernel, arguments)})
-            assert_same(other, name, kernel, arguments)
-        else:
-            assert_same(library, name, kernel, arguments)
+def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
+    CASES.check(library, name, tmp_path)

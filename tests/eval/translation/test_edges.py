@@ -7,21 +7,19 @@ import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from refusals import refused
-from translating import Calls, Kernel, Translated, assert_same, compiler, translate
+from translating import Cases, Translated, compiler
 
 from eval.exports.compilers import SANITISED
-from eval.translation.program import Program
-from eval.translation.types import NotConstantError, TranslationError
 
 ASKED = "BELTARM_TEST_SANITISED"  # set in the process that `test_within_memory` starts
 TABLE = np.arange(3.0)
-CASES: dict[str, tuple[Kernel, Calls]] = {}
-REFUSED: dict[str, tuple[Kernel, tuple[Any, ...], str]] = {}
+CASES = Cases()
+case = CASES.case
 
 
 class Part(NamedTuple):
@@ -29,26 +27,6 @@ class Part(NamedTuple):
 
     row: Any
     times: Any
-
-
-def case(*calls: tuple[Any, ...]) -> Any:
-    """Make a kernel a case, with the arguments it is called with."""
-
-    def add(kernel: Kernel) -> Kernel:
-        CASES[kernel.__name__] = kernel, list(calls)
-        return kernel
-
-    return add
-
-
-def refuses(word: str, *given: Any) -> Any:
-    """Make a kernel one that is refused, with a word of the message."""
-
-    def add(kernel: Kernel) -> Kernel:
-        REFUSED[kernel.__name__] = kernel, given, word
-        return kernel
-
-    return add
 
 
 def row(n: int = 8) -> Any:
@@ -129,25 +107,6 @@ def tuples_by_index(k: int) -> tuple[int, ...]:
     return steps[k - 3], steps[2 - k], steps[k - 5]
 
 
-@refuses("an array of shape", row())
-def slice_of_fewer(a: Any) -> float:
-    a[1:4] = (1.0, 2.0)
-    return a[3]
-
-
-@refuses("an array of shape")
-def row_of_a_tuple() -> float:
-    square = np.zeros((3, 3))
-    square[:] = (1.0, 2.0, 3.0)
-    return square[0, 1]
-
-
-@refuses("shape", row(), 2, 3)
-def slices_of_two_lengths(a: Any, m: int, n: int) -> float:
-    a[:m] = a[:n]
-    return a[0]
-
-
 # Whole numbers
 
 FAR = (2**31 - 2, 2**31 - 1, 2**31, -(2**31), -(2**31) - 1, 5, -7, 0)
@@ -183,51 +142,6 @@ def wholes_of_reals(n: Any, x: float) -> tuple[int, ...]:
     n[0] += x
     n[1:] = 3.9 * x
     return n[0], n[1]
-
-
-@refuses("in place", wholes(1, 2), 0.5)
-def wholes_and_reals_in_place(n: Any, x: float) -> int:
-    n += x
-    return n[0]
-
-
-@refuses("int32", np.zeros(2, np.int32))
-def short_numbers(n: Any) -> int:
-    return n[0] + n[1]
-
-
-@refuses("int8")
-def bytes_allocated() -> int:
-    n = np.zeros(2, np.int8)
-    return n[0]
-
-
-@refuses("uint64", np.zeros(2, np.uint64))
-def unsigned_numbers(n: Any) -> int:
-    return n[0] - n[1]
-
-
-@refuses("two bools", np.array([True, True]))
-def bools_added(flags: Any) -> int:
-    return flags[0] + flags[1]
-
-
-@refuses("LShift", 3)
-def shifted(k: int) -> int:
-    return k << 2
-
-
-@refuses("powers", 3)
-def whole_powers(k: int) -> int:
-    return k**2
-
-
-@refuses("step", 3)
-def standing(n: int) -> int:
-    total = 0
-    for k in range(0, n, 0):
-        total += k
-    return total
 
 
 # Memory that has two names
@@ -296,16 +210,6 @@ def view_chosen(a: Any, k: int) -> float:
     return part[0]
 
 
-@refuses("loop allocates", row(), 3)
-def array_kept_in_a_tuple(a: Any, n: int) -> float:
-    before = Part(np.zeros(2), 1)
-    for k in range(n):
-        now = Part(np.zeros(2), k)
-        now.row[0] = before.row[0] + a[k]
-        before = now
-    return before.row[0]
-
-
 # Ways through a kernel
 
 
@@ -345,107 +249,26 @@ def zeros_and_what_is_no_number(x: float, y: float) -> tuple[Any, ...]:
     return max(x, y), min(x, y), max(0.0, x, y), x == y, x != x, not x < y, 1.0 if x else 2.0, -x * 0.0, x % 1.0
 
 
-@refuses("take two names", 3)
-def nothing_at_first(n: int) -> Any:
-    last: Any = None
-    for _ in range(n):
-        last = 2.0 if last is None else last * 2.0
-    return last
-
-
-def doubled(x: float) -> float:
-    """Return twice a number."""
-    return 2.0 * x
-
-
-def halved(x: float) -> float:
-    """Return a half."""
-    return 0.5 * x
-
-
-@refuses("take two names", 1.0)
-def function_chosen_in_a_branch(x: float) -> float:
-    function = doubled
-    if x > 0.0:
-        function = halved
-    return function(x)
-
-
-@refuses("take two names", 1.0)
-def function_chosen_before_a_break(x: float) -> float:
-    function = doubled
-    for _ in range(3):
-        if x > 0.0:
-            function = halved
-            break
-    return function(x)
-
-
-@refuses("take two names", 1.0)
-def word_chosen_in_a_branch(x: float) -> float:
-    word = "one"
-    if x > 0.0:
-        word = "two"
-    return 1.0 if word == "one" else 2.0
-
-
-@refuses("while ... else", 3)
-def while_with_else(n: int) -> int:
-    k = 0
-    while k < n:
-        k += 1
-    else:
-        k = 100
-    return k
-
-
-@refuses("return on all ways", 1.0)
-def some_ways_return(x: float) -> Any:
-    if x > 0.0:
-        return 1.0
-
-
-def bumped(a: Any) -> float:
-    """Add one to the first element and return it."""
-    a[0] += 1.0
-    return a[0]
-
-
-@refuses("chain", row())
-def call_at_the_end_of_a_chain(a: Any) -> bool:
-    return 5.0 < a[0] < bumped(a)
-
-
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Translated:
-    flags = SANITISED if ASKED in os.environ else ()
-    kernels = {name: (kernel, calls[0]) for name, (kernel, calls) in CASES.items()}
-    return Translated(tmp_path_factory.mktemp("kernels"), kernels, flags)
+    return CASES.library(tmp_path_factory.mktemp("kernels"), SANITISED if ASKED in os.environ else ())
 
 
-@pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("ignore:.*overflow:RuntimeWarning")  # NumPy's own, of `wrapped`
-def test_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str) -> None:
-    kernel, calls = CASES[name]
-    for arguments in calls:
-        assert_same(library, name, kernel, arguments)
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused(name: str) -> None:
-    kernel, given, word = REFUSED[name]
-    refused((TranslationError, NotConstantError), (word,), lambda: translate(kernel, given, Program()))
+@pytest.mark.parametrize("name", CASES)
+def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
+    CASES.check(library, name, tmp_path)
 
 
 @pytest.mark.skipif(ASKED in os.environ, reason="this is the process that the test starts")
-def test_within_memory() -> None:
+def test_within_memory():
     """A kernel that reads or writes beyond an array, or computes what C leaves undefined, ends the process."""
     chain = compiler()
     asked = [*chain.compiler, "-print-file-name=libasan.so"]
     found = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
     if not os.path.isabs(found):
         pytest.skip("the compiler has no sanitiser of addresses")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "test_kernel_in_c"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "kernel_in_c"]
     environment = {**os.environ, ASKED: "1", "LD_PRELOAD": found, "ASAN_OPTIONS": "detect_leaks=0"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
