@@ -20,7 +20,7 @@ TOOLS := .venv-tools
 .DELETE_ON_ERROR:
 .DEFAULT:
 	$(error there is no '$@', and no target that makes it: `make help` lists the targets)
-.PHONY: help compare train setup test test-all test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.PHONY: help compare train setup test test-all test-lowest fuzz soak coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails drive sensors guard embedded observers steps tune learning film readme
 
 ##@ Use
 
@@ -64,10 +64,6 @@ fuzz: $(READY)  ## Try ten times as many examples in the property tests, at rand
 soak: $(READY)  ## Attack all that is promised: results/soak/reliability.md; ARGS="--share 0.1 --seed 1" is a tenth of another
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[siege]'
 	$(BIN)/python eval/soak.py $(ARGS)
-
-mutants: $(READY)  ## Put faults into the code, and see which the tests find, in docs/mutation.md: an hour; goes on where interrupted
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[mutation]'
-	$(BIN)/python eval/mutants.py --out docs $(ARGS)
 
 coverage: $(READY)  ## Run the tests and show which lines of the packages they reach
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --slow --cov --cov-report term:skip-covered $(ARGS)
@@ -132,9 +128,6 @@ loops: $(READY)  ## Margins, costs and times of every controller, and where it b
 tails: $(READY)  ## Tail risk of controllers on 25000 scenarios, in docs/results/tails: half an hour; goes on where it was interrupted
 	$(BIN)/python eval/compare.py --scenario-seed 1 --episodes 25000 --splits randomized \
 		--methods paper preview adaptive ppo student --out docs/results/tails $(ARGS)
-
-scaling: $(READY)  ## What tasks side by side take, by engine, in docs/scaling; takes ten minutes
-	$(BIN)/python eval/scaling.py --methods paper --out docs/scaling $(ARGS)
 
 drive: $(READY)  ## Cost and vibration of every controller over each effect of the drive, in docs/results/drive; takes five minutes
 	$(BIN)/python eval/drive.py --out docs/results/drive $(ARGS)

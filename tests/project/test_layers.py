@@ -31,11 +31,11 @@ FLOORS = {
     "eval": (
         *("comparison", "report"),
         *(
-            "translation verification drives advances sensing observing guarding tails leaderboard offline",
+            "translation verification drives advances sensing observing guarding tails offline",
             "deploy",
             "loops sharing",
             "reproduction",
-            "learning repetition speed engines siege mutation",
+            "learning repetition speed",
         ),
     ),
 }

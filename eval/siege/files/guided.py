@@ -20,7 +20,7 @@ from eval.siege.report import Siege
 INSTRUMENTED = (
     *("agents.policy.bundle", "agents.policy.manifest", "agents.policy.weights", "agents.runs.checkpoint"),
     *("agents.observer.files", "baselines.tools.schema", "baselines.tools.files", "baselines.gains"),
-    *("eval.comparison.pairs", "eval.comparison.scenarios", "eval.comparison.schema", "eval.leaderboard.archive"),
+    *("eval.comparison.pairs", "eval.comparison.scenarios", "eval.comparison.schema"),
 )
 """Modules whose branches count. Those with kernels cannot be instrumented."""
 _LENGTH = 256  # of choices [bytes]

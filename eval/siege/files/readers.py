@@ -35,7 +35,6 @@ from eval.comparison.pairs import Pair, keep, read_kept
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
-from eval.leaderboard.archive import archived, read_archive
 from eval.siege.files import damage
 
 _RESULTS = Path(__file__).resolve().parents[3] / "docs" / "results" / "comparison" / "results.json"
@@ -187,17 +186,6 @@ def _gains(folder: Path) -> Reader:
     return _of_json(partial(tuned, "zv", TUNABLE["zv"].gains, path), path, content)
 
 
-def _archive(folder: Path) -> Reader:
-    path, files = folder / "mine.zip", {"submission.json": b"{}" * 50, "policies/0/policy.json": b"[1]" * 50}
-    data = archived(files, path.name)
-    path.write_bytes(data)
-
-    def damaged(rng: Random) -> Damaged:
-        return {path.name: damage.damaged_archive(rng, data, folder, damage.damaged_bytes)[0]}, True
-
-    return Reader(lambda: read_archive(path), damaged)
-
-
 def _observer(folder: Path) -> Reader:
     path = folder / "none.safetensors"
     data = (SHIPPED / path.name).read_bytes()
@@ -219,7 +207,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "scenarios": _scenarios,
     "results": _results,
     "gains": _gains,
-    "archive": _archive,
     "observer": _observer,
 }
 """Makes sound files in an empty folder, and what reads them."""
