@@ -1,4 +1,4 @@
-"""Controllers that do what no controller should. Nothing here is to be imported outside a process of its own."""
+"""Controllers that do what no controller should: import them only in a process of their own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SOME = 600  # samples after which trouble begins
 
 
 class Sound:
-    """Gives no torque, and does its mischief in the middle of an episode."""
+    """Gives no torque, and misbehaves in the middle of an episode."""
 
     def __init__(self) -> None:
         self._samples = 0
@@ -30,46 +30,46 @@ class Sound:
         """Return zeros, shape (n, 1), until it is time."""
         self._samples += 1
         torque = np.zeros((len(observation), 1), np.float32)
-        return (torque if self._samples != _SOME else self.mischief(torque, observation)), None
+        return (torque if self._samples != _SOME else self.misbehave(torque, observation)), None
 
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         """Return something else, or do it."""
         return torque
 
 
 class SystemExits(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         sys.exit(0)
 
 
 class ProcessExits(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         os._exit(0)
 
 
 class Segfaults(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         ctypes.string_at(0)
 
 
 class Aborts(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         os.abort()
 
 
 class Hangs(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         time.sleep(1e6)
 
 
 class HangsInC(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
         ctypes.CDLL(None).pause()
 
 
 class Forks(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         for _ in range(20):
             if os.fork() == 0:
                 time.sleep(1e6)
@@ -77,14 +77,14 @@ class Forks(Sound):
 
 
 class TakesMemory(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return np.ones((1 << 40,))
 
 
 class Leaks(Sound):
     """Takes more and more memory, within a limit of its own that spares the machine."""
 
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 29), resource.RLIM_INFINITY))
         leak = []
@@ -93,52 +93,52 @@ class Leaks(Sound):
 
 
 class NotNumbers(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return torque * np.nan
 
 
 class Infinite(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return torque + np.inf
 
 
 class WrongShape(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return torque[:, 0]
 
 
 class TooMany(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return np.concatenate([torque, torque])
 
 
 class Words(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return torque.astype(str)
 
 
 class Nothing(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         return None
 
 
 class Interrupts(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         raise KeyboardInterrupt
 
 
 class Recurses(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
-        return self.mischief(torque, observation)
+    def misbehave(self, torque: Any, observation: Any) -> Any:
+        return self.misbehave(torque, observation)
 
 
 class ClosesFiles(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         os.closerange(0, 100)
 
 
 class Interferes(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         for handle in range(3, 100):
             with suppress(OSError):
                 os.write(handle, bytes(7) + b"\x40begun")
@@ -146,30 +146,30 @@ class Interferes(Sound):
 
 
 class Unpicklable(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         raise ValueError(threading.Lock())
 
 
 class Network(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         socket.create_connection(("192.0.2.1", 9), timeout=0.2)  # an address of nobody
 
 
 class Mutates(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         observation[:] = 7.0
         return torque
 
 
 class Seeds(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         np.random.seed(0)  # noqa: NPY002
         random.seed(0)
         return torque
 
 
 class Wanders(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         os.chdir("/")
         sys.path.clear()
         os.environ.clear()
@@ -179,7 +179,7 @@ class Wanders(Sound):
 class Cheats(Sound):
     """Changes the metrics of the process that it is in."""
 
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         for name, module in list(sys.modules.items()):
             if name.endswith("metrics"):
                 vars(module).update(dict.fromkeys([key for key in vars(module) if key.islower()], None))
@@ -187,7 +187,7 @@ class Cheats(Sound):
 
 
 class Chatters(Sound):
-    def mischief(self, torque: Any, observation: Any) -> Any:
+    def misbehave(self, torque: Any, observation: Any) -> Any:
         print("x" * 10_000_000)
         print("x" * 10_000_000, file=sys.stderr)
         Path(os.devnull).write_text("x")
@@ -195,5 +195,5 @@ class Chatters(Sound):
 
 
 HARMLESS = ("Seeds", "Wanders", "Chatters")
-"""What those do reaches nobody: they have a row as the sound one has."""
+"""Kinds that no one notices: their rows are those of the sound controller."""
 KINDS = tuple(sorted(kind.__name__ for kind in Sound.__subclasses__()))

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+Read = Callable[[], object]
 _IN_MEMORY = Path("/dev/shm")  # on Linux
 EXECUTED = "executed"
 """Name of a folder that only loading a pickle makes."""

@@ -1,4 +1,4 @@
-"""What writes files for a while and can be begun again: small trainings, a search for gains, a comparison."""
+"""Runs that write files and can be begun again: small trainings, a search for gains, a comparison."""
 
 from __future__ import annotations
 
@@ -29,23 +29,18 @@ from eval.comparison.sets import development_set
 
 
 class Subject(NamedTuple):
-    """Something that writes files, and can be begun again."""
+    """A run that writes files, and can be begun again."""
 
-    name: str
     begin: Callable[[Path], object]
     go_on: Callable[[Path], object]  # which first checks that what is there can be read
     meaning: Callable[[Path], dict[str, Any]]  # of the finished files, without what may differ
     given: dict[str, str] = {}  # text of files that are there before  # noqa: RUF012
 
 
-def differences(meaning: Callable[[Path], dict[str, Any]], folder: Path, wanted: dict[str, Any]) -> str:
-    """Words for what is not as in a run that nobody touched; empty if all is."""
-    try:
-        reached = meaning(folder)
-    except Exception as error:  # whatever it is, the files are not what they should be
-        return f"{type(error).__name__}: {error}"
+def assert_same(reached: dict[str, Any], wanted: dict[str, Any]) -> None:
+    """Assert that files mean what those of a run without trouble do."""
     differ = sorted(name for name in {*wanted, *reached} if wanted.get(name) != reached.get(name))
-    return f"other files than without trouble: {', '.join(differ)}" if differ else ""
+    assert not differ, f"other files than without trouble: {', '.join(differ)}"
 
 
 def _train(config: RunConfig, folder: Path, resume: bool) -> None:
@@ -84,8 +79,8 @@ def meaning_of_training(folder: Path) -> dict[str, Any]:
 def _compare(folder: Path) -> None:
     if (folder / "results.json").exists():
         read_results(folder / "results.json")
-    found = compare(choose_methods(("paper", "rigid")), development_set().only(["nominal"]), 4, folder, 1)
-    write_results(found, folder)
+    comparison = compare(choose_methods(("paper", "rigid")), development_set().only(["nominal"]), 4, folder, 1)
+    write_results(comparison, folder)
 
 
 def _comparison(folder: Path) -> dict[str, Any]:
@@ -111,12 +106,12 @@ class _Tuning:
 
 
 def _tuning(folder: Path) -> dict[str, Any]:
-    found = read_file(folder / "gains.json")
-    origin = found["zv"]["provenance"]
+    gains = read_file(folder / "gains.json")
+    origin = gains["zv"]["provenance"]
     for name in ("date", "commit", "seconds", "trials", "pruned", "failed", "refused"):  # a trial that is killed counts
         origin.pop(name)
     origin["steps"] = origin["steps"] <= MIN_BUDGET
-    return found
+    return gains
 
 
 _FEW: dict[str, Any] = {"arms": 4, "validation_arms": 2, "hold": 40, "hidden": (4,)}
@@ -124,15 +119,13 @@ _PPO = PpoConfig(total_steps=64, validation_every=32, rollout_steps=8, batch_siz
 _STUDENT = StudentConfig(rounds=1, gru_width=4, batch_size=4, **_FEW)
 
 
-def _trained(name: str, config: RunConfig) -> Subject:
-    return Subject(
-        name, partial(_train, config, resume=False), partial(_train, config, resume=True), meaning_of_training
-    )
+def _trained(config: RunConfig) -> Subject:
+    return Subject(partial(_train, config, resume=False), partial(_train, config, resume=True), meaning_of_training)
 
 
-SUBJECTS = (
-    _trained("a training", _PPO),
-    Subject("a search for gains", _Tuning(False), _Tuning(True), _tuning, {"gains.json": '{"zvd": {"gains": {}}}'}),
-    _trained("a student", _STUDENT),
-    Subject("a comparison", _compare, _compare, _comparison),
-)
+SUBJECTS: dict[str, Subject] = {
+    "training": _trained(_PPO),
+    "search": Subject(_Tuning(False), _Tuning(True), _tuning, {"gains.json": '{"zvd": {"gains": {}}}'}),
+    "student": _trained(_STUDENT),
+    "comparison": Subject(_compare, _compare, _comparison),
+}

@@ -14,6 +14,7 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
+import damage
 import numpy as np
 
 from agents.learners.ppo import PpoConfig
@@ -35,9 +36,8 @@ from eval.comparison.pairs import Pair, keep, read_kept
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
-from eval.siege.files import damage
 
-_RESULTS = Path(__file__).resolve().parents[3] / "docs" / "results" / "comparison" / "results.json"
+_RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "comparison" / "results.json"
 _SCENARIOS = 3
 
 Damaged = tuple[dict[str, bytes], bool]
@@ -47,39 +47,39 @@ Damaged = tuple[dict[str, bytes], bool]
 class Reader(NamedTuple):
     """Something that reads files, of which sound ones are in a folder."""
 
-    read: Callable[[], object]  # what the files mean; None where they are refused without an error
+    read: damage.Read  # what the files mean; None where they are refused without an error
     damaged: Callable[[Random], Damaged]
     removes: bool = False  # whether a damaged file is removed
 
 
 def _json(
-    rng: Random, content: Any, folder: Path, seal: Callable[[dict[str, Any]], object] | None = None
+    rng: Random, content: Any, folder: Path, rehash: Callable[[dict[str, Any]], object] | None = None
 ) -> tuple[bytes, bool]:
-    """Damaged text of JSON, and whether its hash fits, by `seal`, or it has none."""
-    fits = seal is None
+    """Damaged text of JSON, and whether its hash fits, by `rehash`, or it has none."""
+    fits = rehash is None
     if rng.random() < 0.75:
         content = damage.damaged_content(rng, content)
-        if seal is not None and rng.random() < 0.7 and isinstance(content, dict):
-            seal(content)
+        if rehash is not None and rng.random() < 0.7 and isinstance(content, dict):
+            rehash(content)
             fits = True
     text = json.dumps(content).encode()
     return (text, fits) if rng.random() < 0.7 else (damage.damaged_text(rng, text, folder), fits)
 
 
 def _of_json(
-    read: Callable[[], object], path: Path, content: Any, seal: Callable[[Any], object] | None = None
+    read: Callable[[], object], path: Path, content: Any, rehash: Callable[[Any], object] | None = None
 ) -> Reader:
-    """Reader of a file of JSON, whose hash `seal` makes fit, if it has one."""
+    """Reader of a file of JSON, whose hash `rehash` makes fit, if it has one."""
     path.write_text(json.dumps(content))
 
     def damaged(rng: Random) -> Damaged:
-        text, fits = _json(rng, content, path.parent, seal)
+        text, fits = _json(rng, content, path.parent, rehash)
         return {path.name: text}, fits
 
     return Reader(read, damaged)
 
 
-def _seal_manifest(content: dict[str, Any]) -> None:
+def _rehash_manifest(content: dict[str, Any]) -> None:
     content["content_hash"] = content_hash(content)
 
 
@@ -93,7 +93,7 @@ def _bundle(folder: Path) -> dict[str, Any]:
 
 def _manifest(folder: Path) -> Reader:
     content = _bundle(folder)
-    return _of_json(lambda: read_spec(folder)[1], folder / MANIFEST, content, _seal_manifest)
+    return _of_json(lambda: read_spec(folder)[1], folder / MANIFEST, content, _rehash_manifest)
 
 
 def _weights(folder: Path) -> Reader:
@@ -104,12 +104,12 @@ def _weights(folder: Path) -> Reader:
     def damaged(rng: Random) -> Damaged:
         files, fits = {name: damage.damaged_weights(rng, data, folder)}, rng.random() < 0.7
         if fits:
-            told = {**content, "weights": {"file": name, "sha256": hashlib.sha256(files[name]).hexdigest()}}
-            _seal_manifest(told)
-            files[MANIFEST] = json.dumps(told).encode()
+            manifest = {**content, "weights": {"file": name, "sha256": hashlib.sha256(files[name]).hexdigest()}}
+            _rehash_manifest(manifest)
+            files[MANIFEST] = json.dumps(manifest).encode()
         return files, fits
 
-    return Reader(lambda: {key: one.tolist() for key, one in read_weights(folder)[0].arrays.items()}, damaged)
+    return Reader(lambda: {key: array.tolist() for key, array in read_weights(folder)[0].arrays.items()}, damaged)
 
 
 def _run(folder: Path) -> tuple[RunFolder, PpoConfig]:
@@ -167,10 +167,10 @@ def _scenarios(folder: Path) -> Reader:
     split = draw_arms("nominal", TEST_NAME, range(first, first + _SCENARIOS))
     content, path = scenarios.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
 
-    def seal(content: dict[str, Any]) -> None:
+    def rehash(content: dict[str, Any]) -> None:
         content["sha256"] = digest_of({key: value for key, value in content.items() if key != "sha256"})
 
-    return _of_json(lambda: scenarios.load(path).label, path, content, seal)
+    return _of_json(lambda: scenarios.load(path).label, path, content, rehash)
 
 
 def _results(folder: Path) -> Reader:
@@ -193,7 +193,7 @@ def _observer(folder: Path) -> Reader:
 
     def read() -> object:
         observer, content = load_observer(path)
-        return {name: one.tolist() for name, one in observer.state_dict().items()}, content
+        return {name: array.tolist() for name, array in observer.state_dict().items()}, content
 
     return Reader(read, lambda rng: ({path.name: damage.damaged_weights(rng, data, folder)}, False))
 
