@@ -21,8 +21,7 @@ MEASURED = [
         DOCS / name
         for name in (
             "results/paper/drive.md",
-            "results/bench/sizes.md",
-            "guide/speed.md",
+            "results/bench/page.md",
         )
     ),
 ]

@@ -36,7 +36,8 @@ ELSEWHERE: dict[str, dict[str, str]] = {
 
 @pytest.mark.parametrize("circumstances", ELSEWHERE)
 def test_other_circumstances(circumstances: str):
-    environment = {**os.environ, **ELSEWHERE[circumstances], "PYTHONPATH": f"{ROOT}:{Path(__file__).parent}"}
+    path = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "helpers", Path(__file__).parent)))
+    environment = {**os.environ, **ELSEWHERE[circumstances], "PYTHONPATH": path}
     code = "from test_determinism import episodes; print(episodes(3))"
     words = [sys.executable, "-W", "ignore", "-c", code]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=900, check=True)

@@ -27,7 +27,7 @@ UPPER = {**asdict(NOMINAL), **{name: high for name, (_, high) in TRAIN_RANGES.it
 TORQUES = ("noise", "full", "constant", "with the belt", "against the motor", "tiny", "huge", "on and off")
 
 
-@pytest.mark.parametrize(("arms", "decades", "count"), [(64, (0.5, 2.0, 4.0), 4), (2048, (0.04,), 2)])
+@pytest.mark.parametrize(("arms", "decades", "count"), [(64, (0.5, 2.0, 4.0), 3), (1024, (0.04,), 2)])
 def test_finite_within_bounds_and_as_arms_alone(arms: int, decades: tuple[float, ...], count: int):
     """Arms around the upper ends of the training ranges, by a factor of 10 to the power of `decades`."""
 
@@ -46,7 +46,7 @@ def step_batch(rng: np.random.Generator, seed: int, arms: int, decades: float) -
     settings: dict[str, Any] = {
         "sensors": str(rng.choice(SENSORS)),
         "profile": str(rng.choice(PROFILES)),
-        "model": str(rng.choice(list(MODELS))),
+        "model": str(rng.choice(["lumped", "lagrangian"])),
         "encoder_counts": int(rng.choice([1, 100, 4000, 10_000_000])),
     }
     delays = rng.choice([0.0, 0.3, 1.0, 1.7, 2.0], arms)
