@@ -78,15 +78,14 @@ def test_help_lists_every_target(folder: Path):
     text = (folder / "Makefile").read_text(encoding="utf-8")
     (phony,) = re.findall(r"^\.PHONY: (.*)$", text, re.MULTILINE)
     assert re.findall(r"^  make ([a-z-]+) ", make(folder, "help").stdout, re.MULTILINE) == phony.split()
-    for target in set(phony.split()) - {"clean", "help", "docs", "setup", "dist"}:
-        assert make(folder, "--dry-run", target).returncode == 0
+    assert make(folder, "--dry-run", *phony.split()).returncode == 0
 
 
 def test_documents_name_targets_that_there_are(folder: Path):
     text = (folder / "Makefile").read_text(encoding="utf-8")
     targets = set(re.findall(r"^([a-z-]+):", text, re.MULTILINE))
-    pages = [*ROOT.glob("*.md"), *(ROOT / "docs/guide").glob("*.md"), *(ROOT / "docs/benchmark").rglob("*.md")]
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
     for page in pages:
-        if page.name != "CHANGELOG.md":
+        if page.name != "CHANGELOG.md" and "results" not in page.parts:  # those name the commands of their commits
             named = set(re.findall(r"(?:`|^)make ([a-z-]+)\b", page.read_text(encoding="utf-8"), re.MULTILINE))
             assert named <= targets, page.name

@@ -37,29 +37,9 @@ class Sound:
         return torque
 
 
-class SystemExits(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        sys.exit(0)
-
-
-class ProcessExits(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        os._exit(0)
-
-
-class Segfaults(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        ctypes.string_at(0)
-
-
 class Aborts(Sound):
     def misbehave(self, torque: Any, observation: Any) -> Any:
         os.abort()
-
-
-class Hangs(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        time.sleep(1e6)
 
 
 class HangsInC(Sound):
@@ -74,11 +54,6 @@ class Forks(Sound):
             if os.fork() == 0:
                 time.sleep(1e6)
         os._exit(3)
-
-
-class TakesMemory(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return np.ones((1 << 40,))
 
 
 class Leaks(Sound):
@@ -97,24 +72,9 @@ class NotNumbers(Sound):
         return torque * np.nan
 
 
-class Infinite(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return torque + np.inf
-
-
 class WrongShape(Sound):
     def misbehave(self, torque: Any, observation: Any) -> Any:
         return torque[:, 0]
-
-
-class TooMany(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return np.concatenate([torque, torque])
-
-
-class Words(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return torque.astype(str)
 
 
 class Nothing(Sound):
