@@ -22,9 +22,9 @@ _SINGLE_ARMS = 64
 _MOST_REPETITIONS = 3
 
 
-def loop_row(repetitions: int) -> Row:
+def loop_row(repetitions: int, config: PpoConfig | None = None) -> Row:
     """Speed of the loop on the batch, beside the same on single arms in a `DummyVecEnv`."""
-    config = PpoConfig(threads=default_jobs())  # a thread for each core, as PyTorch has by default
+    config = config or PpoConfig(threads=default_jobs())  # a thread for each core, as PyTorch has by default
     runs = [_on_batch(config), _on_single_arms(config)]
     times = times_in_turns(runs, min(repetitions, _MOST_REPETITIONS)).T
     steps = config.arms * config.rollout_steps * config.hold

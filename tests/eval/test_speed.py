@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from commands import mistake, stopped
 
+from agents.learners.ppo import PpoConfig
 from eval import bench
 from eval.speed import bench as study
 from eval.speed import sizes
 from eval.speed.timing import ratios, speed, times_in_turns
+from eval.speed.training_loop import loop_row
 from eval.studies import _frame
 
 
@@ -39,6 +41,12 @@ def test_a_first_try_shows_every_peer_that_is_installed(tmp_path: Path, monkeypa
     assert np.shape(data["rates"]["CartPole-v1, gymnax"]) == (len(data["sizes"]), 3)
     assert all(row["measured"] > 0 for row in data["rows"]) and len(data["rows"]) > 6
     assert (tmp_path / "out/sizes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_loop_of_a_training_beside_single_arms():
+    tiny = PpoConfig(arms=4, rollout_steps=8, batch_size=32, hidden=(4,))
+    row = loop_row(1, tiny)
+    assert row.measured > 0 and row.of_peer and row.ratios
 
 
 def test_the_committed_page_comes_from_the_committed_data():
