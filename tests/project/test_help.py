@@ -22,7 +22,7 @@ COMMANDS = [
     path.relative_to(ROOT).as_posix()
     for package in ("baselines", "eval", "train")
     for path in sorted((ROOT / package).glob("*.py"))
-    if '__name__ == "__main__"' in path.read_text(encoding="utf-8") and path.stem != "study"
+    if '__name__ == "__main__"' in path.read_text(encoding="utf-8") and path.stem not in ("study", "export")
 ]
 COMMANDS += [f"eval/study.py {name}" for name in names()]
 TRAININGS = [f"train/{name}.py" for name in ("ppo", "recurrent_ppo", "rma", "sac", "student")]
