@@ -13,7 +13,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 3
-PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -45,10 +45,10 @@ $(READY): pyproject.toml $(CONSTRAINTS)
 	@touch $@
 
 test: $(READY)  ## Run the tests; ARGS=--slow runs those that are marked slow, too
-	$(PYTEST) --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(PYTEST) $(ARGS)
 
 stress: $(READY)  ## Attack the promises with random arms, damaged files, kills and hostile controllers; ARGS=--hypothesis-seed=7 repeats
-	$(PYTEST) --dist worksteal --hypothesis-profile fuzz tests/stress $(ARGS)
+	$(PYTEST) --hypothesis-profile fuzz tests/stress $(ARGS)
 
 lint: $(READY)  ## Check style and types
 	$(BIN)/ruff check .

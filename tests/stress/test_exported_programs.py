@@ -5,7 +5,6 @@ The arms move as Python's controllers command. A fault changes the encoder count
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,6 +16,7 @@ from hypothesis import strategies as st
 from properties import examples
 from translating import compiler
 
+from agents.policy.bundle import POLICIES
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.task.reference import MoveShape
@@ -28,7 +28,6 @@ from eval.deploy.controllers import controller_of, loop_of
 from eval.deploy.in_the_loop import InTheLoop, counts_of
 from eval.deploy.loop import Device, begin, commanded, empty_device, observe
 from eval.deploy.package import write
-from eval.deploy.study import CONTROLLERS
 
 FAULTS = (
     *("none", "stuck", "other way round", "lost", "late", "jump", "spike", "flipped bit", "ends of the range"),
@@ -38,20 +37,21 @@ MOST, LEAST = 2**31 - 1, -(2**31)
 LATE = 4
 ARMS, LENGTH = 56, 1200
 SLEW_ROUNDING = 1e-6  # of single precision
-NAMES = {source: Path(source).parent.name or source for source in CONTROLLERS}
-LOOPS = list(itertools.product(CONTROLLERS, (False, True)))
+CLASSICAL = ("paper", "ei", "smooth", "flat", "disturbance", "adrc", "lqg", "robust", "preview", "adaptive")
 
 
-@pytest.mark.parametrize(("source", "guard"), LOOPS, ids=[f"{NAMES[source]}-{guard}" for source, guard in LOOPS])
-def test_a_program_commands_what_python_does(source: str, guard: bool):
+@pytest.mark.parametrize("guard", [False, True], ids=["alone", "guarded"])
+@pytest.mark.parametrize("name", [*CLASSICAL, "ppo", "student"])
+def test_a_program_commands_what_python_does(name: str, guard: bool):
     compiler()
+    source = name if name in CLASSICAL else str(POLICIES / name / "seed0")
     splits = development_set().splits
 
     @examples(1, shrink=False)
     @given(st.sampled_from(sorted(splits)), st.integers(0, 2**31))
-    def run(name: str, seed: int) -> None:
+    def run(split: str, seed: int) -> None:
         with TemporaryDirectory() as folder:
-            compare(source, guard, splits[name], np.random.default_rng(seed), Path(folder) / "program")
+            compare(source, guard, splits[split], np.random.default_rng(seed), Path(folder) / "program")
 
     run()
 
