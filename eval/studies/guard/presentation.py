@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from eval.report.style import BLUE, GREEN, VERMILION
+from eval.report.style import BLUE, GREEN, VERMILION, mark_one_two_five
 from eval.report.text import markdown_table, number
 from eval.studies._frame import Pictures
 
@@ -109,6 +109,7 @@ def _draw(data: dict[str, Any]) -> Figure:
         axis.set_yticks(range(len(rows)), [row["fault"] for row in rows])
         axis.set_title(f"{name} on {data['bases'][name]}", fontsize=10)
         axis.set_xscale("log")
+        mark_one_two_five(axis.xaxis)
         axis.set_xlabel("peak tip error, mean (mm)")
         axis.grid(axis="x", color="0.9", lw=0.6)
         axis.set_axisbelow(True)

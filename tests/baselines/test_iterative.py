@@ -1,12 +1,7 @@
-"""Iterative learning: the norm-optimal change against independent solutions, the controllers, and the command."""
-
-import json
-import re
-from pathlib import Path
+"""Iterative learning: the norm-optimal change against independent solutions, and the controllers."""
 
 import numpy as np
 import pytest
-from commands import mistake, stopped
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
@@ -19,18 +14,13 @@ from baselines.iterative.lesson import Lesson, Notes
 from baselines.iterative.motor_learning import FeedForward, MotorLearningController
 from baselines.models.linear import at_angle, linear_arm
 from baselines.planning.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
-from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.arm import FIELDS, params_table
+from beltarm_env import ArmParams, BeltArmEnv
+from beltarm_env.arm import params_table
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import MoveShape
-from eval.comparison.splits import SPLITS
-from eval.iterative import main
-from eval.repetition import report
-from eval.repetition.study import KINDS, metrics, repeated
 
-ROOT = Path(__file__).parents[2]
 SEED = 4_200_000
 NOMINAL = params_table([ArmParams()])[0]
 
@@ -247,19 +237,6 @@ def test_learning_alone_and_side_by_side_is_the_same(taught: tuple[Recording, Le
         assert (run.torque[:, 0] == together.torque[:, arm]).all()
 
 
-def test_cost_falls_from_repetition_to_repetition():
-    costs = [run["cost"].mean() for run in repeated(IterativeController, 6, 4, seed=SEED, randomization="ideal")]
-    assert costs[1] < 0.95 * costs[0]
-    assert (np.diff(costs) < 0.01 * costs[0]).all()
-
-
-@pytest.mark.slow
-def test_runs_are_reproducible():
-    one, other = (repeated(IterativeController, 2, 3, seed=SEED, randomization="ideal") for _ in range(2))
-    for ours, theirs in zip(one, other, strict=True):
-        assert all((ours[name] == theirs[name]).all() for name in ours)
-
-
 def test_another_move_is_met_as_in_a_first_trial(taught: tuple[Recording, Lesson]):
     run, _ = trial_of(IterativeController(taught[1]), 4, SEED + 100)
     plain, _ = trial_of(IterativeController(), 4, SEED + 100)
@@ -316,82 +293,3 @@ def test_arms_that_leave_the_workspace_keep_what_they_knew(taught: tuple[Recordi
 def test_bad_learning_is_refused(name: str, value: float):
     with pytest.raises(ValueError, match=rf"Learning.{name} must be positive and finite"):
         Learning(**{name: value})
-
-
-def test_textbook_learning_moves_the_motor_and_not_the_tip():
-    runs = repeated(MotorLearningController, 6, 4, seed=SEED, randomization="ideal")
-    motor = [run["motor_rms_mrad"].mean() for run in runs]
-    assert (np.diff(motor) < 0).all() and motor[-1] < 0.05 * motor[0]
-    assert runs[-1]["residual_pp_mm"].mean() > 0.8 * runs[0]["residual_pp_mm"].mean()
-
-
-def test_motors_error_is_that_of_the_joint():
-    run, _ = trial_of(PaperController(), 2)
-    env = BeltArmEnv(randomization="ideal")
-    env.reset(seed=SEED)
-    wanted = [env.reference(t).angle for t in run.time]
-    expected = 1e3 * np.sqrt(np.mean((run.state[:, 0, 0] / 88 - wanted) ** 2))
-    assert metrics(run)["motor_rms_mrad"][0] == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_report_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(report, "commit", lambda: "changed" if [*tmp_path.glob("out/*")] else "as measured")
-    assert stopped(main, ("--arms", "4", "--repetitions", "2", "--out", "out"), tmp_path) == (0, "")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cost.png", "results.json", "summary.md"]
-    results = json.loads((tmp_path / "out/results.json").read_text())
-    rows, page = results["rows"], (tmp_path / "out/summary.md").read_text()
-    assert results["provenance"]["commit"] == "as measured"
-    assert "commit as measured" in page
-    assert len(rows) == len(KINDS) * (3 * 2 + 3)
-    for row in rows:
-        assert row["episodes"] == 4
-        assert all(value["low"] <= value["iqm"] <= value["high"] for value in row["metrics"].values())
-    costs = {(row["split"], row["method"], row["repetition"]): row["metrics"]["cost"] for row in rows}
-    for split in KINDS:
-        assert costs[split, "iterative", 1] == costs[split, "arm alone", 1] == costs[split, "adaptive", None]
-        assert costs[split, "motor", 1] == costs[split, "paper", None]
-    for split in KINDS:
-        assert f"\n| {split} | first of `iterative` | " in page
-        assert f"\n| {split} | `privileged` | " in page
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--arms", "3"), "--arms must lie within 4 and 1000, got 3"),
-        (("--repetitions", "1"), "--repetitions must lie within 2 and 100, got 1"),
-        (("--seed", "-1"), "--seed must be at least 0, got -1"),
-        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-    ],
-)
-def test_bad_options_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    assert message in mistake(main, arguments, tmp_path)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_arms_vary_as_in_the_split_of_the_same_name(kind: str):
-    env = BeltArmVectorEnv(64, randomization=KINDS[kind].randomization)  # pyright: ignore[reportArgumentType]
-    env.reset(seed=SEED)
-    table = params_table(env.params)
-    varying = {name for name, values in zip(FIELDS, table.T, strict=True) if np.ptp(values)}
-    assert varying == set(SPLITS[kind].ranges)
-    for name, (low, high) in SPLITS[kind].ranges.items():
-        values = table[:, FIELDS.index(name)]
-        assert low <= values.min() and values.max() <= high, name
-
-
-def test_committed_report_is_of_the_stated_seeds_and_arms():
-    stored = json.loads((ROOT / "docs/results/iterative/results.json").read_text())
-    assert {row["split"] for row in stored["rows"]} == set(KINDS)
-    assert not stored["provenance"]["commit"].endswith("-dirty")
-    assert stored["provenance"]["seed"] == 4_100_000
-    assert stored["provenance"]["command"] == "python eval/iterative.py --out docs/results/iterative"
-
-
-def test_costs_in_the_text_are_those_of_the_committed_report():
-    rows = json.loads((ROOT / "docs/results/iterative/results.json").read_text())["rows"]
-    text = (ROOT / "docs/science/controllers.md").read_text().split("## Learning from repetitions")[1].split("\n## ")[0]
-    costs = {int(number) for number in re.findall(r"\b(?!100\b)[12]\d\d\b", text)}
-    assert costs
-    assert costs <= {round(row["metrics"]["cost"]["iqm"]) for row in rows}
