@@ -7,13 +7,12 @@ arms with the same moves.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -26,8 +25,8 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import DRIVE_SIZES
 from eval.comparison.effects import ALL, EFFECTS, IDEAL, heading, with_effect
-from eval.comparison.methods import Method, chosen, classical_methods, learned_methods, shipped_policies
-from eval.comparison.side_by_side import side_by_side
+from eval.comparison.methods import Method, chosen
+from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
 from eval.report.text import markdown_table, rounded
@@ -60,7 +59,7 @@ class Options(StudyOptions):
 
 def measure(options: Options) -> dict[str, Any]:
     """Cost, vibration and torques of every controller, by effect and size."""
-    methods = choose_methods(options.controllers)
+    methods = shipped_methods(options.controllers)
     effects = dict.fromkeys((*chosen("effect", options.effects, EFFECTS), ALL))
     cases = [(method.name, effect, options.arms) for effect in (IDEAL, *effects) for method in methods]
     results = side_by_side("controllers and effects", metrics_of, cases, options.jobs)
@@ -89,17 +88,6 @@ def measure(options: Options) -> dict[str, Any]:
     }
 
 
-def choose_methods(names: Sequence[str]) -> list[Method]:
-    """Choose controllers by name, all shipped ones by default; of a learned one its first training seed.
-
-    Raises:
-        ValueError: If a name is unknown.
-    """
-    known = [*classical_methods(), *learned_methods(shipped_policies())]
-    wanted = chosen("controller", names, [method.name for method in known])
-    return [replace(method, sources=method.sources[:1]) for method in known if method.name in wanted]
-
-
 def trained_on(methods: Sequence[Method]) -> dict[str, str]:
     """Arms that learned methods were trained on, as their policies say; "unknown" where one does not."""
     policies = {method.name: Path(method.sources[0]) for method in methods if method.kind == "learned"}
@@ -114,9 +102,8 @@ def metrics_of(name: str, effect: str, arms: int) -> dict[str, np.ndarray]:
     sizes = (0.0,) if effect == IDEAL else SIZES
     table = np.concatenate([with_effect(env.params_table, effect, size) for size in sizes])
     move = dict(zip(MOVE_FIELDS, np.tile(env.moves, (len(sizes), 1)).T, strict=True))
-    (method,) = choose_methods((name,))
     options = {"params": params_columns(table), "move": move}
-    run = rollout(method.controller(0, []), len(table), seed=DRIVE_SIZES.first, options=options)
+    run = rollout(shipped_controller(name), len(table), seed=DRIVE_SIZES.first, options=options)
     metrics = run.metrics()
     values = {shown: metrics[shown] for shown in ("cost", *_SHOWN)} | {"left": ~run.finished}
     return {shown: value.reshape(len(sizes), arms) for shown, value in values.items()}
@@ -275,24 +262,15 @@ def _draw(data: dict[str, Any], metric: str) -> Figure:
     mark_one_two_five(grid[0, 0].yaxis)
     for row in grid:
         row[0].set_ylabel(metric_heading(metric))
-    free = list(grid.flat)[len(levels.effects) :]
-    for axis in free:
-        axis.set_visible(False)
-    figure.tight_layout(h_pad=1.0, w_pad=0.6)
-    _legend(figure, free, styles)
-    return figure
-
-
-def _legend(figure: Figure, free: Sequence[Axes], styles: dict[str, tuple[str, str, str]]) -> None:
-    """Write the legend where no panels are."""
-    boxes = [axis.get_position() for axis in free]
-    middle = 0.5 * (min(box.x0 for box in boxes) + max(box.x1 for box in boxes))
-    height = 0.5 * (boxes[0].y0 + boxes[0].y1)
+    for axis in list(grid.flat)[len(levels.effects) :]:
+        axis.axis("off")
     handles = [
         Line2D([], [], color=colour, ls=line, marker=marker, markersize=5, lw=1.8)
         for colour, line, marker in styles.values()
     ]
     columns = 2 if len(styles) > 5 else 1
-    figure.legend(
-        handles, list(styles), loc="center", bbox_to_anchor=(middle, height), ncols=columns, frameon=False, fontsize=11
+    grid.flat[len(levels.effects)].legend(
+        handles, list(styles), loc="center left", ncols=columns, frameon=False, fontsize=11
     )
+    figure.tight_layout(h_pad=1.0, w_pad=0.6)
+    return figure

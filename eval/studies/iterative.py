@@ -31,7 +31,7 @@ from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
-from eval.comparison.side_by_side import side_by_side
+from eval.comparison.rollouts import side_by_side
 from eval.comparison.splits import SPLITS
 from eval.comparison.statistics import estimate, interquartile_mean, paired
 from eval.report.style import BLUE, ORANGE, VERMILION, mark_one_two_five

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -52,19 +52,8 @@ class Options(StudyOptions):
     """Scenarios per split, 4 to 500."""
 
 
-class Watcher(Protocol):
-    """Estimator: a learned observer, or the filter in its place."""
-
-    knowledge: Knowledge
-    hold: int
-
-    def observe(self, seen: Singles, memory: Any = None, episode_start: Flags | None = None) -> tuple[Estimate, Any]:
-        """See `agents.observer.network.Observer.observe`."""
-        ...
-
-
 class FilterAlone:
-    """The filter's belief with its own doubts as deviations; NaN where it states none."""
+    """The filter in an observer's place: its belief, with its own doubts as deviations; NaN where it states none."""
 
     knowledge: Knowledge = "belief"
     hold = HOLD
@@ -81,6 +70,9 @@ class FilterAlone:
         deviation = np.full((len(seen), len(NAMES)), np.nan)
         deviation[:, [k for k, _ in self._doubts]] = seen[:, [k for _, k in self._doubts]] * self._doubt_units
         return Estimate(seen[:, self._believed].astype(np.float64) * SCALES, deviation), None
+
+
+Watcher = Observer | FilterAlone
 
 
 @dataclass(frozen=True)

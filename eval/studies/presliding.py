@@ -23,8 +23,8 @@ from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS
 from beltarm_env.rollout import Controller, Recording, record
 from beltarm_env.task.seeds import PRESLIDING
-from eval.comparison.methods import chosen, classical_methods, learned_methods, shipped_policies
-from eval.comparison.side_by_side import side_by_side
+from eval.comparison.methods import chosen
+from eval.comparison.rollouts import shipped_controller, side_by_side
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, estimate, interquartile_mean, paired
 from eval.reference.lugre import STEPS, LuGreArms
 from eval.report.style import COLOURS, mark_one_two_five
@@ -145,12 +145,6 @@ def verdicts(
     }
 
 
-def make_controller(name: str) -> Controller:
-    """Make a shipped controller."""
-    methods = {method.name: method for method in (*classical_methods(), *learned_methods(shipped_policies()))}
-    return methods[name].controller(0, [])
-
-
 def run(controller: Controller, arms: int, deflection: float | None, perturbation: float = 0.0) -> Recording:
     """Run a controller on arms of the training ranges.
 
@@ -172,7 +166,7 @@ def run(controller: Controller, arms: int, deflection: float | None, perturbatio
 
 def metrics_of(name: str, deflection: float | None, perturbation: float, arms: int) -> dict[str, Floats]:
     """Judged metrics of a controller, and whether an arm `left` the workspace, each of shape (arms,)."""
-    recording = run(make_controller(name), arms, deflection, perturbation)
+    recording = run(shipped_controller(name), arms, deflection, perturbation)
     metrics = recording.metrics()
     return {metric: metrics[metric] for metric in JUDGED} | {"left": np.where(recording.finished, 0.0, 1.0)}
 
@@ -186,7 +180,7 @@ def check(deflection: float, arms: int) -> dict[str, Any]:
     """
     costs, tip = {}, 0.0
     for name in CHECKED:
-        located, bristles = (run(make_controller(name), arms, value) for value in (None, deflection))
+        located, bristles = (run(shipped_controller(name), arms, value) for value in (None, deflection))
         costs[name] = float(np.mean(np.abs(bristles.cost - located.cost)) / np.mean(located.cost))
         replay = Replay((located.torque / located.params[:, COLUMN.torque_limit]).T.astype(np.float32))
         apart = run(replay, arms, deflection).tip_error - run(replay, arms, None).tip_error

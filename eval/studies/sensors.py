@@ -21,6 +21,7 @@ from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.rollout import Controller, rollout
 from eval.comparison.methods import chosen
+from eval.comparison.rollouts import Recorder
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.comparison.statistics import Estimate, average, paired
@@ -106,29 +107,19 @@ def controller(name: str, tier: Tier) -> Controller:
 
 def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
     """Run one controller on the first scenarios of a split."""
-    recorder = _TorsionRecorder(controller(name, tier))
+    recorder = Recorder(controller(name, tier), _torsion)
     run = rollout(recorder, episodes, sensors=tier, **split.arguments(slice(episodes)))
     metrics = run.metrics()
-    errors = np.array(recorder.torsions[1:]) - run.state[: len(recorder.torsions) - 1, :, 2]
+    errors = np.array(recorder.notes[1:]) - run.state[: len(recorder.notes) - 1, :, 2]
     chosen_metrics = {metric: metrics[metric] for metric in (*COMPARED, *TORQUE_QUALITY)}
     return Outcome(chosen_metrics, int((~run.finished).sum()), float(np.sqrt(np.mean(errors**2))))
 
 
-class _TorsionRecorder:
-    """Controller that keeps its estimates of the belt's torsion."""
-
-    def __init__(self, controller: Any) -> None:
-        self.params = controller.params
-        self.torsions: list[Floats] = []  # [rad], of shape (n,) for each sample
-        self._controller = controller
-
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        """Call the controller; see `Controller`."""
-        action, memory = self._controller.predict(*arguments, **named)
-        base: Any = memory.informed if isinstance(memory, ResidualMemory) else memory
-        estimate = base.belief if hasattr(base, "belief") else base.estimate
-        self.torsions.append(estimate.state[:, 2])
-        return action, memory
+def _torsion(memory: Any) -> Floats:
+    """Estimate of the torsion in a controller's memory [rad], shape (n,)."""
+    base: Any = memory.informed if isinstance(memory, ResidualMemory) else memory
+    estimate = base.belief if hasattr(base, "belief") else base.estimate
+    return estimate.state[:, 2]
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval import study
 from eval.comparison.effects import ALL, EFFECTS, IDEAL, heading, with_effect
+from eval.comparison.rollouts import shipped_methods
 from eval.studies import _frame, drive
 
 
@@ -59,9 +60,9 @@ def test_training_is_read_from_the_policies(config: dict[str, Any], kind: str, t
     folder = tmp_path / "other"
     shutil.copytree(POLICIES / "ppo/seed0", folder)
     annotate(folder, config=config)
-    (method,) = drive.choose_methods(["ppo"])
+    (method,) = shipped_methods(["ppo"])
     assert drive.trained_on([replace(method, sources=(str(folder),))]) == {"ppo": kind}
-    assert drive.trained_on(drive.choose_methods(["paper"])) == {}
+    assert drive.trained_on(shipped_methods(["paper"])) == {}
 
 
 def test_the_page_tells_kinds_of_training_apart():

@@ -8,10 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.controller import ResidualController
 from agents.residual.guarded import GuardedResidualController
-from baselines import CONTROLLERS
 from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.guard import LEARNED_LEVEL, PASSIVE_LEVEL
 from baselines.guard.settings import GuardSettings
@@ -19,8 +17,8 @@ from beltarm_env.arrays import Flags, Floats
 from beltarm_env.rollout import Controller, record, rollout
 from beltarm_env.task.seeds import FAULTS as SEEDS
 from eval.comparison.methods import chosen
+from eval.comparison.rollouts import Recorder, shipped_controller, shipped_methods, side_by_side
 from eval.comparison.sets import development_set
-from eval.comparison.side_by_side import side_by_side
 from eval.comparison.splits import EPISODES
 from eval.studies._frame import StudyOptions
 from eval.studies.guard.faults import EARLIEST, FAULTS, LATEST, BrokenPolicy, FaultyArms
@@ -33,12 +31,10 @@ QUICK = {
     "episodes": 4,
     "jobs": 1,
 }
-BASES = {"student": "adaptive", "ppo": "paper", "adaptive": "adaptive", "preview": "preview", "mpc": "mpc"}
-"""Base of each controller of the study; a classical one is its own."""
-LEARNED = tuple(name for name, base in BASES.items() if name != base)
+CONTROLLERS = ("student", "ppo", "adaptive", "preview", "mpc")
+"""Controllers of the study; of a learned one the policy of its first training seed."""
 NAN = "NaN weights"
 """The fault that classical controllers cannot have."""
-POLICY_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -68,14 +64,15 @@ class Options(StudyOptions):
 def measure(options: Options) -> dict[str, Any]:
     """Outcomes of every controller under every fault, and its costs on the splits."""
     scenarios = development_set()
-    controllers = chosen("controller", options.controllers, BASES)
+    controllers = chosen("controller", options.controllers, CONTROLLERS)
+    bases = {name: base_of(name) for name in controllers}
     faults = chosen("fault", options.faults, FAULTS)
     splits = chosen("split", options.splits, scenarios.splits)
-    pairs = [(name, fault) for name in controllers for fault in faults if fault != NAN or name in LEARNED]
+    pairs = [(name, fault) for name in controllers for fault in faults if fault != NAN or bases[name] != name]
     runs = [
         case
         for name, fault in pairs
-        for case in ((BASES[name], fault, False), (name, fault, False), (name, fault, True))
+        for case in ((bases[name], fault, False), (name, fault, False), (name, fault, True))
     ]
     cases = [(*run, options.arms) for run in dict.fromkeys(runs)]
     outcomes = side_by_side("faults", outcome, cases, options.jobs)
@@ -88,13 +85,12 @@ def measure(options: Options) -> dict[str, Any]:
         "settings": GuardSettings(),
         "onset": (EARLIEST, LATEST),
         "faults": {fault: FAULTS[fault] for fault in faults},
-        "bases": {name: BASES[name] for name in controllers},
-        "policy_seed": POLICY_SEED,
+        "bases": bases,
         "rows": [
             {
                 "controller": name,
                 "fault": fault,
-                "base": outcomes[BASES[name], fault, False, options.arms],
+                "base": outcomes[bases[name], fault, False, options.arms],
                 "without": outcomes[name, fault, False, options.arms],
                 "guarded": outcomes[name, fault, True, options.arms],
             }
@@ -104,33 +100,18 @@ def measure(options: Options) -> dict[str, Any]:
     }
 
 
-class Recorder:
-    """Guarded controller that keeps what the guard did: flags and levels of shape (n,) for each sample."""
-
-    def __init__(self, controller: GuardedController) -> None:
-        self.params, self._controller = controller.params, controller
-        self.changed: list[Flags] = []
-        self.levels: list[Floats] = []
-
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        """Call the controller; see `Controller`."""
-        action, memory = self._controller.predict(*arguments, **named)
-        self.changed.append(memory.changed)
-        self.levels.append(memory.level)
-        return action, memory
+def base_of(name: str) -> str:
+    """Name of the controller that a learned method corrects; of a classical controller its own."""
+    (method,) = shipped_methods((name,))
+    return method.base or name
 
 
-def plain(name: str) -> Controller:
-    """Make a controller without the guard; of a learned method that of its first training seed."""
-    return load_controller(POLICIES / name / f"seed{POLICY_SEED}") if name in LEARNED else CONTROLLERS[name]()
-
-
-def with_guard(controller: Controller, name: str) -> GuardedController:
-    """Put the guard behind a controller of the study."""
-    servo = servo_for(BASES.get(name, name))
-    if isinstance(controller, ResidualController):
-        return GuardedResidualController(controller, servo)
-    return GuardedController(controller, servo)
+def with_guard(controller: Controller, name: str) -> Recorder[tuple[Flags, Floats]]:
+    """Put the guard behind a controller of the study, and note which commands it changed, and its levels."""
+    servo = servo_for(base_of(name))
+    learned = isinstance(controller, ResidualController)
+    guarded = GuardedResidualController(controller, servo) if learned else GuardedController(controller, servo)
+    return Recorder(guarded, lambda memory: (memory.changed, memory.level))
 
 
 def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
@@ -141,17 +122,17 @@ def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
         that left the workspace [%]; `energy`, the integral of the squared torque [10^-3 N^2 m^2 s]; `passive`, the
         share of arms that the guard left without torque [%].
     """
-    env, controller = FaultyArms(arms, fault, randomization="train"), plain(name)
+    env, controller = FaultyArms(arms, fault, randomization="train"), shipped_controller(name)
     if fault == NAN and isinstance(controller, ResidualController):
         controller.policy = BrokenPolicy(controller.policy, env)
-    recorder = Recorder(with_guard(controller, name)) if guard else None
+    recorder = with_guard(controller, name) if guard else None
     run = record(recorder or controller, env, seed=SEEDS.first)
-    passive = (np.array(recorder.levels) == PASSIVE_LEVEL).any(axis=0) if recorder else np.zeros(arms)
+    levels = np.array([level for _, level in recorder.notes]) if recorder else np.zeros((1, arms))
     return {
         "peak": float(np.mean(1000 * np.linalg.norm(run.tip_error, axis=2).max(axis=0))),
         "left": float(100 * np.mean(~run.finished)),
         "energy": float(1000 * np.mean(env.energies())),
-        "passive": float(100 * np.mean(passive)),
+        "passive": float(100 * np.mean((levels == PASSIVE_LEVEL).any(axis=0))),
     }
 
 
@@ -163,10 +144,10 @@ def health(name: str, split: str, episodes: int) -> dict[str, float]:
         such a command, and of arms on which it has `fallen` back.
     """
     arguments = development_set().splits[split].arguments(slice(episodes))
-    before = rollout(plain(name), episodes, **arguments)
-    recorder = Recorder(with_guard(plain(name), name))
+    before = rollout(shipped_controller(name), episodes, **arguments)
+    recorder = with_guard(shipped_controller(name), name)
     after = rollout(recorder, episodes, **arguments)
-    changed, levels = np.array(recorder.changed), np.array(recorder.levels)
+    changed, levels = map(np.array, zip(*recorder.notes, strict=True))
     return {
         "before": float(np.mean(before.cost)),
         "after": float(np.mean(after.cost)),
