@@ -166,7 +166,7 @@ def render(name: str, module: Any, data: Mapping[str, Any], folder: Path) -> Non
     """Write the page of some data, by the template of its name, and its pictures."""
     write_text(folder / PAGE, page(name, module, data))
     if hasattr(module, "pictures"):
-        save_figures(module.pictures(data), folder, dpi=110, bbox_inches="tight", pil_kwargs={"optimize": True})
+        save_figures(module.pictures(data), folder, dpi=110, bbox_inches="tight")
 
 
 def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
