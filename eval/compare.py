@@ -33,7 +33,6 @@ from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.scenarios import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
-from eval.leaderboard.sealed import sealed_set
 from eval.report.publish import publish
 from eval.tails.publish import publish as publish_tails
 from eval.tails.study import check_options, study
@@ -68,7 +67,7 @@ class Config(SideBySide):
     in a process of its own, and whatever ends that is a failure of this controller alone."""
     guard: bool = False
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
-    (docs/results/guard/summary.md)."""
+    (docs/results/guard/page.md)."""
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept. One
     that has results of more methods, splits or scenarios is left as it is."""
@@ -77,9 +76,9 @@ class Config(SideBySide):
     them tails are compared. Default: 200."""
     quick: bool = False
     """Take a first look, with 24 scenarios per split."""
-    scenarios: Literal["development", "test", "sealed"] | None = None
-    """Set of scenarios: "development", on which controllers and agents may be chosen, "test", or "sealed", once its
-    seed is published (docs/benchmark/leaderboard.md). Default: the test set."""
+    scenarios: Literal["development", "test"] | None = None
+    """Set of scenarios: "development", on which controllers and agents may be chosen, or "test". Default: the test
+    set."""
     scenario_seed: int | None = None
     """Draw a fresh set of scenarios by the same rules instead. Seeds 0, 1, 2, ... are used by nothing else."""
     maps: bool = False
@@ -107,10 +106,7 @@ def run(config: Config) -> None:
     check_options(config)
     config.check_engine()
     require_bounds(config, time_limit=(1, LONGEST))
-    if config.scenarios == "sealed" and config.scenario_seed is None:
-        known = sealed_set()
-    else:
-        known = choose_set(config.scenarios, config.scenario_seed)
+    known = choose_set(config.scenarios, config.scenario_seed)
     scenarios = known.only(chosen("split", config.splits, known.splits))
     methods = choose_methods(
         config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit

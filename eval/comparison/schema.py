@@ -3,7 +3,7 @@
 `results.json` is an object of
 
 - `edition`: of the comparison, the kinds of arms that it asks about; `version`: of the scenarios; `scenario_set`: its
-  `name`, "development" (controllers and agents may be chosen on it), "test", "the sealed seed" (`eval.leaderboard`) or
+  `name`, "development" (controllers and agents may be chosen on it), "test" or
   "seed N" (drawn afresh), and `sha256`.
   Results that differ in any of them must not be compared or merged.
 - `provenance`: command, commit, seeds and SHA-256 of the splits, content hashes of the policies, packages, machine.

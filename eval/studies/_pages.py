@@ -35,7 +35,7 @@ class Page:
         return RESULTS / self.name
 
 
-OTHERS: tuple[Page, ...] = ()
+OTHERS: tuple[Page, ...] = (Page("bench", "eval.speed.bench", ("eval/bench.py",)),)
 """Pages of commands that are no studies."""
 
 

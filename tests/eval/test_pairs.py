@@ -694,7 +694,7 @@ def recipes() -> list[str]:
 
 
 def test_recipes_do_not_lead_onto_the_test_set():
-    """Only a submission to the leaderboard names it, and that is said."""
+    """Only a submission names it, and that is said."""
     found = recipes()
     assert len(found) >= 9
     assert [line for line in found if "--scenarios development" not in line and "--scenarios test" not in line] == []
