@@ -30,7 +30,7 @@ from eval.report.style import BLUE, GREEN, ORANGE
 from eval.report.text import markdown_table, number
 from eval.studies._frame import Pictures, StudyOptions
 
-QUICK = {"episodes": 4, "splits": ("nominal", "sensing")}
+QUICK = {"episodes": 4, "splits": ("randomized",)}
 HOLD = 4
 """Samples from one estimate that is scored to the next."""
 ACTING = ("adaptive", "student")

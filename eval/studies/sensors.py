@@ -30,7 +30,7 @@ from eval.report.style import BLUE, GREEN, ORANGE
 from eval.report.text import cell, markdown_table, rounded
 from eval.studies._frame import Pictures, StudyOptions
 
-QUICK = {"episodes": 4, "splits": ("nominal", "randomized")}
+QUICK = {"episodes": 4, "splits": ("randomized",)}
 Tier = Literal["encoder", "accelerometer"]
 TIERS: tuple[Tier, Tier] = ("encoder", "accelerometer")
 STUDENT = "student"

@@ -36,6 +36,6 @@ def test_measures_beyond_the_margin_are_named():
 
 
 def test_a_classical_controller_is_its_own_base_and_has_no_weights():
-    quick = Options(controllers=("mpc",), faults=("payload", NAN), splits=("nominal",), arms=1, episodes=4, jobs=1)
+    quick = Options(controllers=("preview",), faults=("payload", NAN), splits=("nominal",), arms=1, episodes=4, jobs=1)
     (row,) = measure(quick)["rows"]
     assert row["fault"] == "payload" and row["base"] == row["without"]
