@@ -7,8 +7,8 @@ import numpy as np
 
 import beltarm_env
 from baselines import PaperController
+from eval.reference.event_located import EventLocatedArm, tip
 from eval.speed.timing import Row
-from eval.verification.event_located import EventLocatedArm, tip
 
 _EPISODES = 5
 

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams
-from eval.verification.crossing import integrate_until
-from eval.verification.drive import (
+from eval.reference.crossing import integrate_until
+from eval.reference.drive import (
     SHORTEST,
     Actuator,
     belt_energy,
@@ -63,7 +63,7 @@ def lumped_terms(params: ArmParams) -> Terms:
 
 def full_terms(params: ArmParams) -> Terms:
     """Mass matrix, bias and kinetic energy of the full arm's links."""
-    from eval.verification.symbolic_arm import compiled, masses_of
+    from eval.reference.symbolic_arm import compiled, masses_of
 
     function, masses = compiled(), masses_of(params)._replace(motor=0.0)
     return lambda *motion: function(*motion, *masses)  # pyright: ignore[reportReturnType]
