@@ -1,4 +1,4 @@
-"""Changes of an arm or a sensor, one thing at a time: what the page asks about where controllers break."""
+"""Changes of an arm or a sensor, one thing at a time, under which controllers are run."""
 
 from __future__ import annotations
 
@@ -77,11 +77,11 @@ CHANGES = (
     Change("encoder 1 sample late", settings={"delay": 1}),
     Change("full two-link arm", settings={"model": "lagrangian"}),
 )
-"""Of the design model with its drive; effects of the drive are half as large again as the most in training."""
+"""Changes of the design model with its drive; effects of the drive are half as large again as the most in training."""
 
 _LATEST = DRIVE_RANGES["command_latency"][1]
 LIMITS = (
     Change(f"latency {_LATEST / CONTROL_PERIOD + 0.5:g} samples", {"command_latency": _LATEST + 0.5 * CONTROL_PERIOD}),
     *_TORQUE_CONSTANT,
 )
-"""Of arms as they are built: half a sample of latency beyond the training range, and torque constants beyond theirs."""
+"""Changes of arms as they are built: latency half a sample and torque constants beyond their training ranges."""

@@ -1,8 +1,8 @@
-"""Pictures: margins over the angle, poles, and the effect of each change."""
+"""Pictures of the page, from the data alone: margins over the angle, poles, and the effect of each change."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,50 +11,47 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from baselines.loops.condition import MarginCondition
 from baselines.models.linear import ANGLES
 from beltarm_env.arrays import Floats
-from eval.loops.changes import CHANGES
-from eval.loops.scan import Scan
-from eval.loops.study import LoopStudy
-from eval.loops.tables import ratio_text
-from eval.report.style import BLUE, VERMILION, save_figures
+from eval.report.style import BLUE, VERMILION
+from eval.studies._frame import Pictures
+from eval.studies.loops.tables import ratio_text
 
 _DEGREES = np.degrees(ANGLES)
 _WIDTH = 9.0  # [in], so that the smallest letters are legible where a page is 800 pixels wide
-_ASKED = MarginCondition()
 _COLUMNS = (
-    (("gain_up", "gain_down"), "gain (dB)", (-45.0, 45.0), (6.0, -6.0)),
-    (("phase",), "phase (°)", (0.0, 115.0), (30.0,)),
-    (("delay",), "delay (samples)", (0.5, 200.0), (_ASKED.delay,)),
-    (("modulus",), "modulus", (0.0, 1.05), (_ASKED.modulus,)),
+    (("gain_up", "gain_down"), "gain (dB)", (-45.0, 45.0)),
+    (("phase",), "phase (°)", (0.0, 115.0)),
+    (("delay",), "delay (samples)", (0.5, 200.0)),
+    (("modulus",), "modulus", (0.0, 1.05)),
 )
-"""Margins, title, limits of the axis, and what is usually asked for, drawn as lines."""
+"""Margins, title and limits of the axis."""
 
 
-def save_pictures(study: LoopStudy, folder: Path) -> list[Path]:
-    """Draw all pictures into `folder`."""
-    figures = {
-        "margins.png": lambda: _margins(study.scans),
-        "poles.png": lambda: _poles(study.scans),
-        "breaks.png": lambda: _breaks(study),
+def pictures(data: dict[str, Any]) -> Pictures:
+    """All pictures, by the name of their file."""
+    scans = {name: row["loop"] for name, row in data["controllers"].items() if "loop" in row}
+    return {
+        "margins.png": lambda: _margins(scans, data["asked"]),
+        "poles.png": lambda: _poles(scans),
+        "breaks.png": lambda: _breaks(data),
     }
-    return save_figures(figures, folder, dpi=110, pil_kwargs={"optimize": True})
 
 
-def _margins(scans: dict[str, Scan]) -> Figure:
+def _margins(scans: dict[str, Any], asked: dict[str, float]) -> Figure:
     """One row for each controller, one column for each margin, axes shared down the columns."""
+    lines = ((6.0, -6.0), (30.0,), (asked["delay"],), (asked["modulus"],))
     figure, axes = plt.subplots(
         len(scans), len(_COLUMNS), figsize=(_WIDTH, 0.95 * len(scans) + 0.9), sharex=True, sharey="col", squeeze=False
     )
     for row, (name, scan) in zip(axes, scans.items(), strict=True):
-        for axis, (columns, _, _, asked) in zip(row, _COLUMNS, strict=True):
+        for axis, (columns, _, _), levels in zip(row, _COLUMNS, lines, strict=True):
             for column in columns:
-                axis.plot(_DEGREES, _shown(column, scan.over_arms(column)), color=VERMILION, lw=1.6)
-                axis.plot(_DEGREES, _shown(column, getattr(scan.margins, column)[0]), color=BLUE, lw=1.8)
-            _mark(axis, asked)
+                axis.plot(_DEGREES, _shown(column, scan["over_arms"][column]), color=VERMILION, lw=1.6)
+                axis.plot(_DEGREES, _shown(column, scan["design"][column]), color=BLUE, lw=1.8)
+            _mark(axis, levels)
         row[0].set_ylabel(name, rotation=0, ha="right", va="center", labelpad=8, fontsize=11)
-    for axis, (_, title, limits, _) in zip(axes[0], _COLUMNS, strict=True):
+    for axis, (_, title, limits) in zip(axes[0], _COLUMNS, strict=True):
         axis.set_title(title, fontsize=11)
         axis.set(ylim=limits, xlim=(0, 90), xticks=(0, 30, 60, 90))
     for axis in axes[-1]:
@@ -68,22 +65,23 @@ def _margins(scans: dict[str, Scan]) -> Figure:
     return figure
 
 
-def _shown(column: str, values: Floats) -> Floats:
+def _shown(column: str, known: list[float | None]) -> Floats:
     """Margins as drawn: gains in dB, NaN, which is not drawn, where there is no margin."""
+    values = np.array(known, dtype=np.float64)
     if not column.startswith("gain"):
         return values
     finite = np.where(np.isfinite(values) & (values > 0), values, np.nan)
     return 20 * np.log10(finite)
 
 
-def _mark(axis: Axes, asked: tuple[float, ...]) -> None:
-    for least in asked:
+def _mark(axis: Axes, levels: tuple[float, ...]) -> None:
+    for least in levels:
         axis.axhline(least, color="0.55", lw=0.9, ls="--", zorder=1)
     axis.grid(color="0.92", lw=0.6)
     axis.tick_params(labelsize=9.5)
 
 
-def _poles(scans: dict[str, Scan]) -> Figure:
+def _poles(scans: dict[str, Any]) -> Figure:
     """Closed-loop poles in the upper half plane, coloured by the angle of the arm."""
     columns = 4
     rows = -(-len(scans) // columns)
@@ -92,10 +90,10 @@ def _poles(scans: dict[str, Scan]) -> Figure:
     )
     shown = None
     for axis, (name, scan) in zip(axes.flat, scans.items(), strict=False):
-        for degrees, poles in zip(_DEGREES, scan.poles, strict=True):
-            upper = poles[poles.imag > -1e-6]
-            colour = np.full(len(upper), degrees)
-            shown = axis.scatter(upper.real, upper.imag, c=colour, vmin=0, vmax=90, cmap="viridis", s=7, zorder=3)
+        for degrees, poles in zip(_DEGREES, scan["poles"], strict=True):
+            real, imaginary = np.array(poles).reshape(-1, 2).T
+            colour = np.full(len(real), degrees)
+            shown = axis.scatter(real, imaginary, c=colour, vmin=0, vmax=90, cmap="viridis", s=7, zorder=3)
         for ratio in (0.1, 0.3):
             axis.plot([0, -100 * ratio], [0, 100 * np.sqrt(1 - ratio**2)], color="0.75", lw=0.8, ls="--", zorder=1)
         axis.axvline(0, color="0.4", lw=0.9)
@@ -112,19 +110,20 @@ def _poles(scans: dict[str, Scan]) -> Figure:
     return figure
 
 
-def _breaks(study: LoopStudy) -> Figure:
+def _breaks(data: dict[str, Any]) -> Figure:
     """Cost ratios as a map, a row for each change, numbers in the cells."""
-    names = list(study.costs)
-    ratios = np.array([[found.of_mean for found in study.costs[name].changes] for name in names]).T
-    figure, axis = plt.subplots(figsize=(_WIDTH, 0.36 * len(CHANGES) + 1.4), layout="constrained")
+    names, titles = list(data["controllers"]), data["changes"]
+    effects = [row["changes"] for row in data["controllers"].values()]
+    ratios = np.array([[effect["mean"] for effect in row] for row in effects]).T
+    figure, axis = plt.subplots(figsize=(_WIDTH, 0.36 * len(titles) + 1.4), layout="constrained")
     norm = TwoSlopeNorm(vmin=-1, vcenter=0, vmax=np.log2(10))
     axis.imshow(np.log2(ratios), norm=norm, cmap="RdBu_r", aspect="auto")
-    for j, name in enumerate(names):
-        for i, found in enumerate(study.costs[name].changes):
-            dark = not -0.75 < np.log2(found.of_mean) < 2.2
-            text = ratio_text(found.of_mean) + ("*" if found.failures else "")
+    for j, row in enumerate(effects):
+        for i, effect in enumerate(row):
+            dark = not -0.75 < np.log2(effect["mean"]) < 2.2
+            text = ratio_text(effect["mean"]) + ("*" if effect["left"] else "")
             axis.text(j, i, text, ha="center", va="center", fontsize=9, color="white" if dark else "black")
-    axis.set_yticks(range(len(CHANGES)), [change.title for change in CHANGES], fontsize=9.5)
+    axis.set_yticks(range(len(titles)), titles, fontsize=9.5)
     axis.set_xticks(range(len(names)), names, fontsize=9.5, rotation=40, ha="left", rotation_mode="anchor")
     axis.xaxis.tick_top()
     axis.tick_params(length=0)
