@@ -9,13 +9,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from agents.policy.bundle import MANIFEST, BundleError, BundleSpec, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import validate
 from baselines import CONTROLLERS
-from eval.report.style import COLOURS, mark_one_two_five, save_figure
+from eval.report.style import COLOURS, mark_one_two_five
 
 Floats = NDArray[np.float64]
 
@@ -85,13 +86,28 @@ def _method(spec: BundleSpec) -> str:
     return f"{spec.algorithm} on {spec.base}" if spec.base != "none" else f"{spec.algorithm} from scratch"
 
 
+def levels(curves: list[Curve]) -> dict[str, float]:
+    """Validation costs of the bases of some curves, and of the best classical controller, by name.
+
+    Raises:
+        ValueError: If the curves are of validations on different numbers of arms.
+    """
+    numbers = {curve.arms for curve in curves}
+    if len(numbers) > 1:
+        raise ValueError(
+            f"the runs were validated on different numbers of arms, {sorted(numbers)}: draw them separately"
+        )
+    bases = {curve.base: curve.base_cost for curve in curves}
+    return bases | {BEST_CLASSICAL: classical_cost(numbers.pop())}
+
+
 def classical_cost(arms: int) -> float:
     """Compute the validation cost of the best classical controller."""
     return validate(CONTROLLERS[BEST_CLASSICAL](), arms)["cost"]
 
 
-def draw(curves: list[Curve], classical: float, path: Path) -> None:
-    """Draw the curves into a file."""
+def curves_figure(curves: list[Curve], costs: dict[str, float]) -> Figure:
+    """Draw curves over samples and over time, with the costs of some controllers as lines."""
     methods = list(dict.fromkeys(curve.method for curve in curves))
     colours = {method: COLOURS[k % len(COLOURS)] for k, method in enumerate(methods)}
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", sharey=True)
@@ -99,46 +115,46 @@ def draw(curves: list[Curve], classical: float, path: Path) -> None:
         ("simulated steps (millions)", lambda curve: curve.steps / 1e6),
         ("wall-clock (minutes)", lambda curve: curve.minutes),
     ]
-    for axis, (label, of) in zip(axes, panels, strict=True):
-        _references(axis, curves, classical, named=axis is axes[1])
+    for axis, (label, abscissa) in zip(axes, panels, strict=True):
+        _draw_levels(axis, costs, named=axis is axes[1])
         for method, colour in colours.items():
-            _draw_method(axis, [curve for curve in curves if curve.method == method], of, colour)
+            _draw_method(axis, [curve for curve in curves if curve.method == method], abscissa, colour)
         axis.set(xlabel=label, yscale="log", xlim=(0, None))
         axis.grid(alpha=0.3, which="both")
     _name_methods(axes[0], curves, colours, panels[0][1])
     axes[0].set_ylabel("mean episode cost, validation arms")
     mark_one_two_five(axes[0].yaxis)
-    save_figure(figure, path)
+    return figure
 
 
-def _references(axis: Axes, curves: list[Curve], classical: float, named: bool) -> None:
-    """Draw the costs of the bases and of the best classical controller."""
-    levels = {curve.base: curve.base_cost for curve in curves} | {BEST_CLASSICAL: classical}
-    for name, level in levels.items():
+def _draw_levels(axis: Axes, costs: dict[str, float], named: bool) -> None:
+    for name, level in costs.items():
         axis.axhline(level, color="0.35", lw=1, ls="--", zorder=1)
         if named:
             end = axis.get_yaxis_transform()
             axis.text(1.01, level, name, transform=end, color="0.35", va="center", ha="left", fontsize=9)
 
 
-def _draw_method(axis: Axes, curves: list[Curve], of: Callable[[Curve], Floats], colour: str) -> None:
+def _draw_method(axis: Axes, curves: list[Curve], abscissa: Callable[[Curve], Floats], colour: str) -> None:
     """Draw the runs of one method, with their median and interquartile band if there are several."""
     if len(curves) == 1:
-        axis.plot(of(curves[0]), curves[0].cost, color=colour, lw=2)
+        axis.plot(abscissa(curves[0]), curves[0].cost, color=colour, lw=2)
         return
     for curve in curves:
-        axis.plot(of(curve), curve.cost, color=colour, lw=0.7, alpha=0.6)
-    begin, end = max(of(curve)[0] for curve in curves), min(of(curve)[-1] for curve in curves)
+        axis.plot(abscissa(curve), curve.cost, color=colour, lw=0.7, alpha=0.6)
+    begin, end = max(abscissa(curve)[0] for curve in curves), min(abscissa(curve)[-1] for curve in curves)
     grid = np.linspace(begin, max(begin, end), _POINTS)
-    logs = np.array([np.interp(grid, of(curve), np.log(curve.cost)) for curve in curves])
+    logs = np.array([np.interp(grid, abscissa(curve), np.log(curve.cost)) for curve in curves])
     low, middle, high = np.exp(np.percentile(logs, [25, 50, 75], axis=0))
     axis.fill_between(grid, low, high, color=colour, alpha=0.25, lw=0)
     axis.plot(grid, middle, color=colour, lw=2)
 
 
-def _name_methods(axis: Axes, curves: list[Curve], colours: dict[str, str], of: Callable[[Curve], Floats]) -> None:
+def _name_methods(
+    axis: Axes, curves: list[Curve], colours: dict[str, str], abscissa: Callable[[Curve], Floats]
+) -> None:
     """Write names beside the ends of the curves, moved apart where they would overlap."""
-    furthest = max(of(curve)[-1] for curve in curves)
+    furthest = max(abscissa(curve)[-1] for curve in curves)
     axis.set_xlim(0, 1.75 * furthest)
     runs = {name: [curve for curve in curves if curve.method == name] for name in colours}
     ends = {name: float(np.median([curve.cost[-1] for curve in own])) for name, own in runs.items()}
@@ -146,6 +162,6 @@ def _name_methods(axis: Axes, curves: list[Curve], colours: dict[str, str], of: 
     for name in sorted(ends, key=lambda name: ends[name]):
         height = max(ends[name], height * _APART)
         seeds = f" ({len(runs[name])} seeds)" if len(runs[name]) > 1 else ""
-        right = max(of(curve)[-1] for curve in runs[name]) + 0.02 * furthest
+        right = max(abscissa(curve)[-1] for curve in runs[name]) + 0.02 * furthest
         backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
         axis.text(right, height, name + seeds, color=colours[name], va="center", fontsize=9, bbox=backing)
