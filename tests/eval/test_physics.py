@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+from commands import mistake
 
 pytest.importorskip("mujoco")
 
 from beltarm_env.mujoco.drive import EXPRESSIBLE
 from beltarm_env.task.ranges import DRIVE_RANGES
+from eval import study
 from eval.reference.event_located import EventLocatedArm, tip
 from eval.studies.physics import REGIMES, SETTINGS, STEPS, Convergence, distance, motions
 
@@ -56,3 +61,10 @@ def test_smooth_motion_stays_within_a_tenth_of_a_millimetre():
 def test_order_is_that_of_the_errors():
     errors = 1e-6 * 0.5 ** (3.0 * np.arange(len(STEPS)))
     np.testing.assert_allclose(Convergence("lumped", "smooth", errors.astype(np.float64), 0).orders, 3.0)
+
+
+def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in [name for name in sys.modules if name.startswith("beltarm_env.mujoco.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert "mujoco" in mistake(study.main, ("physics", "--quick"), tmp_path)

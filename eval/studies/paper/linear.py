@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import cast
+from typing import Any, cast
 
 import control
 import numpy as np
@@ -28,6 +28,7 @@ Poles = NDArray[np.complex128]
 PAPER_ARM = ArmParams(belt_damping_ratio=0.0)
 """The nominal arm with the paper's undamped belt."""
 
+_FACTORS = (0.5, 1.0, 2.0, 3.0)  # of omega_n, at which the damping is shown
 GAIN_RANGES = {"k4": (0.0, 1.0), "natural_frequency": (0.1, 100.0), "damping": (0.05, 20.0)}
 _UNITS = {"k4": " N m s/rad", "natural_frequency": " rad/s", "damping": ""}
 
@@ -164,3 +165,50 @@ def digital_poles(arm: ArmParams, theta_1: float, gains: ServoGains, *, model: s
 def nominal_m2(angle: float, payload: float = 0.0) -> float:
     """M2 [kg m^2] of the nominal arm at an angle [rad], with a payload [kg]."""
     return 1 / inverse_inertia(math.cos(angle), ArmParams(payload_mass=payload).plant())[2]
+
+
+def linear_numbers(gains: ServoGains) -> dict[str, Any]:
+    """Poles of the loop and of its variants, dampings on the full arm, best K_4, and damping over omega_n."""
+    off, ends, full = replace(gains, k4=0.0), np.radians([0, 90]), []
+    for angle in np.radians([0, 45, 90]):
+        measured = [poles(closed_loop(PAPER_ARM, angle, each, model="lagrangian")) for each in (off, gains)]
+        simulated = digital_poles(PAPER_ARM, angle, gains, model="lagrangian")
+        dampings = [dominant_damping(values) for values in (*measured, simulated)]
+        full.append({"angle": angle, "dampings": dampings, "pairs": parts(simulated[np.abs(simulated.imag) > 1e-6])})
+    best = []
+    for name, angle, payload in (("0°", 0.0, 0.0), ("90°", np.pi / 2, 0.0), ("90°, payload 0.2 kg", np.pi / 2, 0.2)):
+        m2 = nominal_m2(angle, payload)
+        k4, damping = best_gain(gains, m2)
+        best.append({"arm": name, "m2": m2, "k4": k4, "damping": damping})
+    frequencies = np.unique(np.clip(gains.natural_frequency * np.array(_FACTORS), *GAIN_RANGES["natural_frequency"]))
+    over_frequency = dominant_damping(natural_frequency_locus(PAPER_ARM, np.pi / 2, gains, frequencies))
+    variants = {
+        "off": [poles(closed_loop(PAPER_ARM, angle, off)) for angle in ends],
+        "on": [poles(closed_loop(PAPER_ARM, angle, gains)) for angle in ends],
+        "printed": [poles(closed_loop(PAPER_ARM, angle, gains, as_printed=True)) for angle in ends],
+        "damped": [poles(closed_loop(ArmParams(), angle, gains)) for angle in ends],
+        "held": [sampled_poles(PAPER_ARM, angle, gains) for angle in ends],
+        "drive": [digital_poles(PAPER_ARM, angle, gains) for angle in ends],
+    }
+    return {
+        "poles": {name: [parts(values) for values in both] for name, both in variants.items()},
+        "damping": {name: [dominant_damping(values) for values in both] for name, both in variants.items()},
+        "drive_damping": [_servo_damping(*pair) for pair in zip(variants["drive"], ends, strict=True)],
+        "full": full,
+        "best": best,
+        "over_frequency": list(zip(frequencies, over_frequency, strict=True)),
+        "arm_over_motor": [nominal_m2(angle) / (PAPER_ARM.gear_ratio**2 * PAPER_ARM.motor_inertia) for angle in ends],
+        "belt_damping": ArmParams().belt_damping_ratio,
+    }
+
+
+def _servo_damping(values: Poles, angle: float) -> float:
+    """Damping of the pairs as the drive runs the loop, without that of the simulated belt itself."""
+    own = math.sqrt(PAPER_ARM.belt_stiffness / nominal_m2(angle))
+    others = values[(values.imag > 1e-6) & (np.abs(np.abs(values) - own) > 1e-6)]
+    return float(dominant_damping(others))
+
+
+def parts(values: Poles) -> list[list[float]]:
+    """Real and imaginary parts."""
+    return [[float(value.real), float(value.imag)] for value in values]

@@ -1,8 +1,8 @@
-"""What the paper does not print, what is chosen instead, and the alternatives that its conclusion is tried with."""
+"""Values that the paper does not print: those chosen, and the alternatives that its conclusion is tried with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,9 +12,9 @@ from beltarm_env import ArmParams
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.report.text import degrees
-from eval.reproduction.loop import ServoGains
-from eval.reproduction.ringing import Suppression, suppression
-from eval.reproduction.runs import Conditions, is_allowed
+from eval.studies.paper.linear import ServoGains
+from eval.studies.paper.ringing import Suppression, suppression
+from eval.studies.paper.runs import Conditions, is_allowed
 
 USUAL_MOVE = MoveShape(np.pi / 4, np.pi / 2, 0.8, 0.12)
 """The standard move where no other is asked for."""
@@ -25,8 +25,10 @@ _TABLE_1 = ArmParams()
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Another value of one assumption."""
+    """Another value of one assumption; docs/results/paper says why the usual one is chosen."""
 
+    assumption: str
+    chosen: str
     label: str
     move: MoveShape
     arm: Mapping[str, float] = field(default_factory=dict)  # what differs of `ArmParams`
@@ -37,15 +39,6 @@ class Alternative:
         """Conditions with this value, all others as in `base`."""
         known = base.arm if self.unknown else base.known
         return replace(base, arm=replace(base.arm, **self.arm), known=known, **self.changes)
-
-
-@dataclass(frozen=True, slots=True)
-class Assumption:
-    """Unpublished setting, chosen value, alternatives; docs/science/paper.md says why each is chosen."""
-
-    name: str
-    chosen: str
-    alternatives: list[Alternative]
 
 
 def _arm(*, unknown: bool = False, **constants: float) -> dict[str, Any]:
@@ -117,55 +110,52 @@ _OF_ARM_AND_SERVO: tuple[tuple[str, str, dict[str, dict[str, Any]]], ...] = (
         },
     ),
 )
-"""Name, chosen value, and what differs of an `Alternative`, by its label."""
+"""Name, chosen value, and settings of each `Alternative`, by its label."""
 
 
-def list_assumptions(standard: MoveShape) -> list[Assumption]:
-    """Everything assumed, varied one at a time around the standard move."""
+def list_alternatives(standard: MoveShape) -> list[Alternative]:
+    """Other values of everything assumed, one at a time around the standard move."""
     others = [
-        Assumption(name, chosen, [Alternative(label, standard, **values) for label, values in alternatives.items()])
+        Alternative(name, chosen, label, standard, **values)
         for name, chosen, alternatives in _OF_ARM_AND_SERVO
+        for label, values in alternatives.items()
     ]
     return [*_of_the_move(standard), *others]
 
 
-def _of_the_move(standard: MoveShape) -> list[Assumption]:
+def _of_the_move(standard: MoveShape) -> Iterator[Alternative]:
+    """Alternative moves that the environment allows, without the standard one and without repetitions."""
     start, goal, duration, ramp_time = standard
     length = abs(goal - start)
-    ramps = {f"ramps of {ramp:g} s": standard._replace(ramp_time=ramp) for ramp in _RAMP_TIMES}
-    durations = {
-        f"move of {factor * duration:.3g} s": MoveShape(start, goal, factor * duration, factor * ramp_time)
-        for factor in _LENGTHENED
+    named = {
+        ("ramp time of the trapezoid", f"{ramp_time:g} s"): {
+            f"ramps of {ramp:g} s": standard._replace(ramp_time=ramp) for ramp in _RAMP_TIMES
+        },
+        ("duration of the move", f"{duration:g} s"): {
+            f"move of {factor * duration:.3g} s": MoveShape(start, goal, factor * duration, factor * ramp_time)
+            for factor in _LENGTHENED
+        },
+        ("where the move leads", f"{degrees(start)} to {degrees(goal)}"): {
+            "backwards": standard._replace(start=goal, goal=start),
+            "the same length, to 0°": standard._replace(start=length, goal=0.0),
+            "the same length, from 0°": standard._replace(start=0.0, goal=length),
+        },
     }
-    places = {  # with one end at 0° two of them are the same
-        "backwards": standard._replace(start=goal, goal=start),
-        "the same length, to 0°": standard._replace(start=length, goal=0.0),
-        "the same length, from 0°": standard._replace(start=0.0, goal=length),
-    }
-    return [
-        Assumption("ramp time of the trapezoid", f"{ramp_time:g} s", _allowed(ramps, standard)),
-        Assumption("duration of the move", f"{duration:g} s", _allowed(durations, standard)),
-        Assumption("where the move leads", f"{degrees(start)} to {degrees(goal)}", _allowed(places, standard)),
-    ]
+    tried = [standard]
+    for assumption, moves in named.items():
+        for label, move in moves.items():
+            if is_allowed(move) and not any(np.allclose(move, other) for other in tried):
+                tried.append(move)
+                yield Alternative(*assumption, label, move)
 
 
-def _allowed(named: dict[str, MoveShape], standard: MoveShape) -> list[Alternative]:
-    """Alternative moves that the environment allows, without the standard one and without repetitions."""
-    alternatives: list[Alternative] = []
-    for name, move in named.items():
-        others = (standard, *(alternative.move for alternative in alternatives))
-        if is_allowed(move) and not any(np.allclose(move, other) for other in others):
-            alternatives.append(Alternative(name, move))
-    return alternatives
-
-
-def try_alternatives(assumptions: list[Assumption], base: Conditions, gains: ServoGains) -> dict[str, Suppression]:
+def try_alternatives(alternatives: list[Alternative], base: Conditions, gains: ServoGains) -> dict[str, Suppression]:
     """Run every alternative under the conditions `base`, else unchanged; by its label."""
     grouped: dict[Conditions, list[Alternative]] = {}
-    for alternative in (alternative for assumption in assumptions for alternative in assumption.alternatives):
+    for alternative in alternatives:
         grouped.setdefault(alternative.under(base), []).append(alternative)
-    found: dict[str, Suppression] = {}
+    results: dict[str, Suppression] = {}
     for conditions, group in grouped.items():
         together = suppression(conditions, gains, [alternative.move for alternative in group])
-        found |= {alternative.label: together.one(k) for k, alternative in enumerate(group)}
-    return found
+        results |= {alternative.label: together.only(k) for k, alternative in enumerate(group)}
+    return results

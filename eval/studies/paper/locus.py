@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eval.report.style import VERMILION
-from eval.reproduction.loop import (
+from eval.studies.paper.linear import (
     GAIN_RANGES,
     PAPER_ARM,
     Floats,

@@ -19,7 +19,7 @@ from beltarm_env.task.moves import check_moves
 from beltarm_env.task.reference import TRAPEZOID, MoveShape
 from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from eval.reproduction.loop import PAPER_ARM, ServoGains
+from eval.studies.paper.linear import PAPER_ARM, ServoGains
 
 FrictionSign = Literal["reference", "measured", "none"]
 
@@ -42,6 +42,23 @@ SIMULATED = Conditions()
 """Table 1 with friction, and the belt's damping assumed."""
 ANALYSED = Conditions(arm=replace(PAPER_ARM, coulomb_friction=0.0))
 """As the paper's analysis has it: neither Coulomb friction nor belt damping, in arm and controller."""
+
+
+STANDARD, TO_0 = "standard", "to 0°"
+"""Places of the moves: the standard move, and one as long that ends at 0 degrees."""
+FRICTION, AS_ANALYSED = "with friction", "as analysed"
+MEASURED = "as analysed, torsion measured"
+FULL, FULL_ANALYSED = "full arm, with friction", "full arm, as analysed"
+MAIN = {FRICTION: SIMULATED, AS_ANALYSED: ANALYSED}
+"""The two sets of conditions around which everything else is varied."""
+BOTH_ARMS = {
+    **MAIN,
+    FULL: replace(SIMULATED, model="lagrangian"),
+    FULL_ANALYSED: replace(ANALYSED, model="lagrangian"),
+}
+"""Conditions of the random moves."""
+VIEWS = {**MAIN, MEASURED: replace(ANALYSED, true_torsion=True), **BOTH_ARMS}
+"""Conditions of the standard move and of the one to 0 degrees."""
 
 
 class AssumedServo:

@@ -16,8 +16,8 @@ from beltarm_env import CONTROL_PERIOD
 from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import SeedRange
-from eval.reproduction.loop import ServoGains, without_and_with
-from eval.reproduction.runs import Conditions, run_moves
+from eval.studies.paper.linear import ServoGains, without_and_with
+from eval.studies.paper.runs import Conditions, run_moves
 
 Floats = NDArray[np.float64]
 Answer = Literal["yes", "in part", "no", "not comparable"]
@@ -76,8 +76,8 @@ def _rms(square: Floats, window: NDArray[np.bool_]) -> Floats:
 
 def ringing_of(recording: Recording) -> Ringing:
     """`ringing` of recorded moves."""
-    found = ringing(recording.tip_velocity_error, recording.moves[:, 2], recording.moves[:, 3])
-    return Ringing(*(np.where(recording.finished, phase, np.inf) for phase in found))
+    phases = ringing(recording.tip_velocity_error, recording.moves[:, 2], recording.moves[:, 3])
+    return Ringing(*(np.where(recording.finished, phase, np.inf) for phase in phases))
 
 
 class Suppression(NamedTuple):
@@ -96,7 +96,7 @@ class Suppression(NamedTuple):
         comparable = np.isfinite(before) & (before > 0)
         return np.divide(after, before, out=np.full(before.shape, np.nan), where=comparable)
 
-    def one(self, move: int) -> Suppression:
+    def only(self, move: int) -> Suppression:
         """One of the moves alone."""
         return Suppression(*(Ringing(*(phase[[move]] for phase in rung)) for rung in self))
 

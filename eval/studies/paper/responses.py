@@ -13,8 +13,18 @@ from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+from eval.studies.paper.ringing import END_WINDOW
+from eval.studies.paper.runs import AS_ANALYSED, FRICTION, STANDARD, TO_0
 
 Floats = NDArray[np.float64]
+_LAST = round(END_WINDOW / CONTROL_PERIOD)
+_RADIAL = ("motor_speed", "radial_speed", "radial_acceleration")
+SIGNALS = {
+    (STANDARD, FRICTION): _RADIAL,
+    (STANDARD, AS_ANALYSED): _RADIAL,
+    (TO_0, FRICTION): ("motor_speed", "radial_speed", "lateral_speed", "lateral_acceleration"),
+}
+"""Signals that are drawn over time, by place and conditions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,28 +45,19 @@ class Response:
             return getattr(self, name)
         return np.diff(getattr(self, name.replace("acceleration", "speed")), prepend=0.0) / CONTROL_PERIOD
 
-    @property
-    def motor_speed_error(self) -> float:
-        """RMS of the motor's speed error while the reference moves [rad/s]."""
+    def summary(self) -> dict[str, float]:
+        """Numbers of the tables: velocities peak to peak at the end, errors of the motor, torque, share of sticking."""
         moving = self.motor_speed_reference != 0
-        return float(np.sqrt(np.mean((self.motor_speed - self.motor_speed_reference)[moving] ** 2)))
-
-    @property
-    def cruising_speed(self) -> float:
-        """Largest speed of the motor's reference [rad/s]."""
-        return float(np.abs(self.motor_speed_reference).max())
-
-    @property
-    def peak_torque(self) -> float:
-        """Largest torque of the motor [N m]."""
-        return float(np.nanmax(np.abs(self.torque)))
-
-    @property
-    def stuck_share(self) -> float:
-        """Share of the time after the reference's stop that the motor sticks."""
-        after = self.time > self.time[np.flatnonzero(self.motor_speed_reference)[-1]]
+        after = self.time > self.time[np.flatnonzero(moving)[-1]]
         known = after & np.isfinite(self.motor_speed)
-        return float(np.mean(self.motor_speed[known] == 0)) if known.any() else np.nan
+        return {
+            "radial_pp": np.ptp(self.radial_speed[-_LAST:]),
+            "lateral_pp": np.ptp(self.lateral_speed[-_LAST:]),
+            "motor_speed_error": np.sqrt(np.mean((self.motor_speed - self.motor_speed_reference)[moving] ** 2)),
+            "cruising_speed": np.abs(self.motor_speed_reference).max(),
+            "peak_torque": np.nanmax(np.abs(self.torque)),
+            "stuck_share": np.mean(self.motor_speed[known] == 0) if known.any() else np.nan,
+        }
 
 
 def response(recording: Recording, episode: int = 0) -> Response:
