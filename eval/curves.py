@@ -19,7 +19,8 @@ import tyro
 from agents.policy.bundle import POLICIES
 from baselines.tools.command import run_command
 from baselines.tools.files import require_writable
-from eval.learning.curves import classical_cost, draw, find_curves
+from eval.report.curves import curves_figure, find_curves, levels
+from eval.report.style import save_figure
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,7 @@ def run(config: Config) -> None:
     """Find the curves and draw them."""
     require_writable(config.out)
     curves = find_curves(list(config.runs) or [path for path in sorted(POLICIES.glob("*")) if path.is_dir()])
-    numbers = {curve.arms for curve in curves}
-    if len(numbers) > 1:
-        raise ValueError(
-            f"the runs were validated on different numbers of arms, {sorted(numbers)}: draw them separately"
-        )
-    draw(curves, classical_cost(numbers.pop()), config.out / "curves.png")
+    save_figure(curves_figure(curves, levels(curves)), config.out / "curves.png")
     print(f"{len(curves)} runs; written to {config.out / 'curves.png'}")
 
 

@@ -26,15 +26,18 @@ except ModuleNotFoundError as error:
 def main() -> None:
     """Command line."""
     words = sys.argv[1:]
-    with one_line_errors("eval/study.py"):
-        if not words or words[0] in ("-h", "--help", "--list"):
-            print("usage: eval/study.py NAME [OPTIONS]\n")
-            for name in names():
-                print(f"  {name:11} {(load(name).__doc__ or '').splitlines()[0]}")
-            return
-        study = load(words[0])
-        options = parse(study.Options, study.__doc__, words[1:])
-        print(f"written to {run(study, options)}")
+    try:
+        with one_line_errors("eval/study.py"):
+            if not words or words[0] in ("-h", "--help", "--list"):
+                print("usage: eval/study.py NAME [OPTIONS]\n")
+                for name in names():
+                    print(f"  {name:11} {(load(name).__doc__ or '').splitlines()[0]}")
+                return
+            study = load(words[0])
+            options = parse(study.Options, study.__doc__, words[1:])
+            print(f"written to {run(study, options)}")
+    except ModuleNotFoundError as error:
+        stop_without("eval/study.py", error)
 
 
 if __name__ == "__main__":

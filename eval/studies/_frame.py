@@ -40,6 +40,7 @@ RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 DATA, TEMPLATE, PAGE = "data.json", "page.md.j2", "page.md"
 Pictures = Mapping[str, Callable[[], Figure]]
 _DIGITS = 7  # significant ones, of what is written
+_PLACES = ("out", "jobs", "runs", "engine", "address", "storage")  # options that change no number
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def run(study: Study, options: StudyOptions) -> Path:
 
 def chosen_options(options: StudyOptions) -> dict[str, Any]:
     """Options that decide what is measured, as JSON has them."""
-    values = {each.name: getattr(options, each.name) for each in fields(options) if each.name not in ("out", "jobs")}
+    values = {each.name: getattr(options, each.name) for each in fields(options) if each.name not in _PLACES}
     return json.loads(json.dumps(plain(values)))
 
 

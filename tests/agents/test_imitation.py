@@ -39,7 +39,7 @@ from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
-from eval.learning.curves import find_curves
+from eval.report.curves import find_curves
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 5_700_000

@@ -24,7 +24,7 @@ from baselines.servo.paper import PaperController, rigid_controller
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
-from eval.loops.gains import MEANING
+from eval.studies.loops.symbols import MEANING
 
 Floats = NDArray[np.float64]
 
@@ -237,7 +237,7 @@ class TestKnownLoops:
 def test_every_gain_has_a_symbol_and_a_unit():
     for name in CONTROLLERS:
         for gain in fields(CONTROLLERS[name]().gains):
-            assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/loops/gains.py"
+            assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/studies/loops/symbols.py"
 
 
 def test_a_controller_without_a_law_is_refused():

@@ -13,10 +13,10 @@ from scipy.integrate import quad
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
 from beltarm_env.arrays import Floats
-from eval.verification.crossing import first_crossing
-from eval.verification.drive import Actuator, belt_energy, belt_spring, ripple, ripple_energy
-from eval.verification.event_located import EventLocatedArm, tip
-from eval.verification.symbolic_arm import derive, masses_of
+from eval.reference.crossing import first_crossing
+from eval.reference.drive import Actuator, belt_energy, belt_spring, ripple, ripple_energy
+from eval.reference.event_located import EventLocatedArm, tip
+from eval.reference.symbolic_arm import derive, masses_of
 
 GEAR = 88.0
 MODELS = ("lumped", "lagrangian")

@@ -11,8 +11,8 @@ from driven_arms import UPPER_ENDS, drawn_arms, driven_arm, push, swing
 
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv
 from beltarm_env.arm import DRIVE_EFFECTS
-from eval.verification.convergence import measure_convergence
-from eval.verification.event_located import EventLocatedArm, tip
+from eval.reference.event_located import EventLocatedArm, tip
+from eval.studies.physics import measure_convergence
 
 GEAR = 88.0
 MODELS = ("lumped", "lagrangian")

@@ -33,7 +33,7 @@ from beltarm_env.physics.models import (
 )
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.ranges import IDEAL_RANGES
-from eval.verification.event_located import EventLocatedArm, tip
+from eval.reference.event_located import EventLocatedArm, tip
 
 Floats = NDArray[np.float64]
 Torque = Callable[[float, Floats], float]

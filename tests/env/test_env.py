@@ -20,7 +20,7 @@ from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, 
 from beltarm_env.kernels import layout
 from beltarm_env.observation import ENTRIES, LOOKAHEADS, decode
 from beltarm_env.task.cost import MAX_COST
-from eval.verification.event_located import tip
+from eval.reference.event_located import tip
 
 SENSORS = ("encoder", "tip", "full", "accelerometer")
 PROFILES = ("trapezoid", "scurve", "quintic")

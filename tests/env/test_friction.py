@@ -25,7 +25,7 @@ from beltarm_env.physics.friction import (
 )
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.ranges import DRIVE_RANGES
-from eval.verification.drive import belt_spring, ripple
+from eval.reference.drive import belt_spring, ripple
 
 PARAMS = ArmParams(
     **{

@@ -8,8 +8,8 @@ import sympy
 from full_arms import full_arm, full_arm_at, some_params
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from eval.verification.event_located import tip
-from eval.verification.symbolic_arm import Masses, compiled, derive, masses_of
+from eval.reference.event_located import tip
+from eval.reference.symbolic_arm import Masses, compiled, derive, masses_of
 
 GEAR = 88.0
 LOSSLESS = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0}

@@ -20,7 +20,7 @@ from beltarm_env.physics.kinematics import (
 )
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import sin_cos
-from eval.verification.event_located import tip
+from eval.reference.event_located import tip
 
 Floats = NDArray[np.float64]
 

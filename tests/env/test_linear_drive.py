@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from beltarm_env import CONTROL_PERIOD, ArmParams, sampled_state_space, state_space
 from beltarm_env.arm import params_table
 from beltarm_env.physics.linear import sample_models
-from eval.verification.event_located import EventLocatedArm
+from eval.reference.event_located import EventLocatedArm
 
 GEAR = 88.0
 MODELS = ("lumped", "lagrangian")

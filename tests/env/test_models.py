@@ -36,9 +36,9 @@ from beltarm_env.physics.substeps import (
     integration_substeps,
 )
 from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, range_bounds
-from eval.verification.convergence import measure_convergence
-from eval.verification.event_located import EventLocatedArm, tip
-from eval.verification.symbolic_arm import derive
+from eval.reference.event_located import EventLocatedArm, tip
+from eval.reference.symbolic_arm import derive
+from eval.studies.physics import measure_convergence
 
 Floats = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from beltarm_env.mujoco.drive import EXPRESSIBLE
 from beltarm_env.physics.drive import DRIVE_COLUMNS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
-from eval.verification.event_located import tip
+from eval.reference.event_located import tip
 
 ROOT = Path(__file__).parents[2]
 OPENGL = {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": str(ROOT)}

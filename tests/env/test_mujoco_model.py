@@ -15,7 +15,7 @@ from full_arms import full_arm, full_arm_at, some_params
 from numpy.typing import NDArray
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from eval.verification.event_located import tip
+from eval.reference.event_located import tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 

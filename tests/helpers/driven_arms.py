@@ -7,7 +7,7 @@ import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.task.ranges import DRIVE_RANGES, IDEAL_RANGES
-from eval.verification.event_located import EventLocatedArm
+from eval.reference.event_located import EventLocatedArm
 
 UPPER_ENDS = {name: high for name, (_, high) in DRIVE_RANGES.items()}
 """Every effect of the drive at its upper end in training."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from beltarm_env import ArmParams
-from eval.verification.event_located import EventLocatedArm
+from eval.reference.event_located import EventLocatedArm
 
 
 def full_arm(params: ArmParams, state: np.ndarray) -> EventLocatedArm:

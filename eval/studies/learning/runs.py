@@ -1,0 +1,166 @@
+"""Training runs of the ablations, and the scores of their policies.
+
+A run has the options that its command gives it, so the command in the results is one that makes them again. The last
+policy is scored, not the best one: choosing the best of a curve would flatter the variants whose curves are noisy.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.learners.registry import ALGORITHMS
+from agents.learners.student import StudentConfig
+from agents.policy.bundle import BundleError, load_controller, read_spec
+from agents.runs.checkpoint import RunFolder
+from agents.runs.monitor import SCORES
+from agents.runs.settings import RunConfig
+from agents.runs.training import train
+from baselines.engines.parallel import Channel
+from baselines.tools.files import write_text
+from baselines.tools.options import parse
+from beltarm_env import EPISODE_STEPS
+from beltarm_env.rollout import Controller, rollout
+from beltarm_env.task.seeds import ABLATIONS
+from eval.comparison.provenance import inputs_digest
+from eval.report.curves import find_curves
+from eval.studies.learning.variants import Variant
+
+_VALIDATIONS = 8  # per run, and rounds of a student
+_RECORD = "ablation.json"
+_QUICK = ("--validation-arms", "4")
+
+
+@cache
+def training_digest() -> str:
+    """Digest of the code that trains and scores, and of the gains that it uses."""
+    return inputs_digest(__name__, ("train_run", "score"))
+
+
+@dataclass(frozen=True)
+class Run:
+    """Training of a variant with one seed."""
+
+    variant: Variant
+    seed: int
+    samples: int  # simulated in training
+    runs: Path
+    quick: bool = False
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run."""
+        return self.runs / self.variant.name / f"seed{self.seed}"
+
+    @property
+    def label(self) -> str:
+        """Name of the run, in one word."""
+        return f"{self.variant.name}-seed{self.seed}"
+
+    @property
+    def words(self) -> list[str]:
+        """Script and options, as on a command line."""
+        budget = self._budget(parse(ALGORITHMS[self.variant.script].config, arguments=list(self.variant.options)))
+        script, quick = f"train/{self.variant.script}.py", _QUICK if self.quick else ()
+        return [str(word) for word in (script, *budget, *quick, *self.variant.options, "--seed", self.seed)]
+
+    def _budget(self, config: RunConfig) -> list[object]:
+        """Command-line options that make the script simulate `self.samples` samples."""
+        if isinstance(config, StudentConfig):
+            rounds = 2 if self.quick else _VALIDATIONS
+            return ["--arms", max(self.samples // (rounds * EPISODE_STEPS), 1), "--rounds", rounds]
+        steps = max(self.samples // config.hold, 1)
+        return ["--total-steps", steps, "--validation-every", max(steps // _VALIDATIONS, 1)]
+
+    @property
+    def command(self) -> str:
+        """Command that trains the same."""
+        return shlex.join(["python", *self.words])
+
+    def finished(self, arms: int) -> dict[str, Any] | None:
+        """Result of an earlier call, if it finished; of records without a digest of the code that is not checked.
+
+        Raises:
+            ValueError: If the folder holds another run, or one of other code, or whose base or filter has other gains.
+        """
+        record = self.folder / _RECORD
+        if not record.exists():
+            return None
+        remedy = f"delete {self.folder}, or choose another --runs"
+        try:
+            kept = json.loads(record.read_text(encoding="utf-8"))
+            before, scored, digest = kept["command"], kept["arms"], kept.setdefault("digest", None)
+            read_spec(self.folder / "last")
+        except BundleError as error:
+            raise ValueError(f"{error}; {remedy}") from None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{record} is damaged ({error!r}): {remedy}") from None
+        if (before, scored) != (self.command, arms):
+            held, wanted = f"`{before}` on {scored} arms", f"`{self.command}` on {arms}"
+            raise ValueError(f"{self.folder} holds {held}, not {wanted}: {remedy}")
+        if digest not in (None, training_digest()):
+            raise ValueError(f"{self.folder} was trained by other code than today's: {remedy}")
+        return kept
+
+    def finish(self, arms: int, place: Path | None = None, channel: Channel | None = None) -> dict[str, Any]:
+        """Train, going on where an interrupted run stopped, and score the last policy.
+
+        Args:
+            arms: Number of arms for the score.
+            place: Folder to work in, by default that of the run.
+            channel: Gets news, and asks to stop.
+
+        Raises:
+            ValueError: If the training fails, with its own message, or the folder holds another run.
+            Interrupted: If it was asked to stop; it is saved.
+        """
+        place = place or self.folder
+        try:
+            train_run(self.words, self.folder, place, channel)
+        except ValueError as error:
+            raise ValueError(f"{self.variant.name}, seed {self.seed}: {error}") from error
+        spec, _ = read_spec(place / "last")
+        (curve,) = find_curves([place / "last"])
+        points = np.stack([curve.steps, curve.minutes, curve.cost], axis=1)
+        result = {
+            "seed": self.seed,
+            "command": self.command,
+            "base": spec.base,
+            "commit": spec.provenance["commit"],
+            "digest": training_digest(),
+            "minutes": round(float(curve.minutes[-1]), 2),
+            "arms": arms,
+            "scores": score(load_controller(place / "last"), arms, spec.sensors),
+            "curve": [[round(float(value), 4) for value in point] for point in points],
+            "validation_arms": curve.arms,
+            "validation_of_base": curve.base_cost,
+        }
+        write_text(place / _RECORD, json.dumps(result, indent=2) + "\n")
+        return result
+
+
+def train_run(words: list[str], out: Path, place: Path, channel: Channel | None) -> None:
+    """Run a training by the words of its command, from its checkpoint if there is one; errors as of `train`."""
+    script, *options = words
+    resume = ["--resume"] if RunFolder(place).checkpoint.exists() else []
+    arguments = [*options, "--out", str(out), *resume]
+    algorithm = ALGORITHMS[Path(script).stem]
+    config = parse(algorithm.config, arguments=arguments)
+    train(config, algorithm.make_learner, channel, shlex.join(["python", script, *arguments]), place)
+
+
+def score(controller: Controller, arms: int, sensors: str = "encoder") -> dict[str, float]:
+    """Score a controller: means and medians over the arms of `ABLATIONS`, and the share that left the workspace (%)."""
+    run = rollout(controller, arms, seed=ABLATIONS.first, randomization="train", sensors=sensors)
+    metrics = run.metrics()
+    shown = (*SCORES, "torque_reversals_hz")
+    scores = {f"{name}_mean": float(np.mean(metrics[name])) for name in shown}
+    scores |= {f"{name}_median": float(np.median(metrics[name])) for name in shown}
+    scores["left_percent"] = 100.0 * float(np.mean(~run.finished))
+    return {name: round(value, 4) for name, value in scores.items()}

@@ -1,0 +1,201 @@
+"""Costs of every controller: on arms as they are built, with one thing changed, without margins, beside the optimum.
+
+Arms and moves are drawn from seeds of their own, between those of validation and those of the test splits. Gains
+without margins lie in `baselines/gains_without_margins.json`, which only this study reads. They are made by
+
+    python baselines/tune.py --all --no-margins --budget 8000000 --out baselines/gains_without_margins.json
+        --journals results/tune-without-margins
+
+with the seed and budget of those with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines import CONTROLLERS, TUNABLE
+from baselines.estimation.identification import IdentifyingController
+from baselines.gains import FILE, read_file, tuned
+from baselines.loops.condition import least_margins
+from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
+from baselines.yardsticks.oracle import METRICS
+from baselines.yardsticks.oracle import read_file as read_optimum
+from baselines.yardsticks.privileged import PrivilegedController
+from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
+from beltarm_env.arm import params_columns, params_table
+from beltarm_env.arrays import Floats
+from beltarm_env.metrics import TORQUES
+from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.reference import MoveShape
+from beltarm_env.task.seeds import LOOPS
+from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
+from eval.studies.loops.changes import CHANGES, LIMITS, Change
+
+PRIVILEGED = "privileged"
+"""Name of the oracle that knows arm and state; never ranked."""
+IDENTIFYING = "adaptive"
+"""Name of the controller whose identification is looked at."""
+WORSE = 1.2
+"""Cost over that of another controller on the same arm from which it counts as worse."""
+SHOWN_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
+WITHOUT = FILE.with_name("gains_without_margins.json")
+"""Gains found without margins."""
+_UNEXPLAINED = 5e-3  # [N m], of a filter that identifies nothing: what one torque has to stand for then
+
+Maker = Callable[[list[ArmParams]], Controller]
+
+
+def makers(names: Sequence[str]) -> dict[str, Maker]:
+    """Constructors of controllers for given arms, by name; only the one added, `PRIVILEGED`, looks at the arms.
+
+    Raises:
+        ValueError: If the file of gains is damaged.
+    """
+    return {**{name: blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: PrivilegedController}
+
+
+def blind(controller: Controller) -> Maker:
+    """Constructor of a controller that is the same for all arms."""
+    return lambda arms: controller
+
+
+def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
+    """Run episodes on arms, columns as `ArmParams`, arm i with the move that seed `LOOPS.first + i` draws."""
+    controller = make([ArmParams.from_row(row) for row in table])
+    sensors = getattr(controller, "sensors", "encoder")
+    options = {"params": params_columns(table)} | settings.pop("options", {})
+    return rollout(controller, len(table), seed=LOOPS.first, options=options, sensors=sensors, **settings)
+
+
+def built_arms(count: int) -> Floats:
+    """Arms and drives of the training ranges, columns as `ArmParams`, shape (count, len(FIELDS))."""
+    env = BeltArmVectorEnv(count, randomization="train")
+    env.reset(seed=LOOPS.first)
+    return env.params_table
+
+
+def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str, Any]]:
+    """Run a controller on arms as they are built and on the design model, changed and not, and beside the optimum.
+
+    Args:
+        make: Of the controller.
+        arms: Number of arms as they are built.
+        moves: Number of moves of the design model.
+
+    Returns:
+        Costs on the arms as they are built, shape (arms,), and what the page shows.
+    """
+    design, built = np.tile(design_model().row(), (moves, 1)), built_arms(arms)
+    as_designed, as_built = run_arms(make, design), run_arms(make, built)
+    metrics = as_built.metrics()
+    return metrics["cost"], {
+        "mean": metrics["cost"].mean(),
+        "worst": worst_mean(metrics["cost"]),
+        "left": int((~as_built.finished).sum()),
+        "metrics": {name: estimate(metrics[name][None]) for name in (*SHOWN_METRICS, *TORQUES)},
+        "design": interquartile_mean(as_designed.cost),
+        "changes": [_effect(make, design, change, as_designed.cost) for change in CHANGES],
+        "limits": [_effect(make, built, change, as_built.cost) for change in LIMITS],
+        "optimum": _beside_optimum(make),
+    }
+
+
+def _effect(make: Maker, table: Floats, change: Change, before: Floats) -> dict[str, float]:
+    """Mean and interquartile mean of the cost over those without a change, and how many arms left the workspace."""
+    run = run_arms(make, change.applied(table), **change.settings)
+    iqm = interquartile_mean(run.cost) / interquartile_mean(before)
+    return {"mean": float(run.cost.mean() / before.mean()), "iqm": iqm, "left": int((~run.finished).sum())}
+
+
+def _beside_optimum(make: Maker) -> Floats:
+    """Costs in the scenarios of the clairvoyant optimum."""
+    _, scenarios, _ = read_optimum()
+    move = {field: [getattr(s.move, field) for s in scenarios] for field in MoveShape._fields}
+    return run_arms(make, params_table([s.params for s in scenarios]), options={"move": move}).cost
+
+
+def optimum() -> dict[str, Any]:
+    """The clairvoyant optimum's scenarios, and its cost in each, from `baselines/oracle.json`.
+
+    Raises:
+        ValueError: If the file is damaged.
+    """
+    rows = read_optimum()[0]["scenarios"]
+    names = [f"{row['kind']}:{row['seed']}" for row in rows]
+    return {"names": names, "costs": [row[METRICS[0]] for row in rows]}
+
+
+def price(name: str, kept: Floats) -> dict[str, Any] | None:
+    """Run a controller with the gains found without margins on arms as they are built.
+
+    Args:
+        name: Of the controller.
+        kept: What it costs with its own gains, shape (n,).
+
+    Returns:
+        None if there are no gains without margins, or they are not comparable: of another law, seed or budget.
+
+    Raises:
+        ValueError: If the file of gains is damaged.
+    """
+    search = _search(name, WITHOUT)
+    if search is None or search != _search(name, FILE):
+        return None
+    free = TUNABLE[name].controller(tuned(name, TUNABLE[name].gains, WITHOUT))
+    cost, least = run_arms(blind(free), built_arms(len(kept))).cost, least_margins(free)
+    return {
+        "with": interquartile_mean(kept),
+        "without": interquartile_mean(cost),
+        "mean_with": kept.mean(),
+        "mean_without": cost.mean(),
+        "unstable": least.growth >= 0,
+        "modulus": least.modulus,
+        "delay": least.delay,
+        "where": least.modulus_at,
+    }
+
+
+def _search(name: str, path: Path) -> tuple[object, ...] | None:
+    """What makes two searches comparable: names of the gains, seed and budget; None if there was none."""
+    entry = read_file(path).get(name)
+    return entry and (sorted(entry["gains"]), *(entry["provenance"].get(key) for key in ("seed", "budget")))
+
+
+def worth(by_name: Mapping[str, Floats]) -> list[dict[str, Any]]:
+    """Identification beside the same law without it, and beside the best of the controllers that do not identify.
+
+    Args:
+        by_name: Costs of controllers on the same arms, each of shape (n,). Without `IDENTIFYING` there is no answer.
+    """
+    if IDENTIFYING not in by_name:
+        return []
+    own = by_name[IDENTIFYING]
+    others = [name for name in by_name if not isinstance(CONTROLLERS[name](), IdentifyingController)]
+    best = sorted(others, key=lambda name: interquartile_mean(by_name[name]))[:1]
+    same = run_arms(blind(identifying_nothing()), built_arms(len(own))).cost
+    titled = {f"`{IDENTIFYING}` with nothing identified": same, **{f"`{name}`": by_name[name] for name in best}}
+    return [
+        {
+            "title": title,
+            "own": own.mean(),
+            "other": other.mean(),
+            "worse": int((own > WORSE * other).sum()),
+            "worst": np.max(own / other),
+        }
+        for title, other in titled.items()
+    ]
+
+
+def identifying_nothing() -> AdaptiveController:
+    """`adaptive` that believes in the design model, and explains what it sees by a disturbance."""
+    gains = tuned(IDENTIFYING, AdaptiveGains)
+    doubts = gains.uncertainty()
+    noise = ("torque", "acceleration", "disturbance", "memory", "kinematic_error")
+    sure = {doubt.name: 0.0 for doubt in fields(doubts) if doubt.name not in noise}
+    doubts = replace(doubts, **sure, disturbance=max(_UNEXPLAINED, gains.unexplained_torque))
+    return AdaptiveController(gains, uncertainty=doubts, improvements=0)

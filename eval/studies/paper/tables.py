@@ -1,0 +1,252 @@
+"""Tables of the study, and numbers for the sentences of its page, from the data alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import nan
+from typing import Any
+
+import numpy as np
+
+from eval.comparison.effects import ALL, IDEAL, heading
+from eval.report.text import degrees, markdown_table, number, poles_text
+from eval.studies.paper.ringing import ANSWERS, PHASES
+from eval.studies.paper.runs import AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, STANDARD, TO_0
+
+Data = dict[str, Any]
+LEFT = "the arm left its workspace"
+_ANSWERED = ANSWERS[:3]
+
+
+def tables(data: Data) -> Data:
+    """Tables, and what the sentences need by conditions and place."""
+    scenes: dict[str, Data] = {}
+    for scene in data["scenes"]:
+        scenes.setdefault(scene["view"], {})[scene["place"]] = scene
+    return {
+        "answers": _answers(data, scenes),
+        "counts": {view: counts(data, view) for view in MAIN},
+        "scene": scenes,
+        "tried": {row["label"]: row["views"] for row in data["alternatives"]},
+        "chosen": {row["assumption"]: row["chosen"] for row in data["alternatives"]},
+        "ringing": _ringing(data),
+        "poles": _poles(data),
+        "full_arm": _full_arm(data),
+        "best_gains": _best_gains(data["linear"]["best"]),
+        "frequencies": _frequencies(data["linear"]["over_frequency"]),
+        "assumptions": _assumptions(data, scenes),
+        "random": _random(data),
+        "drives": {_title(row): _drives(data, row) for row in data["drives"]},
+        "verdicts": [_verdict(row) for view in (AS_ANALYSED, FRICTION) for row in data["drives"] if _is(row, view)],
+        "extremes": [_extremes(row) for row in data["drives"]],
+    }
+
+
+def _is(row: Data, view: str) -> bool:
+    return (row["place"], row["view"]) == (STANDARD, view)
+
+
+def shown(value: float | None, digits: int) -> str:
+    """A number of the data; a dash for none."""
+    return number(nan if value is None else value, digits)
+
+
+def _window(data: Data) -> str:
+    return f"last {data['bounds']['window']:g} s"
+
+
+def counts(data: Data, view: str) -> Counter[str]:
+    """Number of alternatives with each answer, of those that change anything."""
+    views = [row["views"][view] for row in data["alternatives"]]
+    return Counter(row["answer"] for row in views if not row["same"])
+
+
+def _answers(data: Data, scenes: Data) -> str:
+    """Whether the standard move's ringing is removed, how much of it is left, and the answers of the alternatives."""
+    rows = []
+    for view in (AS_ANALYSED, FRICTION):
+        usual, others = scenes[view][STANDARD], counts(data, view)
+        left = [shown(ratio and 100 * ratio, 1) for ratio in usual["ratios"].values()]
+        rows.append([view, usual["answer"], *left, *(str(others[answer]) for answer in ANSWERS)])
+    titles = ["conditions", "removed?", "left in the cruise (%)", "after it (%)", f"{_window(data)} (%)"]
+    titles += [f"alternatives: {ANSWERS[0]}", *ANSWERS[1:]]
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
+
+
+def _ringing(data: Data) -> str:
+    """Ringing with its ratio to that without K4, velocities, tracking and torque of the moves at both ends."""
+    titles = ["move to", "conditions", "K4", "cruise (m/s²)", "after the stop (m/s²)", f"{_window(data)} (m/s²)"]
+    titles += ["ṙ p-p (m/s)", "ẏ p-p (m/s)", "motor error RMS (rad/s)", "of its cruising speed (%)"]
+    titles += ["peak torque (N m)", "stuck after the stop (%)"]
+    rows = []
+    for scene in data["scenes"]:
+        if scene["place"] == TO_0 and scene["move"] == data["move"]:
+            continue
+        before, after = scene["phases"]
+        cells = [
+            [shown(before[phase], 2) for phase in PHASES],
+            [f"{shown(after[phase], 2)} ({shown(scene['ratios'][phase], 2)})" for phase in PHASES],
+        ]
+        for k, k4 in enumerate((0, data["gains"]["k4"])):
+            left = f" ({LEFT})" if scene["left"][k] else ""
+            names = [degrees(scene["move"]["goal"]), f"{scene['view']}{left}", f"{k4:g}"]
+            rows.append([*names, *cells[k], *_motion(scene["motions"][k])])
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
+
+
+def _motion(run: Data) -> list[str]:
+    error = run["motor_speed_error"]
+    return [
+        *(shown(run[name], 3) for name in ("radial_pp", "lateral_pp")),
+        shown(error, 1),
+        shown(error and 100 * error / run["cruising_speed"], 1),
+        shown(run["peak_torque"], 3),
+        shown(run["stuck_share"] and 100 * run["stuck_share"], 0),
+    ]
+
+
+def _poles_of(pairs: list[list[float]]) -> str:
+    return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
+
+
+def _poles(data: Data) -> str:
+    """Poles of the loop and of its variants at both angles."""
+    k4, linear = f"K4 = {data['gains']['k4']:g}", data["linear"]
+    loops = {
+        "off": "K4 = 0",
+        "on": k4,
+        "printed": f"{k4}, sign in (6e) as printed",
+        "damped": f"{k4}, belt damping ζ = {linear['belt_damping']:g}",
+        "held": f"{k4}, torque held over 1.5 ms",
+        "drive": f"{k4}, as the drive runs it",
+    }
+    rows = [
+        [angle, title, _poles_of(linear["poles"][name][k])]
+        for k, angle in enumerate(("0°", "90°"))
+        for name, title in loops.items()
+    ]
+    return markdown_table(["θ₁", "loop", "poles (1/s), damping ratio of each pair"], rows, "lll")
+
+
+def _full_arm(data: Data) -> str:
+    """Damping of the loop on the full arm, as analysed: torsional velocity measured, and simulated by the drive."""
+    rows = [
+        [degrees(row["angle"]), *(number(value, 3) for value in row["dampings"]), _poles_of(row["pairs"])]
+        for row in data["linear"]["full"]
+    ]
+    k4 = f"K4 = {data['gains']['k4']:g}, torsion"
+    titles = ["θ₁", "damping with K4 = 0", f"{k4} measured", f"{k4} simulated", "the latter's pairs (1/s)"]
+    return markdown_table(titles, rows, "lrrrl")
+
+
+def _best_gains(best: list[Data]) -> str:
+    """K4 of the largest dominant damping at three inertias."""
+    rows = [[row["arm"], f"{row['m2']:g}", f"{round(row['k4'], 2):g}", number(row["damping"], 3)] for row in best]
+    return markdown_table(["arm", "M2 (kg m²)", "best K4 (N m s/rad)", "dominant damping"], rows)
+
+
+def _frequencies(pairs: list[list[float]]) -> str:
+    """Dominant damping at 90 degrees over omega_n, Fig. 6(b)."""
+    rows = [[f"{frequency:g}", number(damping, 3)] for frequency, damping in pairs]
+    return markdown_table(["ω_n (rad/s)", "dominant damping at 90°"], rows, "rr")
+
+
+def _assumptions(data: Data, scenes: Data) -> str:
+    """Ratios and answer for every alternative, around the standard move with friction and as analysed."""
+    titles = ["assumption", "alternative"]
+    for view in MAIN:
+        titles += [f"{view}: ratio after the stop / {_window(data)}", "removed?"]
+    usual = {view: scenes[view][STANDARD] for view in MAIN}
+    rows = [["–", "standard move", *(cell for view in MAIN for cell in _tried(usual[view], ""))]]
+    before = ""
+    for row in data["alternatives"]:
+        name = f"{row['assumption']}: {row['chosen']}"
+        cells = [cell for view in MAIN for cell in _tried(row["views"][view], usual[view]["answer"])]
+        rows.append(["" if name == before else name, row["label"], *cells])
+        before = name
+    return markdown_table(titles, rows, "llllll")
+
+
+def _tried(row: Data, usual: str) -> list[str]:
+    """Ratios and answer, in bold where it is not the usual one."""
+    if row.get("same"):
+        return ["same", usual]
+    ratios = " / ".join(shown(row["ratios"][phase], 2) for phase in ("stop", "end"))
+    if any(row["left"]):
+        ratios = f"{LEFT} with K4 = 0" if row["left"][0] else LEFT
+    return [ratios, f"**{row['answer']}**" if usual and row["answer"] != usual else row["answer"]]
+
+
+def _random(data: Data) -> str:
+    """Shares of the random moves on which K4 removes, reduces and increases ringing."""
+    titles = ["conditions", "phase", "removed (%)", "reduced (%)", "increased (%)", "median ratio"]
+    titles += [f"left the workspace, K4 = {k4:g}" for k4 in (0, data["gains"]["k4"])]
+    rows = []
+    for view in BOTH_ARMS:
+        row = data["random"][view]
+        for phase, words in PHASES.items():
+            own = row["phases"][phase]
+            cells = [shown(own[key] and 100 * own[key], 0) for key in ("removed", "reduced", "increased")]
+            median = LEFT if own["median_left"] else shown(own["median"], 2)
+            rows.append([view, words, *cells, median, *map(str, row["left"])])
+    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
+
+
+def _title(row: Data) -> str:
+    start, goal = row["move"]["start"], row["move"]["goal"]
+    place = "Standard move" if row["place"] == STANDARD else "Move"
+    return f"{place}, {degrees(start)} to {degrees(goal)}, {row['view']}"
+
+
+def _drives(data: Data, row: Data) -> str:
+    """Peak-to-peak motion and ringing without and with K4, ratios and answers, for every drive."""
+    k4 = f"K4 = {data['gains']['k4']:g}"
+    titles = ["drive", "p-p, K4 = 0 (mm)", k4, "ratio", "ringing after the stop, K4 = 0 (m/s²)", k4, "ratio"]
+    titles += [f"ratio, {_window(data)}", *(f"removed? {answer}" for answer in _ANSWERED)]
+    rows = []
+    for drive in row["drives"]:
+        motion = [*(shown(value, 1) for value in drive["motion"]), _spread(drive["motion_ratio"])]
+        ringing = [*(shown(value, 2) for value in drive["ringing"]), _spread(drive["stop"]), _spread(drive["end"])]
+        answers = [str(drive["answers"].get(answer, 0)) for answer in _ANSWERED]
+        rows.append([heading(drive["drive"]), *motion, *ringing, *answers])
+    return markdown_table(titles, rows)
+
+
+def _spread(ratios: list[float | None]) -> str:
+    """Median, with the smallest and the largest where they differ."""
+    if not ratios:
+        return "–"
+    middle, low, high = (shown(value, 2) for value in ratios)
+    return middle if low == high else f"{middle} [{low}, {high}]"
+
+
+def _left(drive: Data) -> float:
+    """Share of the ringing that is left at the end, in the median [%]."""
+    return nan if not drive["end"] or drive["end"][0] is None else 100 * drive["end"][0]
+
+
+def _verdict(row: Data) -> Data:
+    """Whether K4 still suppresses the vibration of the standard move with all effects, and by how much."""
+    by_name = {drive["drive"]: drive for drive in row["drives"]}
+    ideal, driven = by_name[IDEAL], by_name[ALL]
+    answers = {answer: driven["answers"].get(answer, 0) for answer in _ANSWERED}
+    (usual, draws), *_ = Counter(ideal["answers"]).most_common(1)
+    reached = _ANSWERED[: _ANSWERED.index(usual) + 1] if usual in _ANSWERED else ()
+    as_good, reduced = sum(answers[answer] for answer in reached), answers["yes"] + answers["in part"]
+    if usual not in _ANSWERED[:2]:
+        survives = "nothing"
+    elif 2 * as_good > draws:
+        survives = "yes" if as_good == draws else "mostly"
+    else:
+        survives = "in part" if 2 * reduced > draws else "no"
+    left = {"left": _left(driven), "left_ideal": _left(ideal)}
+    return {"view": row["view"], "usual": usual, "answers": answers, "reduced": reduced, "survives": survives, **left}
+
+
+def _extremes(row: Data) -> Data:
+    """The effects that leave the most and the least of the ringing by themselves."""
+    left = {drive["drive"]: _left(drive) for drive in row["drives"]}
+    single = [name for name in left if name not in (IDEAL, ALL)]
+    most, least = max(single, key=lambda name: left[name]), min(single, key=lambda name: left[name])
+    ends = {"most": (heading(most), left[most]), "least": (heading(least), left[least])}
+    return {"title": _title(row), "ideal": left[IDEAL], "all": left[ALL], **ends}

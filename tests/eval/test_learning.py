@@ -1,0 +1,184 @@
+"""The study of learning: what it varies, runs that are kept, go on or are refused, and its tables and picture."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from commands import mistake
+
+from agents.learners.registry import ALGORITHMS
+from baselines import PaperController
+from baselines.engines.parallel import StopRequest
+from baselines.tools.options import parse
+from beltarm_env import EPISODE_STEPS
+from eval import study
+from eval.studies import learning
+from eval.studies.learning import page, runs
+from eval.studies.learning.runs import Run, score, training_digest
+from eval.studies.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
+
+BY_NAME = {variant.name: variant for variant in VARIANTS}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
+    """A quick run, and its result."""
+    run = Run(DEFAULT, 0, 5_000, tmp_path_factory.mktemp("runs"), quick=True)
+    return run, run.finish(4)
+
+
+def test_names_factors_and_folders_are_unique_and_known():
+    assert len({*BY_NAME, *FACTORS}) == len(VARIANTS) + len(FACTORS)
+    assert set(FACTORS) == {variant.factor for variant in VARIANTS[1:]}
+    assert VARIANTS[0] is DEFAULT and not DEFAULT.options
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
+    """Its options are the script's own, allowed, and none of them is what the default has anyway."""
+    kind = ALGORITHMS[variant.script].config
+    config, default = parse(kind, arguments=list(variant.options)), parse(kind, arguments=[])
+    config.check()
+    changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
+    assert len(changed) == len([word for word in variant.options if word.startswith("--")])
+    assert len(changed) <= (2 if variant.factor == "base" else 1)
+    assert variant.script == "student" or variant.factor in ("learner", "sight")
+
+
+def test_every_variant_has_its_seeds_and_its_first_before_any_second():
+    plan = [(run.variant.name, run.seed) for run in learning.planned(learning.Options(seeds=3))]
+    assert [seed for _, seed in plan] == sorted(seed for _, seed in plan)
+    for variant in VARIANTS:
+        assert [seed for name, seed in plan if name == variant.name] == ([0] if variant.once else [0, 1, 2])
+
+
+@pytest.mark.parametrize("name", ["default", "rma", "ppo", "ppo-nothing", "sac", "gru-0"])
+def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
+    script, *options = Run(BY_NAME[name], 0, 2_000_000, tmp_path).words
+    config = parse(ALGORITHMS[Path(script).stem].config, arguments=options)
+    assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01)
+
+
+def test_scores_are_the_same_again():
+    scores = score(PaperController(), 4)
+    assert scores == score(PaperController(), 4) and scores["left_percent"] == 0
+    assert set(page.COLUMNS) <= set(scores)
+
+
+def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
+    command = Run(BY_NAME["gru-0"], 1, 96_000, tmp_path).command
+    assert command == "python train/student.py --arms 10 --rounds 8 --gru-width 0 --seed 1"
+
+
+def test_finished_runs_are_read_and_interrupted_ones_go_on(
+    done: tuple[Run, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Without its record a run counts as interrupted: it goes on from its checkpoint, to the same result."""
+    run, result = done
+    assert result["curve"][-1][0] == 2 * 2 * EPISODE_STEPS and result["digest"] == training_digest()
+    runs_there = tmp_path / "runs"
+    shutil.copytree(run.runs, runs_there)
+    copied = Run(DEFAULT, 0, 5_000, runs_there, quick=True)
+    (copied.folder / "ablation.json").unlink()
+    again = copied.finish(4)
+    assert again["scores"] == result["scores"]
+    assert [point[0] for point in again["curve"]] == [point[0] for point in result["curve"]]
+    monkeypatch.setattr(runs, "train", None)
+    options = learning.Options(runs=run.runs, only=("default",), samples=5_000, quick=True, seeds=1, arms=4)
+    assert learning.run_all(learning.planned(options), options, lambda _: None, StopRequest()) == {run.label: result}
+
+
+def test_runs_of_another_command_or_other_code_are_refused(done: tuple[Run, dict[str, Any]], tmp_path: Path):
+    runs_there = tmp_path / "runs"
+    shutil.copytree(done[0].runs, runs_there)
+    run = Run(DEFAULT, 0, 5_000, runs_there, quick=True)
+    record = run.folder / "ablation.json"
+    with pytest.raises(ValueError, match="--runs"):
+        Run(DEFAULT, 0, 10_000, runs_there, quick=True).finished(4)
+    with pytest.raises(ValueError, match="--runs"):
+        run.finished(5)
+    kept = json.loads(record.read_text())
+    record.write_text(json.dumps({**kept, "digest": "0" * 64}))
+    with pytest.raises(ValueError, match="--runs"):
+        run.finished(4)
+    del kept["digest"]
+    record.write_text(json.dumps(kept))
+    result = run.finished(4)
+    assert result is not None and result["digest"] is None, "a record of before there were digests"
+    record.write_text("[]")
+    with pytest.raises(ValueError, match="damaged"):
+        run.finished(4)
+
+
+def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
+    options, stop = learning.Options(runs=tmp_path, only=("default",), quick=True, seeds=1), StopRequest()
+    stop.made = True
+    with pytest.raises(KeyboardInterrupt, match="same command"):
+        learning.run_all(learning.planned(options), options, lambda _: None, stop)
+
+
+def test_a_training_that_fails_is_named(tmp_path: Path):
+    variant = Variant("bad", "limit", "bad", ("--residual-limit", "3"))
+    with pytest.raises(ValueError, match=r"bad, seed 0: .*3.0"):
+        Run(variant, 0, 5_000, tmp_path, quick=True).finish(4)
+
+
+@pytest.mark.parametrize("words", [("--jobs", "0"), ("--only", "gru-O"), ("--storage", "there")])
+def test_bad_options(words: tuple[str, str], tmp_path: Path):
+    line = mistake(study.main, ("learning", *words), tmp_path)
+    assert words[0] in line and words[1] in line
+
+
+def made_up(seeds: int = 2) -> dict[str, Any]:
+    """Data with all variants; costs rise from 300 on."""
+
+    def run(cost: float, seed: int) -> dict[str, Any]:
+        curve = [[0, 0.0, 2000.0], [500, 0.5, 2 * cost], [1000, 1.0, cost]]
+        scores = {name: cost + 10 * seed for name in page.COLUMNS}
+        own = {"seed": seed, "command": f"python train/student.py --rounds 8 --seed {seed}", "minutes": 1.0}
+        known = {"base": "paper", "commit": "1234567", "digest": None, "validation_of_base": 2000.0}
+        return {**own, **known, "scores": scores, "curve": curve}
+
+    costs = np.linspace(300, 900, len(VARIANTS)).tolist()
+    return {
+        "variants": [
+            {**asdict(variant), "runs": [run(cost, seed) for seed in range(seeds)]}
+            for variant, cost in zip(VARIANTS, costs, strict=True)
+        ],
+        "references": {"paper": dict.fromkeys(page.COLUMNS, 2000.0)},
+        "best_classical": {"name": "adaptive", "validated": 210.0},
+    }
+
+
+def test_a_table_compares_the_variants_of_a_factor_with_their_default():
+    data = made_up()
+    shown = page.tables(data)
+    assert set(shown["factors"]) == {factor.question for factor in FACTORS.values()}
+    costs = {variant["name"]: page.scores(variant, "cost_mean") for variant in data["variants"]}
+    for name, factor in FACTORS.items():
+        first, *others = [line.split(" | ") for line in shown["factors"][factor.question].splitlines()[2:]]
+        own = [variant for variant in VARIANTS if variant.factor == name]
+        assert "(default)" in first[0] and first[8] == "1.00" and len(others) == len(own)
+        for variant, cells in zip(own, others, strict=True):
+            low, high = costs[variant.name]
+            assert cells[2] == f"{(low + high) / 2:.0f} [{low:.0f}, {high:.0f}]"
+            assert cells[8] == f"{(low + high) / costs[factor.against].sum():.2f}"
+
+
+def test_the_picture_has_a_panel_for_each_factor_on_common_axes():
+    figure = page._ablations(made_up())
+    panels = [axis for axis in figure.axes if axis.get_visible()]
+    assert [panel.get_title("left") for panel in panels] == [factor.question for factor in FACTORS.values()]
+    assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
+    for panel, results in zip(panels, page.by_factor(made_up()).values(), strict=True):
+        legend = panel.get_legend()
+        assert legend is not None and len(legend.get_texts()) == len(results)
+        assert not legend.get_window_extent().overlaps(panel.get_window_extent()), "names are beside the curves"
+    plt.close(figure)
