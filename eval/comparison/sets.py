@@ -120,6 +120,12 @@ def fresh_set(number: int) -> ScenarioSet:
     return draw_set(_fresh_name(number), fresh_arms(number))
 
 
+def enlarged_set(number: int, names: Sequence[str], episodes: int) -> ScenarioSet:
+    """Draw splits of a fresh set that go on beyond its first `EPISODES` scenarios; the label is that of the set."""
+    splits = {name: fresh_scenarios(number, name, range(episodes)) for name in names}
+    return ScenarioSet(fresh_set(number).label, splits)
+
+
 def fresh_scenarios(number: int, split: str, chosen: Sequence[int]) -> Split:
     """Draw some scenarios of a split of a fresh set: the first `EPISODES` are those of `fresh_set`, others go on.
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from baselines import CONTROLLERS
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.timing import Times, measure_times
+from eval.comparison.check import Times, measure_times
 from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
 from eval.loops.identification import Beside, worth
 from eval.loops.price import Price, price

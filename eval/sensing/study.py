@@ -14,7 +14,7 @@ from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import Controller, rollout
 from eval.comparison.splits import Split
-from eval.comparison.timing import action_times
+from eval.comparison.check import action_times
 
 Tier = Literal["encoder", "accelerometer"]
 TIERS: tuple[Tier, Tier] = ("encoder", "accelerometer")

@@ -106,8 +106,7 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
     rows = {row["split"]: row for row in results["rows"] if row["method"] == method}
     home = main_split(list(rows))
     split = _scenarios(SetLabel(**results["scenario_set"]), path).splits[home]
-    late = 1e-6 * rows[home].get("added_latency_us", 0.0)
-    return Scores(results, sha256_of(path), method, run_alone(policy, split.later(late), rows[home]["episodes"]))
+    return Scores(results, sha256_of(path), method, run_alone(policy, split, rows[home]["episodes"]))
 
 
 def run_alone(policy: Path, split: Split, episodes: int) -> Return:
