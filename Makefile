@@ -20,7 +20,7 @@ TOOLS := .venv-tools
 .DELETE_ON_ERROR:
 .DEFAULT:
 	$(error there is no '$@', and no target that makes it: `make help` lists the targets)
-.PHONY: help compare train setup test test-all test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers steps tune learning film readme
+.PHONY: help compare train setup test test-all test-lowest fuzz soak mutants coverage lint format bench dist sbom hashes docs clean scenarios physics paper loops tails scaling drive sensors guard embedded observers tune learning film readme
 
 ##@ Use
 
@@ -150,9 +150,6 @@ embedded: $(READY)  ## Controllers as programs: equality, time, flash and memory
 
 observers: $(READY)  ## What a filter and learned observers see through the encoder, in docs/results/observers
 	$(BIN)/python eval/observers.py --out docs/results/observers $(ARGS)
-
-steps: $(READY)  ## What each step from the paper's controller to the best classical one brings, in docs/results/steps
-	$(BIN)/python eval/from_1991.py --out docs/results/steps $(ARGS)
 
 tune: $(READY)  ## Tune every classical controller anew, into baselines/gains.json; takes half an hour
 	$(BIN)/python baselines/tune.py --all --budget 8000000 $(ARGS)

@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from PIL import Image
 
 from baselines.tools.files import write_atomically
 
@@ -32,11 +33,21 @@ def mark_one_two_five(axis: Axis) -> None:
 def save_figure(figure: Figure, path: Path, dpi: int = 120, **options: Any) -> None:
     """Write a figure atomically, and close it; further options are those of `Figure.savefig`.
 
+    A PNG has 256 colours: a third of the size, and no difference that one sees in a drawing.
+
     Raises:
         OSError: If the file cannot be written.
     """
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=dpi, **options))
+    write_atomically(path, lambda temporary: _save(figure, temporary, dpi=dpi, **options))
     plt.close(figure)
+
+
+def _save(figure: Figure, path: Path, **options: Any) -> None:
+    figure.savefig(path, **options)
+    if path.suffix == ".png":
+        with Image.open(path) as picture:
+            few = picture.convert("RGB").quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        few.save(path, optimize=True)
 
 
 def save_figures(figures: Mapping[str, Callable[[], Figure]], folder: Path, **options: Any) -> list[Path]:

@@ -31,7 +31,7 @@ FLOORS = {
     "eval": (
         *("comparison", "report"),
         *(
-            "translation verification drives advances sensing observing guarding tails leaderboard offline",
+            "translation verification drives studies sensing observing guarding tails leaderboard offline",
             "deploy",
             "loops sharing",
             "reproduction",

@@ -1,0 +1,127 @@
+"""Provenance of a page's data: command, version, commit, machine, and a digest of the code that measured them.
+
+The digest says whether the same code would measure the same data today. It is of Python's syntax trees, without
+docstrings and comments, of all modules that the measurement imports, of the module's own functions only those that it
+uses, and of tuned gains and shipped policies. So words, tables and pictures change no digest.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+import platform
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from baselines.tools.provenance import command_line, commit
+from beltarm_env import __version__
+
+ROOT = Path(__file__).resolve().parents[2]
+_PACKAGES = ("beltarm_env", "baselines", "agents", "train", "eval")
+_FILES = ("baselines/gains.json", "agents/policies*/*/*/policy.json", "agents/observer/**/*.json")
+_STARTS = ("measure", "Options")
+"""Names of a module from which all that measures is reached."""
+
+
+def provenance(module: str, seconds: float, starts: Iterable[str] = _STARTS) -> dict[str, Any]:
+    """Provenance of what a module has just measured, in some seconds, by its functions `starts`."""
+    return {
+        "command": command_line(),
+        "version": __version__,
+        "commit": commit(),
+        "python": python_version(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "seconds": round(seconds, 1),
+        "inputs": inputs_digest(module, tuple(starts)),
+    }
+
+
+def python_version() -> str:
+    """Version of Python; digests of different minor versions cannot be compared, as their syntax trees differ."""
+    return platform.python_version()
+
+
+def origin(of: dict[str, Any]) -> str:
+    """Line about the provenance of data."""
+    python = f"Python {of['python']} on {of['machine']}"
+    return f"`{of['command']}`, beltarm {of['version']} ({of['commit']}), {python}, {of['seconds']:.0f} s."
+
+
+def inputs_digest(module: str, starts: Iterable[str] = _STARTS) -> str:
+    """SHA-256 of the code, gains and policies that a measurement depends on."""
+    total = hashlib.sha256()
+    reached, waiting = {module: _reached(_path(module), tuple(starts))}, [module]
+    while waiting:
+        for other in sorted(_imports(reached[waiting.pop()])):
+            if other not in reached:
+                reached[other] = _statements(_path(other))
+                waiting.append(other)
+    for name in sorted(reached):
+        total.update("\0".join([name, *map(ast.dump, reached[name])]).encode())
+    for pattern in _FILES:
+        for path in sorted(ROOT.glob(pattern)):
+            total.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return total.hexdigest()
+
+
+def _path(module: str) -> Path:
+    """File of a module of this project."""
+    path = ROOT / module.replace(".", "/")
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+@cache
+def _statements(path: Path) -> tuple[ast.stmt, ...]:
+    """Statements of a module without docstrings."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [part for part in body if not _is_text(part)] or [ast.Pass()]  # pyright: ignore[reportAttributeAccessIssue]
+    return tuple(tree.body)
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def _reached(path: Path, starts: tuple[str, ...]) -> tuple[ast.stmt, ...]:
+    """Statements of a module that its functions and classes `starts` use, one through the other."""
+    statements = _statements(path)
+    binding = {name: node for node in statements for name in _bound(node)}
+    kept: set[ast.stmt] = set()
+    waiting = [name for name in starts if name in binding]
+    while waiting:
+        node = binding[waiting.pop()]
+        if node not in kept:
+            kept.add(node)
+            waiting += [each.id for each in ast.walk(node) if isinstance(each, ast.Name) and each.id in binding]
+    return tuple(node for node in statements if node in kept)
+
+
+def _bound(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement binds."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        yield node.name
+    elif isinstance(node, ast.Import | ast.ImportFrom):
+        yield from ((alias.asname or alias.name).split(".")[0] for alias in node.names)
+    else:
+        yield from (
+            each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
+        )
+
+
+def _imports(statements: Iterable[ast.stmt]) -> set[str]:
+    """Modules of this project that some statements import, inside functions too, with their packages."""
+    named: set[str] = set()
+    for node in (each for statement in statements for each in ast.walk(statement)):
+        if isinstance(node, ast.Import):
+            named |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            named |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    own = {name for name in named if name.split(".")[0] in _PACKAGES}
+    packages = {".".join(name.split(".")[:k]) for name in own for k in range(1, name.count(".") + 1)}
+    return {name for name in own | packages if _path(name).is_file()}

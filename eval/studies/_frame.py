@@ -1,0 +1,187 @@
+"""Frame of all studies: a module measures data, a template in `docs/results/NAME` tells what they show.
+
+A study is a module (or a folder, by its `__init__`) of `eval.studies` with these names:
+
+    __doc__         what it shows, for `--help`; its first line for `--list`
+    Options         a `StudyOptions`: its defaults are the options of the committed page
+    QUICK           options of a first try, which takes seconds
+    measure         measures all data; from `Options` to what `plain` turns into JSON
+    tables          texts and numbers for the template, from the data alone
+    pictures        functions that draw figures from the data alone, by the name of the file
+
+Data and words are apart, so that a page is rendered again in a second, and no fact stands in a program.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import pkgutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+import eval.studies
+from baselines.tools.command import require_bounds, require_known
+from baselines.tools.files import require_writable, write_text
+from eval.comparison.provenance import origin, provenance
+from eval.report.style import save_figures
+from eval.report.text import degrees, number
+
+RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+"""Committed pages, each in a folder of its name."""
+DATA, TEMPLATE, PAGE = "data.json", "page.md.j2", "page.md"
+Pictures = Mapping[str, Callable[[], Figure]]
+_DIGITS = 7  # significant ones, of what is written
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """Options that all studies have."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {}
+    """Least and largest value of options that are numbers."""
+
+    out: Path | None = None
+    """Folder for data.json, page.md and the pictures. Default: results/NAME."""
+    quick: bool = False
+    """Only try the study, with little of everything."""
+
+
+class Study(Protocol):
+    """Module of a study; see above."""
+
+    __name__: str
+    __doc__: str | None
+    Options: type[StudyOptions]
+    QUICK: Mapping[str, Any]
+    measure: Callable[[Any], Mapping[str, Any]]
+    tables: Callable[[Any], Mapping[str, Any]]
+    pictures: Callable[[Any], Pictures]
+
+
+def names() -> list[str]:
+    """Names of all studies."""
+    return sorted(module.name for module in pkgutil.iter_modules(eval.studies.__path__) if module.name[0] != "_")
+
+
+def load(name: str) -> Any:
+    """Import a study, a `Study`.
+
+    Raises:
+        ValueError: If there is none of this name.
+    """
+    require_known((name,), names(), "no study is called {}")
+    return importlib.import_module(f"eval.studies.{name}")
+
+
+def name_of(study: Study) -> str:
+    """Name of a study."""
+    return study.__name__.rpartition(".")[2]
+
+
+def run(study: Study, options: StudyOptions) -> Path:
+    """Measure a study and write data, page and pictures.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: If an option is not allowed.
+        OSError: If the folder cannot be written to.
+    """
+    if options.quick:
+        options = replace(options, **study.QUICK)
+    require_bounds(options, **options.bounds)
+    folder = options.out or Path("results") / name_of(study)
+    require_writable(folder)
+    began = time.perf_counter()
+    measured = study.measure(options)
+    about = provenance(study.__name__, time.perf_counter() - began) | {"options": chosen_options(options)}
+    write_data({"provenance": about, **measured}, folder)
+    render(name_of(study), study, read_data(folder), folder)
+    return folder
+
+
+def chosen_options(options: StudyOptions) -> dict[str, Any]:
+    """Options that decide what is measured, as JSON has them."""
+    values = {each.name: getattr(options, each.name) for each in fields(options) if each.name not in ("out", "jobs")}
+    return json.loads(json.dumps(plain(values)))
+
+
+def write_data(data: Mapping[str, Any], folder: Path) -> None:
+    """Write the data of a page, an entry of its first two levels a line."""
+    parts = []
+    for key, value in plain(data).items():
+        if isinstance(value, dict) and value:
+            inner = ",\n".join(f"  {json.dumps(str(name))}: {json.dumps(entry)}" for name, entry in value.items())
+            parts.append(f"{json.dumps(key)}: {{\n{inner}\n }}")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            inner = ",\n".join(f"  {json.dumps(entry)}" for entry in value)
+            parts.append(f"{json.dumps(key)}: [\n{inner}\n ]")
+        else:
+            parts.append(f"{json.dumps(key)}: {json.dumps(value)}")
+    listed = ",\n ".join(parts)
+    write_text(folder / DATA, f"{{\n {listed}\n}}\n")
+
+
+def read_data(folder: Path) -> dict[str, Any]:
+    """Read the data of a page.
+
+    Raises:
+        OSError: If they are not there.
+        ValueError: If they are damaged.
+    """
+    try:
+        return json.loads((folder / DATA).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{folder / DATA} is damaged ({error}): measure it again") from None
+
+
+def plain(value: Any) -> Any:
+    """Data as JSON can hold them: arrays as lists, dataclasses as mappings, seven digits, null for no number."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | range):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    if isinstance(value, np.integer | np.bool_):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value
+
+
+def render(name: str, module: Any, data: Mapping[str, Any], folder: Path) -> None:
+    """Write the page of some data, by the template of its name, and its pictures."""
+    write_text(folder / PAGE, page(name, module, data))
+    if hasattr(module, "pictures"):
+        save_figures(module.pictures(data), folder, dpi=110, bbox_inches="tight")
+
+
+def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
+    """Text of a page; its template may use `data`, `origin` and all that `tables` of the module gives.
+
+    Raises:
+        jinja2.TemplateError: If the template uses anything else.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(RESULTS / name),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"number": number, "degrees": degrees}
+    template = environment.get_template(TEMPLATE)
+    return template.render(data=data, origin=origin(data["provenance"]), **module.tables(data))

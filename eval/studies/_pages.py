@@ -1,0 +1,121 @@
+"""All measured pages: whether the code that measured them is still the same, rendered from data, measured anew."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from baselines.tools.command import require_known
+from baselines.tools.provenance import commit
+from eval.comparison.provenance import ROOT, inputs_digest, python_version
+from eval.studies._frame import DATA, PAGE, RESULTS, chosen_options, names, read_data, render
+
+MEASURED = ROOT / "results" / "pages"
+"""Where pages are measured before all of them replace the committed ones."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A measured page, in the folder of its name."""
+
+    name: str
+    module: str  # that has `tables`, and `pictures` where they are drawn from data
+    words: tuple[str, ...]  # command that measures it, without --out
+    starts: tuple[str, ...] = ("measure", "Options")  # what in the module measures
+
+    @property
+    def committed(self) -> Path:
+        """Folder of the committed page."""
+        return RESULTS / self.name
+
+
+OTHERS: tuple[Page, ...] = ()
+"""Pages of commands that are no studies."""
+
+
+class State(NamedTuple):
+    """How a committed page stands to today's code."""
+
+    verdict: str  # "fresh", "older inputs", "other options", "not comparable" or "missing"
+    commit: str = "–"
+    seconds: float = float("inf")
+
+
+def pages(wanted: Sequence[str] = ()) -> list[Page]:
+    """All measured pages, or those of some names.
+
+    Raises:
+        ValueError: If there is no page of a name.
+    """
+    known = [Page(name, f"eval.studies.{name}", ("eval/study.py", name)) for name in names()]
+    known += OTHERS
+    require_known(wanted, [page.name for page in known], "no measured page is called {}")
+    return [page for page in known if not wanted or page.name in wanted]
+
+
+def state(page: Page, folder: Path) -> State:
+    """Compare the data of a page with today's code and options."""
+    try:
+        about = read_data(folder)["provenance"]
+    except (OSError, ValueError, KeyError):
+        return State("missing")
+    measured = (about["commit"], float(about["seconds"]))
+    if about["python"].rpartition(".")[0] != python_version().rpartition(".")[0]:
+        return State("not comparable", *measured)
+    module = importlib.import_module(page.module)
+    if hasattr(module, "Options") and about["options"] != chosen_options(module.Options()):
+        return State("other options", *measured)
+    same = about["inputs"] == inputs_digest(page.module, page.starts)
+    return State("fresh" if same and not about["commit"].endswith("-dirty") else "older inputs", *measured)
+
+
+def check(wanted: Sequence[str] = ()) -> list[tuple[str, State]]:
+    """State of all committed pages."""
+    return [(page.name, state(page, page.committed)) for page in pages(wanted)]
+
+
+def render_all(wanted: Sequence[str] = ()) -> Iterator[Path]:
+    """Render pages from their data, one after the other."""
+    for page in pages(wanted):
+        if (page.committed / DATA).exists():
+            render(page.name, importlib.import_module(page.module), read_data(page.committed), page.committed)
+            yield page.committed / PAGE
+
+
+def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
+    """Measure pages that are not fresh, or not of the newest commit that measured one; the cheapest first.
+
+    Each is measured into `MEASURED`, and what is fresh there is not repeated. Once all are measured they replace the
+    committed ones, so that all committed pages name one commit.
+
+    Yields:
+        Name of a page, and what is done with it.
+
+    Raises:
+        ValueError: If files differ from the commit, or a measurement fails.
+    """
+    here = commit()
+    if here.endswith("-dirty") or here == "unknown":
+        raise ValueError(f"the checkout is not as its last commit ({here}): commit all changes, then measure")
+    chosen = sorted(pages(wanted), key=lambda page: state(page, page.committed).seconds)
+    for page in chosen:
+        folder = MEASURED / page.name
+        verdict, at, _ = state(page, folder)
+        if (verdict, at) == ("fresh", here):
+            yield page.name, "measured before"
+            continue
+        yield page.name, "is measured"
+        command = [sys.executable, *page.words, "--out", str(folder.relative_to(ROOT))]
+        if subprocess.run(command, cwd=ROOT, check=False).returncode:
+            raise ValueError(f"{page.name} could not be measured; the same command goes on from there")
+    for page in chosen:
+        for path in sorted((MEASURED / page.name).iterdir()):
+            if path.is_file():
+                shutil.copyfile(path, page.committed / path.name)
+        yield page.name, "replaced"

@@ -1,0 +1,125 @@
+"""All studies: each runs as a user runs it, its page comes from its data alone, and freshness sees what changes it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from commands import mistake, stopped
+
+from eval import pages, study
+from eval.comparison import provenance
+from eval.studies import _frame, _pages
+
+NAMES = _frame.names()
+
+
+@pytest.fixture(params=NAMES)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_a_first_try_writes_data_page_and_pictures(name: str, tmp_path: Path):
+    code, errors = stopped(study.main, (name, "--quick", "--out", "out"), tmp_path)
+    assert code == 0, errors
+    out, module = tmp_path / "out", _frame.load(name)
+    data = _frame.read_data(out)
+    page = (out / "page.md").read_text(encoding="utf-8")
+    assert {"command", "commit", "inputs", "options", "seconds"} <= set(data["provenance"])
+    assert page == _frame.page(name, module, data)
+    assert not re.search(r"\b(nan|inf|None)\b", page)
+    assert {path.name for path in out.iterdir()} == {"data.json", "page.md", *module.pictures(data)}
+    shown = set(re.findall(r"\]\(([\w-]+\.(?:png|csv))\)", page))
+    assert shown <= {path.name for path in out.iterdir()}
+
+
+def test_a_number_out_of_bounds_is_a_mistake(name: str, tmp_path: Path):
+    for option, (least, _) in _frame.load(name).Options.bounds.items():
+        words = (name, f"--{option.replace('_', '-')}", str(least - 1))
+        line = mistake(study.main, words, tmp_path)
+        assert words[1] in line and str(least - 1) in line
+
+
+def test_the_committed_page_comes_from_the_committed_data(name: str):
+    folder = _frame.RESULTS / name
+    data = _frame.read_data(folder)
+    assert (folder / "page.md").read_text(encoding="utf-8") == _frame.page(name, _frame.load(name), data)
+
+
+def test_an_unknown_study_is_a_mistake(tmp_path: Path):
+    assert "'stepps'" in mistake(study.main, ("stepps",), tmp_path)
+
+
+def test_data_keep_seven_digits_and_no_infinity(tmp_path: Path):
+    _frame.write_data({"a": {"b": 1 / 3, "c": float("nan")}, "rows": [{"x": 1}], "n": 2}, tmp_path)
+    written = json.loads((tmp_path / "data.json").read_text())
+    assert written == {
+        "a": {"b": 0.3333333, "c": None},
+        "rows": [{"x": 1}],
+        "n": 2,
+    }
+
+
+MODULE = '''"""Words."""
+from beltarm_env.timing import CONTROL_PERIOD
+SCALE = 2.0
+OTHER = 3.0
+def helper(x):
+    """Words."""
+    return SCALE * x  # comment
+def measure():
+    return helper(CONTROL_PERIOD)
+def tables(data):
+    return OTHER
+'''
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "same"),
+    [
+        ("Words", "Other words", True),
+        ("# comment", "", True),
+        ("OTHER = 3.0", "OTHER = 4.0", True),
+        ("return OTHER", "return 1", True),
+        ("SCALE = 2.0", "SCALE = 2.5", False),
+        ("SCALE * x", "x", False),
+        ("from beltarm_env.timing", "from beltarm_env.other", False),
+    ],
+)
+def test_the_digest_is_of_what_measures(
+    before: str, after: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    package = tmp_path / "beltarm_env"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "timing.py").write_text("CONTROL_PERIOD = 0.0015\n")
+    for folder, text in (("eval", MODULE), ("train", MODULE.replace(before, after))):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "study.py").write_text(text)
+    reached = [provenance._reached(tmp_path / folder / "study.py", ("measure",)) for folder in ("eval", "train")]
+    dumps = ["".join(map(provenance.ast.dump, part)) for part in reached]
+    assert (dumps[0] == dumps[1]) is same
+
+
+def test_a_change_of_a_module_that_is_imported_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for folder in ("beltarm_env", "eval"):
+        shutil.copytree(_frame.RESULTS.parents[1] / folder, tmp_path / folder)
+    for folder in ("baselines", "agents", "train"):
+        (tmp_path / folder).symlink_to(_frame.RESULTS.parents[1] / folder)
+    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    before = provenance.inputs_digest("eval.studies.steps")
+    timing = tmp_path / "beltarm_env" / "timing.py"
+    timing.write_text(timing.read_text() + "\nSOMETHING = 1\n")
+    provenance._statements.cache_clear()
+    assert provenance.inputs_digest("eval.studies.steps") != before
+    provenance._statements.cache_clear()
+
+
+def test_pages_are_measured_on_a_clean_commit_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(_pages, "commit", lambda: "1234567-dirty")
+    assert "1234567-dirty" in mistake(pages.main, ("--measure", "steps"), tmp_path)
+    assert "'nothing'" in mistake(pages.main, ("--check", "nothing"), tmp_path)
