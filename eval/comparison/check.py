@@ -240,6 +240,7 @@ def _first_failure(method: Method) -> Failure | None:
             )
     return None
 
+
 # Time per action
 
 

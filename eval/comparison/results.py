@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,13 +11,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tools.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
-from eval.comparison.failures import Failure
 from eval.comparison.cache import LEFT, Metrics
+from eval.comparison.failures import Failure
 from eval.comparison.methods import PRIMARY, Method, policies_of
+from eval.comparison.provenance import provenance as about
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import (
     LEAST_SCENARIOS,
@@ -32,6 +31,8 @@ from eval.comparison.statistics import (
     together,
 )
 
+MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
+"""Module and functions that measure a comparison, for the digest of the code."""
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 MOSTLY = 0.95
 """Share of its runs that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
@@ -245,7 +246,7 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dic
         others = [outcome for outcome in outcomes if outcome.ranked and outcome is not best]
         compared = all_paired([tables_of(other, best, name) for other in others])
         pairs = {other.method.name: pair for other, pair in zip(others, compared, strict=True)}
-        if classical and best.method.name in against_best:  # a pair has one p value, whichever of the two is named first
+        if classical and best.method.name in against_best:  # a pair has one p value
             same = against_best[best.method.name][name]
             pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)
         adjusted = holm([pair.p for pair in pairs.values()])
@@ -258,18 +259,15 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dic
 def provenance(
     command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
 ) -> dict[str, Any]:
-    """Provenance of the results: command, commit, scenarios, policies, packages."""
+    """Provenance of the results: command, commit, digest of the code, scenarios, policies, packages."""
     packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
     return {
+        **about(MEASURES, seconds, STARTS),
         "command": command,
         "beltarm": __version__,
-        "commit": commit(),
         "splits_version": splits.VERSION,
         "split_seeds": {name: split.seed for name, split in chosen.items()},
         "split_sha256": {name: split.digest for name, split in chosen.items()},
         "policies": policies_of(methods),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
         "packages": {name: version(name) for name in packages},
-        "seconds": round(seconds, 1),
     }

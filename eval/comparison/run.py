@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from baselines import DOMINATED
 from baselines.engines.options import LOCAL, Engine
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
-from eval.comparison import protocol
+from eval.comparison import check
+from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
 from eval.comparison.custom import TIME_LIMIT
-from eval.comparison.failures import Failure, attempt
+from eval.comparison.failures import Failure
 from eval.comparison.methods import (
     PRIVILEGED,
     Method,
@@ -26,20 +28,10 @@ from eval.comparison.methods import (
     privileged_method,
     shipped_policies,
 )
-from eval.comparison.pairs import Metrics, Pair, run_pairs
-from eval.comparison.results import (
-    COMPUTING_TIME,
-    Comparison,
-    MethodOutcome,
-    estimated,
-    make_comparison,
-    provenance,
-)
+from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison, provenance
 from eval.comparison.scenarios import require_same_physics
 from eval.comparison.schema import read_results, require_same_set
 from eval.comparison.sets import ScenarioSet
-from eval.comparison.splits import Split, main_split
-from eval.comparison.timing import ActionTimes, measured_once, measured_times
 
 
 def choose_methods(
@@ -77,8 +69,11 @@ def choose_methods(
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
     if not guard:
         return methods
-    twice = [(one, one.with_guard()) if one.kind in ("classical", "learned") else (one,) for one in methods]
-    return [method for group in twice for method in group]
+    return [
+        each
+        for method in methods
+        for each in ((method, method.with_guard()) if method.kind in ("classical", "learned") else (method,))
+    ]
 
 
 def require_no_more_in(path: Path, methods: Sequence[str], splits: Sequence[str], episodes: int) -> None:
@@ -107,10 +102,9 @@ def compare(
     *,
     engine: Engine = LOCAL,
     fresh: bool = False,
-    computing_time: bool = False,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> Comparison:
-    """Run methods on splits and compare what comes out.
+    """Run methods on splits and compare their results.
 
     Args:
         methods: See `choose_methods`.
@@ -120,108 +114,65 @@ def compare(
         jobs: Number of processes, by default one per core.
         engine: What runs them.
         fresh: Whether to run everything again.
-        computing_time: Whether each method's commands are later by its own time per action, see
-            `eval.comparison.timing`.
-        done: Called with the number of pairs of method and split that are done, and of all.
+        done: Called with the number of parts that are done, and of all.
 
     Raises:
         OSError: If the folder cannot be written to, or a process was killed.
-        ValueError: If the folder has results of other scenarios, more results than these, or some in which computing
-            time counts as it does not here, the arms do not move as they did when the scenarios were drawn, or no
-            method could be run.
+        ValueError: If the folder has results of other scenarios, or more results than these, the arms do not move as
+            they did when the scenarios were drawn, or no method could be run.
         KeyboardInterrupt: On Ctrl-C, with a message about the results that are kept.
     """
     began = time.perf_counter()
     require_writable(folder)
     if (folder / "results.json").exists():
-        require_same_set(folder / "results.json", scenarios.label, computing_time)
+        require_same_set(folder / "results.json", scenarios.label)
         names = [method.name for method in methods]
         require_no_more_in(folder / "results.json", names, list(scenarios.splits), episodes)
     require_same_physics(scenarios)
-    unsound = protocol.failures(methods)
-    sound = [method for method in methods if method.name not in unsound]
-    times = measured_once(sound, folder, fresh=fresh) if computing_time else measured_times(sound)
-    times |= unsound
-    main = main_split(list(scenarios.splits))
-    runs = [
-        _Run(method, split, times[method.name], computing_time, episodes, nudged=split.name == main)
-        for split in scenarios.splits.values()
-        for method in methods
-    ]
-    pairs = [run.pair for run in runs if isinstance(run.pair, Pair)]
+    unsound = check.failures(methods)
+    times = check.measured_times(method for method in methods if method.name not in unsound) | unsound
+    able = [method for method in methods if not isinstance(times[method.name], Failure)]
+    parts = {
+        (split, method.name): parts_of(method, of_split, episodes)
+        for split, of_split in scenarios.splits.items()
+        for method in able
+    }
+    in_order = [part for of_pair in parts.values() for part in of_pair]
     if fresh:
-        for pair in pairs:
-            pair.file(folder).unlink(missing_ok=True)
-    kept = _kept(pairs, folder)
-    outcomes, failures = _outcomes(runs, folder, jobs, engine, done)
-    if not any(outcome.ranked for outcome in outcomes):
+        for part in in_order:
+            part.file(folder).unlink(missing_ok=True)
+    kept = kept_count(in_order, folder)
+    results = iter(run_parts(in_order, folder, jobs, done, engine))
+    joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
+
+    measured, failures = list[tuple[Method, str, Metrics]](), list[Failure]()
+    for split in scenarios.splits:
+        for method in methods:
+            early = times[method.name]
+            result = replace(early, split=split) if isinstance(early, Failure) else joined[split, method.name]
+            if isinstance(result, Failure):
+                failures.append(result)
+            else:
+                measured.append((method, split, result))
+    if not any(method.kind != "privileged" for method, _, _ in measured):
         first = failures[0]
         error = ValueError(f"no method could be run: {first.method} on {first.split}: {first.message}")
         error.add_note(first.trace)
         raise error
-    origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
-    origin |= {"pairs_kept_before": kept, COMPUTING_TIME: computing_time}
-    return make_comparison(outcomes, failures, scenarios.label, origin)
-
-
-@dataclass(frozen=True)
-class _Run:
-    """A method on a split, with the time that it takes for an action; one that fails before that is not run."""
-
-    method: Method
-    split: Split
-    times: ActionTimes | Failure
-    computing_time: bool  # whether its commands are later by that time
-    episodes: int
-    nudged: bool  # whether its sensitivity is measured
-
-    @property
-    def latency(self) -> float:
-        """Time by which its commands are later than the drive's latency [s]."""
-        return 1e-6 * self.times[1] if self.computing_time and not isinstance(self.times, Failure) else 0.0
-
-    @cached_property
-    def pair(self) -> Pair | Failure:
-        """What is run, or why nothing is."""
-        if isinstance(self.times, Failure):
-            return replace(self.times, split=self.split.name)
-        late = attempt(self.method.name, self.split.name, lambda: self.split.later(self.latency))
-        return late if isinstance(late, Failure) else Pair(self.method, late, self.episodes, self.nudged)
-
-
-def _kept(pairs: list[Pair], folder: Path) -> int:
-    return sum(pair.file(folder).exists() for pair in pairs)
-
-
-def _outcomes(
-    runs: list[_Run], folder: Path, jobs: int | None, engine: Engine, done: Callable[[int, int], object]
-) -> tuple[list[MethodOutcome], list[Failure]]:
-    """Outcomes and failures of all runs."""
-    pairs = [run.pair for run in runs if isinstance(run.pair, Pair)]
-    finished: list[Pair] = []
-
-    def one_more(pair: Pair) -> None:
-        finished.append(pair)
-        done(len(finished), len(pairs))
-
-    done(0, len(pairs))
-    try:
-        results = iter(run_pairs(pairs, folder, jobs, one_more, engine))
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"interrupted: {_kept(pairs, folder)} of {len(pairs)} pairs of method and split are kept in {folder}; the "
-            "same command continues from there"
-        ) from None
-    measured, failures = list[tuple[_Run, ActionTimes, Metrics]](), list[Failure]()
-    for run in runs:
-        result = run.pair if isinstance(run.pair, Failure) else next(results)
-        if isinstance(result, Failure):
-            failures.append(result)
-        elif not isinstance(run.times, Failure):
-            measured.append((run, run.times, result))
-    found = estimated([metrics for _, _, metrics in measured])
     outcomes = [
-        MethodOutcome(run.method, run.split.name, metrics, estimates, times, run.latency)
-        for (run, times, metrics), estimates in zip(measured, found, strict=True)
+        MethodOutcome(method, split, metrics, estimates, action_times)
+        for (method, split, metrics), estimates in zip(measured, estimated([of for _, _, of in measured]), strict=True)
+        if not isinstance(action_times := times[method.name], Failure)
     ]
-    return outcomes, failures
+    origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
+    return make_comparison(outcomes, failures, scenarios.label, origin | {"pairs_kept_before": kept})
+
+
+def _joined(results: Sequence[Metrics | Failure]) -> Metrics | Failure:
+    """Results of a method on a split, from those of its parts: the first failure, if there is one."""
+    sound = []
+    for result in results:
+        if isinstance(result, Failure):
+            return result
+        sound.append(result)
+    return {name: np.concatenate([metrics[name] for metrics in sound], axis=1) for name in sound[0]}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from baselines.engines.parallel import Channel, Engine, Failure, run_side_by_side
+from eval.comparison.cache import Part, measure
 from eval.comparison.methods import classical_methods
-from eval.comparison.pairs import Pair, measure
 from eval.comparison.sets import development_set
 from eval.engines.memory import Use, measured
 
@@ -48,7 +48,7 @@ def equal_tasks(engine: Engine, jobs: int, count: int) -> float:
         ValueError: If a task fails.
     """
     method = next(method for method in classical_methods() if method.name == METHOD)
-    pair = Pair(method, development_set().splits["randomized"], ARMS)
+    pair = Part(method, development_set().splits["randomized"], ARMS)
     ends, began = [], 0.0
     tasks = {f"warm {number}": partial(_run, pair) for number in range(jobs)}
     tasks |= {str(number): partial(_run, pair) for number in range(count)}
@@ -60,7 +60,7 @@ def equal_tasks(engine: Engine, jobs: int, count: int) -> float:
     return ends[-1] - began
 
 
-def _run(pair: Pair, _: Channel) -> None:
+def _run(pair: Part, _: Channel) -> None:
     measure(pair)
 
 

@@ -12,7 +12,6 @@ from eval.loops import tables
 from eval.loops.costs import PRIVILEGED
 from eval.loops.identification import IDENTIFYING, WORSE
 from eval.loops.study import LoopStudy
-from eval.report.budgets import BUDGETS_NOTE, Budget, budgets_table
 
 _ASKED = MarginCondition()
 _LOOPS = (
@@ -42,8 +41,8 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         f"{LOOPS.first} to {LOOPS.first + arms - 1}, on which nothing was tuned, trained or tested. *{PRIVILEGED}* "
         "knows the true constants and the true state, and is not ranked.",
         "Contents: [loops](#linear-loops), [costs](#costs), [where each breaks](#where-each-breaks), [price of the "
-        "margins](#price-of-the-margins), [identification](#what-identification-is-worth), [time](#time), [budgets of "
-        "all methods](#budgets-on-equal-terms), [optimum](#gap-to-the-clairvoyant-optimum), [each "
+        "margins](#price-of-the-margins), [identification](#what-identification-is-worth), [time](#time), "
+        "[optimum](#gap-to-the-clairvoyant-optimum), [each "
         "controller](#each-controller).",
         "## At a glance",
         "*Cost*: interquartile mean on arms as they are built; *worst 5 %*: their mean cost over it; then the cost "
@@ -99,9 +98,6 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
         "the first action of an episode, before which nothing moves, apart; plans that are made later are among the "
         "others. The last column has the environment in it.",
         tables.times_table(study),
-        "## Budgets on equal terms",
-        BUDGETS_NOTE + _kept(study.budgets),
-        budgets_table(study.budgets),
         "## Gap to the clairvoyant optimum",
         "Cost over that of `baselines/oracle.json`, which knows arm, state and move; a local optimum. The seeds are "
         "among those that tuning may draw arms from.",
@@ -117,13 +113,3 @@ def markdown(study: LoopStudy, pictures: Sequence[Path], origin: str) -> str:
 def _unpriced(study: LoopStudy) -> str:
     missing = [f"`{name}`" for name in study.scans if name in TUNABLE and name not in study.prices]
     return f" Not tuned without margins, or not alike: {', '.join(missing)}." if missing else ""
-
-
-def _kept(budgets: Sequence[Budget]) -> str:
-    names = ", ".join(f"`{of.name}`" for of in budgets if of.kept)
-    if not names:
-        return ""
-    return (
-        f" The search found nothing better than the untuned gains of {names}, which were set by hand: a search that "
-        "nothing here counts."
-    )

@@ -14,7 +14,6 @@ from eval.loops.costs import Costs, OracleCosts, makers, measure, oracle
 from eval.loops.identification import Beside, worth
 from eval.loops.price import Price, price
 from eval.loops.scan import Scan, scan
-from eval.report.budgets import Budget, budgets
 
 Result = TypeVar("Result")
 
@@ -38,7 +37,6 @@ class LoopStudy:
     times: dict[str, Times]
     prices: dict[str, Price]
     worth: list[Beside]  # of identification; empty if the controller that identifies is not asked about
-    budgets: list[Budget]
     oracle: OracleCosts
 
 
@@ -69,6 +67,5 @@ def run_study(names: Sequence[str], sizes: Sizes, tell: Callable[[str], object])
         times=times,
         prices={name: found for name, found in prices.items() if found is not None},
         worth=worth({name: costs[name].built["cost"] for name in names}),
-        budgets=budgets(names),
         oracle=oracle(),
     )

@@ -19,7 +19,7 @@ from baselines.models.modes import held_mode
 from beltarm_env.arm import ArmParams
 from beltarm_env.rollout import Recording
 from beltarm_env.timing import CONTROL_PERIOD
-from eval.report.scenes import Scene
+from eval.report.recordings import Scene
 from eval.report.svg import MUTED, SHADE, WIDTH, Panel, line, panel, panel_style
 
 Floats = NDArray[np.float64]
