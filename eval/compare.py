@@ -33,6 +33,7 @@ from eval.comparison.run import choose_methods, compare
 from eval.comparison.scenarios import choose_set
 from eval.comparison.sets import ScenarioSet, enlarged_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
+from eval.comparison.verify import verify
 from eval.report import summary
 from eval.report.publish import print_results, publish
 from eval.studies._frame import PAGE, page
@@ -48,7 +49,7 @@ class Config(SideBySide):
     groups: ClassVar[Groups] = {
         "method": ("methods", "policy", "add", "time_limit", "guard"),
         "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
-        "output": ("out", "verbose", "traceback"),
+        "output": ("out", "verbose", "verify", "traceback"),
         "run": (),
     }
 
@@ -86,6 +87,10 @@ class Config(SideBySide):
     """Draw a fresh set of scenarios by the same rules instead. Seeds 0, 1, 2, ... are used by nothing else."""
     fresh: bool = False
     """Run everything again, and use no kept results."""
+    verify: Path | None = None
+    """Run again what the results.json of this folder claims, and write nothing. The first number that differs by more
+    than another processor explains is printed, and exits with 1. Give a controller or a policy with --add or --policy
+    if it is not where the results' command names it."""
     traceback: bool = False
     """Print the whole traceback of each failure, to stderr."""
     verbose: bool = False
@@ -120,6 +125,9 @@ def run(config: Config) -> None:
     console = Console()
     config.check_engine()
     require_bounds(config, time_limit=(1, LONGEST))
+    if config.verify is not None:
+        verify_results(config, config.verify, console)
+        return
     scenarios = config.chosen_scenarios()
     methods = choose_methods(
         config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
@@ -148,6 +156,18 @@ def run(config: Config) -> None:
         if config.traceback:
             print(failure.trace, file=sys.stderr)
     sys.exit(1 if failures else 0)
+
+
+def verify_results(config: Config, folder: Path, console: Console) -> None:
+    """Print whether the results of a folder come out again; exit with 1 if one does not."""
+    with progress_count("parts", console) as done:
+        numbers = verify(folder, config.policy, config.add, config.jobs, time_limit=config.time_limit, done=done)
+    for difference in numbers:
+        if difference.excess > 1:
+            console.print(f"Not as {folder} says: {difference}", soft_wrap=True, markup=False)
+            sys.exit(1)
+    largest = max(numbers, key=lambda difference: difference.excess)
+    console.print(f"All {len(numbers)} numbers of {folder} come out again. Farthest: {largest}", soft_wrap=True)
 
 
 def main() -> None:

@@ -122,12 +122,15 @@ class Split:
         """Whether scenarios of another split can run in a batch with those of this one."""
         return self.settings == other.settings and self.delays.any() == other.delays.any()
 
+    def part(self, rows: slice | NDArray[np.intp]) -> Split:
+        """Make a split of some of the scenarios."""
+        chosen = self.table[rows], self.moves[rows], self.delays[rows]
+        return make_split(self.name, self.of, self.seed, self.settings, *chosen)
+
     def cut(self, size: int, episodes: int) -> Iterator[tuple[int, Split]]:
         """Cut the first `episodes` scenarios into splits of at most `size`, each with the number of its first one."""
         for first in range(0, episodes, size):
-            part = slice(first, min(first + size, episodes))
-            rows = self.table[part], self.moves[part], self.delays[part]
-            yield first, make_split(self.name, self.of, self.seed, self.settings, *rows)
+            yield first, self.part(slice(first, min(first + size, episodes)))
 
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""

@@ -6,12 +6,16 @@ from dataclasses import replace
 from typing import Any
 
 from beltarm_env.metrics import NOT_ARRIVED, TORQUE_QUALITY
-from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.splits import SPLITS
 from eval.report.content import Results
 from eval.report.table import Table, to_markdown
 
 _SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", NOT_ARRIVED, *TORQUE_QUALITY)
+_ANSWERED = {
+    "cost": "cost",
+    "tip_rms_mm": "error of the arm's end, RMS (mm)",
+    "residual_pp_mm": "vibration after the move, peak to peak (mm)",
+}
 _ROWS = 5  # of the answer's table
 
 
@@ -24,11 +28,13 @@ def blocks(content: dict[str, Any]) -> dict[str, str]:
 def _answer(results: Results) -> str:
     """The verdict, and methods on the main split: the best, and the first of all, the paper's controller."""
     first, *others = results.content["verdict"] or ["There is no verdict."]
-    table = results.of_split(results.main, PAIRED_METRICS)
+    table = results.of_split(results.main, list(_ANSWERED))
     reference = results.content["rows"][0]["method"]
     rows = [row for row in table.ranked if row.method != reference][: _ROWS - 1]
     rows += [row for row in table.ranked if row.method == reference]
-    shown = Table(table.title, table.columns, [replace(row, method=f"{row.method} ({row.kind})") for row in rows])
+    shown = Table(
+        table.title, list(_ANSWERED.values()), [replace(row, method=f"{row.method} ({row.kind})") for row in rows]
+    )
     note = f"{SPLITS[results.main].description.capitalize()}; interquartile means, lower is better. {results.note}"
     return "\n\n".join([" ".join([f"**{first}**", *others]), to_markdown(shown, intervals=False), f"*{note}*"])
 
