@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import tracemalloc
 from collections.abc import Callable
@@ -270,6 +271,26 @@ def test_the_protocol_is_that_of_the_commit_which_chose_the_seeds():
     now = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
     assert now.split(CHANGES)[0] == then.split(CHANGES)[0]
     assert not of_git("ls-tree", commit, "eval/comparison/scenarios.json")
+
+
+def test_protocol_lists_commits_that_are_there():
+    """What changed after the results, the committed results among it."""
+    changes = (ROOT / "docs/benchmark/protocol.md").read_text(encoding="utf-8").split(CHANGES)[1]
+    named = sorted(set(re.findall(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7}\b", changes)))
+    results = json.loads((ROOT / "docs/results/comparison/results.json").read_text(encoding="utf-8"))
+    assert results["provenance"]["commit"] in named
+    try:
+        whole = git("rev-parse", "--is-shallow-repository").stdout.strip() == "false"
+    except OSError:
+        whole = False
+    if not whole:
+        pytest.skip("the history is not there")
+    missing = [commit for commit in named if git("merge-base", "--is-ancestor", commit, "HEAD").returncode]
+    assert not missing
+
+
+def git(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
 
 
 def test_the_commit_of_a_file(tmp_path: Path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import os
 import shlex
@@ -18,7 +17,6 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 from commands import mistake, stopped
-from PIL import Image
 
 from agents.learners import ppo
 from agents.learners.registry import ALGORITHMS
@@ -27,7 +25,7 @@ from agents.runs.command_line import COMMAND, begun_options, main
 from baselines.tools.command import this_python
 from baselines.tools.options import parse
 from baselines.tools.resuming import note_options
-from eval import bench, readme, scenarios
+from eval import bench, scenarios
 from eval.speed import start_up
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -216,35 +214,6 @@ def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path
 def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert stopped(scenarios.main, (), tmp_path) == (0, "")
     assert capsys.readouterr().out.startswith("development set, edition 2, version 2: sha256 ")
-
-
-def test_readme_shows_the_committed_results(tmp_path: Path) -> None:
-    assert stopped(readme.main, ("--check",), tmp_path) == (0, "")
-
-
-@pytest.mark.parametrize("spoilt", ["README.md", "results.json", "summary.md", "tip_error.png"])
-def test_a_readme_of_other_results_is_noticed(
-    spoilt: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "comparison"
-    shutil.copytree(readme.RESULTS.parent, folder)
-    shutil.copy(readme.README, tmp_path)
-    monkeypatch.setattr(readme, "ROOT", tmp_path)
-    monkeypatch.setattr(readme, "README", tmp_path / "README.md")
-    monkeypatch.setattr(readme, "RESULTS", folder / "results.json")
-    monkeypatch.setattr(sys, "argv", ["readme.py", "--check"])
-    readme.main()
-    if spoilt == "tip_error.png":
-        Image.new("RGB", (4, 4)).save(folder / spoilt)
-    else:
-        path = tmp_path / spoilt if spoilt == "README.md" else folder / spoilt
-        digest = hashlib.sha256((folder / "results.json").read_bytes()).hexdigest()
-        path.write_text(path.read_text().replace("| adaptive |", "| best |").replace(digest, "0" * 64) + " ")
-    with pytest.raises(SystemExit) as stopped:
-        readme.main()
-    assert stopped.value.code == 1
-    named = "summary.md" if spoilt == "results.json" else spoilt
-    assert named in capsys.readouterr().err
 
 
 QUICK_START = """
