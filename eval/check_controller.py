@@ -16,7 +16,7 @@ import tyro
 
 from baselines.tools.command import require_bounds, run_command
 from eval.comparison.custom import LONGEST, TIME_LIMIT
-from eval.comparison.protocol import isolated_findings
+from eval.comparison.check import isolated_findings
 
 
 @dataclass(frozen=True)

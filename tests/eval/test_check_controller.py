@@ -16,7 +16,7 @@ from safetensors.numpy import save_file
 from baselines import CONTROLLERS
 from eval.check_controller import main
 from eval.comparison import custom
-from eval.comparison.protocol import findings, record
+from eval.comparison.check import findings, record
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
