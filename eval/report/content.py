@@ -126,8 +126,8 @@ class Results:
 
     def effort(self) -> Table:
         """Samples and time of tuning or training, of its search, and time per action."""
-        columns = ["kind", "training seeds", "samples per seed (million)", "seconds per seed", "trials", "refused"]
-        columns += ["samples of its base (million)", "per action, median (µs)", "per action, 99 % (µs)"]
+        columns = ["samples per seed (million)", "seconds per seed", "trials", "refused", "base's samples (million)"]
+        columns += ["per action (µs)", "99\u00a0% (µs)"]
         return Table("What each method takes", columns, [self._row(row, _effort(row)) for row in self.methods])
 
     def _table(self, title: str, columns: dict[str, tuple[str, Show]]) -> Table:
@@ -208,10 +208,9 @@ def _tail(row: Record) -> tuple[str, ...]:
 def _effort(row: Record) -> list[Cell]:
     training = row["training"]
     steps, seconds, trials, refused, of_base = (max(training.get(name, [0])) for name in EFFORT)
-    seeds = row["seeds"] if row["kind"] == "learned" else 0
-    amounts = [(seeds, 0), (steps / 1e6, 1), (seconds, 0), (trials, 0), (refused, 0), (of_base / 1e6, 1)]
+    amounts = [(steps / 1e6, 1), (seconds, 0), (trials, 0), (refused, 0), (of_base / 1e6, 1)]
     cells = [Cell(number(value, digits) if value else "–", value=value) for value, digits in amounts]
-    return [Cell(row["kind"]), *cells, *(_time(row["action_us"][key]) for key in ("p50", "p99"))]
+    return [*cells, *(_time(row["action_us"][key]) for key in ("p50", "p99"))]
 
 
 def _time(time: float) -> Cell:

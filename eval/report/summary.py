@@ -36,7 +36,7 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
             }
             for split in results.splits
         ],
-        "effort": to_markdown(results.effort(), align="ll" + "r" * 8),
+        "effort": to_markdown(results.effort(), seeds=True),
         "main_split": results.main,
         "label": results.label,
         "episodes": results.episodes,

@@ -61,14 +61,13 @@ class Table:
         return [row for row in self.rows if not row.ranked]
 
 
-def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False, align: str = "") -> str:
+def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False) -> str:
     """Render a table as Markdown.
 
     Args:
         table: What to show; details of its cells are left out.
         intervals: Whether each cell has its interval.
         seeds: Whether the number of training seeds stands beside a learned method's name.
-        align: See `markdown_table`.
     """
     rows = []
     for row in table.rows:
@@ -77,7 +76,7 @@ def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False, al
         if intervals:
             texts = [f"{text} {cell.interval}".rstrip() for text, cell in zip(texts, row.cells, strict=True)]
         rows.append([text if row.ranked else f"*{text}*" for text in (row.method + count, *texts)])
-    return markdown_table(["method", *table.columns], rows, align)
+    return markdown_table(["method", *table.columns], rows)
 
 
 def to_terminal(table: Table, *, intervals: bool = False) -> TerminalTable:
