@@ -29,11 +29,10 @@ from baselines.tools.options import Groups
 from baselines.tools.progress import progress_count
 from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
-from eval.comparison.run import choose_methods, compare
+from eval.comparison.run import choose_methods, compare, verify
 from eval.comparison.scenarios import choose_set
 from eval.comparison.sets import ScenarioSet, enlarged_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
-from eval.comparison.verify import verify
 from eval.report import summary
 from eval.report.publish import print_results, publish
 from eval.studies._frame import PAGE, page
@@ -126,8 +125,10 @@ def run(config: Config) -> None:
     config.check_engine()
     require_bounds(config, time_limit=(1, LONGEST))
     if config.verify is not None:
-        verify_results(config, config.verify, console)
-        return
+        with progress_count("parts", console) as done:
+            news, sound = verify(config.verify, config.policy, config.add, config.jobs, config.time_limit, done)
+        console.print(news, soft_wrap=True, markup=False, highlight=False)
+        sys.exit(0 if sound else 1)
     scenarios = config.chosen_scenarios()
     methods = choose_methods(
         config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
@@ -156,18 +157,6 @@ def run(config: Config) -> None:
         if config.traceback:
             print(failure.trace, file=sys.stderr)
     sys.exit(1 if failures else 0)
-
-
-def verify_results(config: Config, folder: Path, console: Console) -> None:
-    """Print whether the results of a folder come out again; exit with 1 if one does not."""
-    with progress_count("parts", console) as done:
-        numbers = verify(folder, config.policy, config.add, config.jobs, time_limit=config.time_limit, done=done)
-    for difference in numbers:
-        if difference.excess > 1:
-            console.print(f"Not as {folder} says: {difference}", soft_wrap=True, markup=False)
-            sys.exit(1)
-    largest = max(numbers, key=lambda difference: difference.excess)
-    console.print(f"All {len(numbers)} numbers of {folder} come out again. Farthest: {largest}", soft_wrap=True)
 
 
 def main() -> None:

@@ -20,12 +20,11 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 from eval.comparison.check import PERIOD_US
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.splits import EDITION, SPLITS
-from eval.report.content import Results
-from eval.report.motions import scene_panels
+from eval.report.figures import forests, line, scene_panels
 from eval.report.recordings import Scene, reference_angles
 from eval.report.style import COLOURS
 from eval.report.summary import constants
-from eval.report.svg import forests, line
+from eval.report.table import Results
 
 LARGEST = 3_000_000
 """Bytes that the page may have."""

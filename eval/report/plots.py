@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
-from eval.report.content import Record, Results, estimate
 from eval.report.recordings import Traces
 from eval.report.style import BLUE, COLOURS, OF_KIND, mark_one_two_five
+from eval.report.table import Record, Results, estimate
 
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")

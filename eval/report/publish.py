@@ -19,12 +19,11 @@ from eval.comparison.results import PAIRED_METRICS, Comparison
 from eval.comparison.schema import AGAINST, read_results, write_results
 from eval.comparison.splits import EPISODES, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
-from eval.report.content import Results, difference_texts
 from eval.report.page import write_report
 from eval.report.plots import plots
 from eval.report.recordings import record_scenes, record_traces
 from eval.report.style import save_figure
-from eval.report.table import parts_of, to_terminal
+from eval.report.table import Results, difference_texts, parts_of, to_terminal
 from eval.report.verdict import verdict
 
 _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13  # columns of a terminal

@@ -7,8 +7,7 @@ from typing import Any
 
 from beltarm_env.metrics import NOT_ARRIVED, TORQUE_QUALITY
 from eval.comparison.splits import SPLITS
-from eval.report.content import Results
-from eval.report.table import Table, to_markdown
+from eval.report.table import Results, Table, to_markdown
 
 _SHOWN = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", NOT_ARRIVED, *TORQUE_QUALITY)
 _ANSWERED = {

@@ -11,8 +11,7 @@ from eval.comparison.results import MOSTLY, PAIRED_METRICS
 from eval.comparison.schema import AGAINST
 from eval.comparison.splits import EDITION, SPLITS
 from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES
-from eval.report.content import Results, difference_texts
-from eval.report.table import to_markdown
+from eval.report.table import Results, difference_texts, to_markdown
 from eval.report.text import cell, markdown_table
 
 _RESULTS = {"better": "**better**", "worse": "**worse**", "open": "no difference shown"}

@@ -29,7 +29,7 @@ from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
 from eval.comparison import cache, custom, failures
-from eval.comparison.cache import LEFT, Metrics, Part, measure, parts_of, read_kept
+from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept
 from eval.comparison.failures import Failure
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
 from eval.comparison.results import Comparison

@@ -20,8 +20,8 @@ from jsonschema import Draft202012Validator
 
 from beltarm_env.metrics import TORQUE_QUALITY, TORQUES, heading
 from eval import compare
-from eval.comparison import verify
 from eval.comparison.methods import shipped_policies
+from eval.comparison.run import Difference
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, check, read_results
 from eval.comparison.splits import EDITION, SPLITS, VERSION
@@ -218,8 +218,8 @@ def test_claims_that_cannot_be_verified_are_refused_in_a_line(
 
 
 def test_tolerances_are_of_each_quantity():
-    cost = verify.Difference("a", "b", "mean cost", 200.0, 200.5)
-    share = verify.Difference("a", "b", "share not settled", 0.1, 0.104)
+    cost = Difference("a", "b", "mean cost", 200.0, 200.5)
+    share = Difference("a", "b", "share not settled", 0.1, 0.104)
     assert cost.excess == pytest.approx(0.5) and share.excess == pytest.approx(0.8)
 
 

@@ -30,14 +30,12 @@ from eval.comparison.results import Comparison, MethodOutcome
 from eval.comparison.schema import to_json
 from eval.comparison.sets import development_set
 from eval.comparison.splits import SPLITS, Split
-from eval.report import recordings, summary, svg
-from eval.report.content import Results
-from eval.report.motions import scene_panels, spectrum
+from eval.report import figures, recordings, summary
+from eval.report.figures import forests, scene_panels, spectrum
 from eval.report.page import EVERY, LARGEST, animation, encode, render, without_paths
 from eval.report.recordings import Scene, motions, record_scenes
 from eval.report.style import COLOURS
-from eval.report.svg import forests
-from eval.report.table import to_markdown
+from eval.report.table import Results, to_markdown
 from eval.report.verdict import verdict
 from eval.studies._frame import page
 
@@ -109,7 +107,9 @@ def test_a_colour_is_one_method_and_so_is_a_line_style():
     names = ["net", "pid", "lqg", "flat", "adrc", "zvd"]
     results = Results(content(made(*(outcome(name, "classical", 100.0 + k) for k, name in enumerate(names)))))
     colours: dict[str, str] = dict(zip(names, COLOURS, strict=True))
-    assert len({str(svg.line(colours, name)["ls"]) for name in names}) == len({colours[name] for name in names}) == 6
+    assert (
+        len({str(figures.line(colours, name)["ls"]) for name in names}) == len({colours[name] for name in names}) == 6
+    )
     assert all(f"var(--c{k})" in forests(results, colours)[0].svg for k in range(1, 6))
     css = (ROOT / "eval/report/report.css").read_text()
     greys = re.findall(r"--(?!c\d)\w+: #(..)(..)(..)", css)

@@ -20,10 +20,9 @@ from eval.comparison.schema import check, to_json
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import Estimate, Paired
 from eval.report import summary
-from eval.report.content import Results
 from eval.report.publish import print_results
 from eval.report.readme import blocks, updated
-from eval.report.table import to_markdown
+from eval.report.table import Results, to_markdown
 from eval.report.verdict import PairwiseTest, pairwise_tests
 from eval.studies._frame import page
 
