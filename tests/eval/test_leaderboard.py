@@ -16,13 +16,13 @@ from unittest.mock import patch
 import pytest
 import torch
 from commands import mistake, stopped
+from eval.comparison.pairs import LEFT, Nudged
 from jsonschema import Draft202012Validator
 
 from agents.policy.bundle import POLICIES
 from baselines import CONTROLLERS
 from beltarm_env.rollout import rollout
 from eval import submit
-from eval.comparison.pairs import LEFT, Nudged
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.schema import write_results
 from eval.comparison.sets import DEVELOPMENT_NAME, development_set

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import mistake, stopped
+from eval.report.budgets import ModelSteps, budgets, model_steps
 
 from baselines import CONTROLLERS, TUNABLE
 from baselines.estimation import arm_ekf
@@ -28,7 +29,6 @@ from eval.loops.costs import blind, built_arms, run_arms
 from eval.loops.gains import gains_table
 from eval.loops.identification import worth
 from eval.loops.scan import scan
-from eval.report.budgets import ModelSteps, budgets, model_steps
 
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "student"])
 
