@@ -53,7 +53,7 @@ class Config(SideBySide):
     }
 
     methods: tuple[str, ...] = ()
-    """Which of the project's own methods run, by name; what --add and --policy give always runs. Default: all shipped
+    """The project's own methods that run, by name; those of --add and --policy always run. Default: all shipped
     policies, the oracle, and the classical controllers, without those that a simpler one beats everywhere
     (docs/science/controllers.md)."""
     splits: tuple[str, ...] = ()

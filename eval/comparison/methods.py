@@ -29,10 +29,10 @@ PRIMARY = ("student", "adaptive")
 """Learned method and classical controller that the comparison is about first: the best ones on the development set,
 named in docs/benchmark/protocol.md before the test scenarios were drawn."""
 LARGEST_BATCH = 500
-"""Arms of several training seeds or splits: what is done once for all of them costs little beside so many."""
+"""Arms of a batch of several training seeds or splits; larger batches are hardly faster."""
 
 EFFORT = ("simulator_steps", "wall_clock_s", "trials", "refused", "base_steps")
-"""What tuning or training took, a number per training seed: samples and seconds; of a search for gains also its trials,
+"""Effort of tuning or training, a number per training seed: samples and seconds; of a search for gains also its trials,
 and the proposals that it refused because their loop fell short of the margins; of a learned method the samples of the
 search for its base's gains. Empty: neither tuned nor trained here."""
 
@@ -45,7 +45,7 @@ class Method:
     kind: Kind  # "privileged" sees what no other does; "added" is a user's own
     sources: tuple[str, ...]  # one per training seed: name of a controller, folder of a policy, or package.module:Class
     identity: str | None  # SHA-256 of gains, policies or sources; None: unknown, its results are not used again
-    training: dict[str, list[float]] = field(default_factory=dict)  # what tuning or training took, see `EFFORT`
+    training: dict[str, list[float]] = field(default_factory=dict)  # effort of tuning or training, see `EFFORT`
     base: str | None = None  # of a learned method: the controller that it corrects
     guarded: bool = False  # whether the guard is between its controllers and the motor
     time_limit: float = custom.TIME_LIMIT  # of an added one, for a batch of episodes [s]
@@ -130,7 +130,7 @@ def classical_methods() -> list[Method]:
 
 
 def _tuning_of(entry: dict[str, Any]) -> dict[str, list[float]]:
-    """What a search for gains took, by their provenance."""
+    """Effort of a search for gains, from their provenance."""
     origin = entry.get("provenance", {})
     names = zip(EFFORT, ("steps", "seconds", "trials", "refused"), strict=False)
     return {name: [origin[key]] for name, key in names if key in origin}

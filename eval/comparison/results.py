@@ -123,7 +123,7 @@ class Comparison:
     against_base: Against  # every learned method against the controller that it corrects
     marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
     failures: list[Failure]
-    scenario_set: SetLabel  # what the splits belong to
+    scenario_set: SetLabel  # of the splits
     provenance: dict[str, Any]
 
     def with_failures(self, failures: list[Failure]) -> Comparison:

@@ -17,7 +17,7 @@
   `low` to `high`, those of `beltarm_env.metrics.OF_ARRIVED` over the scenarios in which all training seeds arrive, and
   not there where these are none; `cost_mean`, and `cost_worst`, the mean of the worst 5 %, where there are scenarios
   enough; `marks`, by metric "best" or "tie"; `failures`, in how many of all `runs` the tip did not settle and the arm
-  left its workspace; `action_us`, time per action; `training`, what tuning or training took, see
+  left its workspace; `action_us`, time per action; `training`, effort of tuning or training, see
   `eval.comparison.methods.EFFORT`.
 - `paired`, one per comparison on the same scenarios: `method`, `other`, `against` ("best classical" or "base"),
   `split`, and by metric the difference `iqm`, `low`, `high`, the `win_rate` (probability of improvement, `win_rate_low`
@@ -53,13 +53,13 @@ from eval.comparison.statistics import Paired, tail_mean
 
 _REMEDY = "they cannot be merged: remove it, or choose another folder"
 AGAINST = ("best classical", "base")
-"""What a method is compared with."""
+"""Opponents of paired comparisons."""
 
 
 def to_json(
     comparison: Comparison, verdict: Sequence[str] = (), primary: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
-    """Content of `results.json`, with a verdict in words, and what it rests on."""
+    """Content of `results.json`, with a verdict in words and its pairwise tests."""
     best = {name: outcome.method.name for name in comparison.splits() if (outcome := comparison.best_classical(name))}
     base = {outcome.method.name: outcome.method.base for outcome in comparison.outcomes}
     return {
@@ -134,7 +134,7 @@ def to_episodes(comparison: Comparison) -> pd.DataFrame:
 def write_results(
     comparison: Comparison, folder: Path, verdict: Sequence[str] = (), primary: Sequence[dict[str, Any]] = ()
 ) -> None:
-    """Write `results.json`, with a verdict in words and what it rests on, and `episodes.csv`, each atomically."""
+    """Write `results.json`, with a verdict in words and its pairwise tests, and `episodes.csv`, each atomically."""
     content = to_json(comparison, verdict, primary)
     check(content, "results.json")
     write_text(folder / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -40,7 +40,7 @@ from eval.report.table import Results, difference, estimate
 from eval.report.text import cell
 
 INK = "#010203"  # stands for the page's colour of text
-MUTED = "#7f7f7e"  # of what is in the background
+MUTED = "#7f7f7e"  # of the background
 SHADE = "#eeeeed"  # of an area in the background
 STYLES = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)), (0, (8, 3)))
 """Of the lines of methods, beside their colours."""

@@ -216,7 +216,7 @@ def _of_tip(
 
 
 def _elsewhere(tests: Mapping[str, PairwiseTest], result: Result) -> str:
-    """How many splits have this result too, and which have another."""
+    """Number of splits with the same result, and names of those with another."""
     if len(tests) == 1:
         return ""
     by_result = _by_result(tests)
