@@ -70,7 +70,7 @@ class Config(SideBySide):
     in a process of its own, and whatever ends that is a failure of this controller alone."""
     guard: bool = False
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
-    (docs/results/guard/summary.md)."""
+    (docs/results/guard/page.md)."""
     out: Path = Path("results/compare")
     """Folder for report.html, results.json, episodes.csv, page.md, pictures, and the parts that are kept. One that has
     results of more methods, splits or scenarios is left as it is."""

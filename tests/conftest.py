@@ -14,7 +14,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import properties  # registers the profiles before pytest looks for the one it is told
 import pytest
-from hypothesis import seed, settings
+from hypothesis import settings
 
 from beltarm_env.jit import cache
 
@@ -34,24 +34,6 @@ LONG = tuple(
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="run the tests that are marked slow, too")
-    parser.addoption("--seeds", default="", help="run each property test under these seeds, with commas between")
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Call a property test under each of the seeds, if some are given; the error of one that fails says which."""
-    seeds = [int(word) for word in str(pyfuncitem.config.getoption("--seeds")).split(",") if word]
-    if not seeds or not getattr(pyfuncitem.obj, "is_hypothesis_test", False):
-        return None
-    arguments = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
-    for given in seeds:
-        seed(given)(pyfuncitem.function)
-        try:
-            pyfuncitem.obj(**arguments)
-        except BaseException as error:
-            error.add_note(f"with the seed {given}")
-            raise
-    return True
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

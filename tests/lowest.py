@@ -1,4 +1,4 @@
-"""Print the lowest version that pyproject.toml allows of each package that it names, for pip: `make test-lowest`."""
+"""Print the lowest version that pyproject.toml allows of each package that it names, for pip."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from beltarm_env import CONTROL_PERIOD, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.task.ranges import DRIVE_RANGES
-from eval.drives.effects import EFFECTS
+from eval.comparison.effects import EFFECTS
 
 _DESIGN = design_model()
 

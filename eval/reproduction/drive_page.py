@@ -8,7 +8,7 @@ from baselines.tools.provenance import command_line, commit
 from beltarm_env import __version__
 from beltarm_env.arrays import Floats
 from beltarm_env.task.seeds import PAPER_DRIVES
-from eval.drives.effects import ALL, IDEAL, heading
+from eval.comparison.effects import ALL, IDEAL, heading
 from eval.report.text import degrees, markdown_table, number
 from eval.reproduction.drives import DRIVES, Damped, DrivesStudy
 from eval.reproduction.ringing import ANSWERS, END_WINDOW, REDUCED, REMOVED, Answer

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from eval.drives.effects import ALL, IDEAL, heading
+from eval.comparison.effects import ALL, IDEAL, heading
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, mark_one_two_five, save_figures
 from eval.reproduction.drive_page import PICTURES
 from eval.reproduction.drives import DRIVES, DrivesStudy

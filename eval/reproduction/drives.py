@@ -19,7 +19,7 @@ from beltarm_env.rollout import Recording
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES
-from eval.drives.effects import EFFECTS, IDEAL, with_effect
+from eval.comparison.effects import EFFECTS, IDEAL, with_effect
 from eval.reproduction.loop import ServoGains, without_and_with
 from eval.reproduction.ringing import Answer, Ringing, Suppression, ringing_of
 from eval.reproduction.runs import Conditions, run_moves

@@ -1,58 +1,50 @@
-"""Steps per second over the size of the batch, beside other vectorised environments on the same core: a page."""
+"""Steps per second over the size of the batch, beside other vectorised environments on the same core.
+
+EnvPool (J. Weng et al.: EnvPool: A Highly Parallel Reinforcement Learning Environment Execution Engine, NeurIPS 2022)
+steps carts in C++; gymnax (R. T. Lange, 2022) in JAX, made for graphics processors. Both are in the extra `bench`.
+"""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from functools import partial
+from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Console
 
-from baselines.tools.files import write_text
 from baselines.tools.progress import progress_count
-from baselines.tools.provenance import command_line, software
 from beltarm_env.arrays import Floats
-from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, save_figure
-from eval.speed.peers import STEPPERS, Stepper, installed
+from eval.speed.stepping import batch_steps
 from eval.speed.timing import times_in_turns
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 100_000)
 """Arms or carts of a batch."""
+Stepper = Callable[[int, int], Callable[[], object]]
+"""Makes a batch of so many arms, and returns a function that takes so many steps of all."""
+_ACTIONS = 16
 _TIME = 0.1  # of a repetition [s], about
 _FEWEST, _MOST = 10, 2000  # steps of it
-_LOOKS = dict(
-    zip(
-        STEPPERS,
-        ((VERMILION, "o-"), (ORANGE, "o--"), (BLUE, "s-"), (GREEN, "^-"), (PINK, "v-"), (SKY, "v--")),
-        strict=True,
-    )
-)
 
 
-def save_sizes(folder: Path, repetitions: int, console: Console) -> None:
-    """Measure, and write sizes.md and sizes.png to a folder.
-
-    Raises:
-        OSError: If the folder cannot be written.
-    """
-    steppers = installed()
-    with _on_one_core(), progress_count("sizes", console) as show:
-        rates = []
-        for k, size in enumerate(SIZES):
-            show(k, len(SIZES))
-            rates.append(_rates(list(steppers.values()), size, repetitions))
-    page = _page(list(steppers), np.median(rates, axis=1), repetitions)  # names the commit, before a file of it changes
-    folder.mkdir(parents=True, exist_ok=True)
-    save_figure(_draw(list(steppers), np.array(rates)), folder / "sizes.png", bbox_inches="tight")
-    write_text(folder / "sizes.md", page)
+def rates(sizes: Sequence[int], repetitions: int) -> dict[str, Floats]:
+    """Quartiles of the steps per second of all that is installed, each of shape (sizes, 3)."""
+    steppers = {name: step for name, (package, step) in STEPPERS.items() if importlib.util.find_spec(package)}
+    measured = []
+    with _one_core(), progress_count("sizes", Console()) as show:
+        for k, size in enumerate(sizes):
+            show(k, len(sizes))
+            measured.append(_rates(list(steppers.values()), size, repetitions))
+    quartiles = np.quantile(measured, [0.25, 0.5, 0.75], axis=1)  # of (sizes, repetitions, steppers)
+    return {name: quartiles[:, :, k].T for k, name in enumerate(steppers)}
 
 
 @contextmanager
-def _on_one_core() -> Iterator[None]:
+def _one_core() -> Iterator[None]:
     """Keep this process, and threads that it begins, on one core, where the system can."""
     if not hasattr(os, "sched_setaffinity"):
         yield
@@ -65,8 +57,8 @@ def _on_one_core() -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def _rates(steppers: list[Stepper], size: int, repetitions: int) -> Floats:
-    """Steps of all arms or carts of a batch per second, shape (repetitions, steppers)."""
+def _rates(steppers: Sequence[Stepper], size: int, repetitions: int) -> Floats:
+    """Steps per second, shape (repetitions, steppers)."""
     runs, counts = [], []
     for stepper in steppers:
         took = times_in_turns([stepper(size, _FEWEST)], 3).min() / _FEWEST
@@ -75,54 +67,65 @@ def _rates(steppers: list[Stepper], size: int, repetitions: int) -> Floats:
     return size * np.array(counts) / times_in_turns(runs, repetitions)
 
 
-def _draw(names: list[str], rates: Floats) -> Figure:
-    """Draw the rates, shape (sizes, repetitions, steppers): medians, and all between the quartiles."""
-    figure, axes = plt.subplots(figsize=(9, 5))
-    for k, name in enumerate(names):
-        colour, look = _LOOKS[name]
-        low, median, high = np.quantile(rates[:, :, k], [0.25, 0.5, 0.75], axis=1)
-        axes.plot(SIZES, median, look, color=colour, markersize=5, label=name)
-        axes.fill_between(SIZES, low, high, color=colour, alpha=0.2, linewidth=0)
-    axes.set(xscale="log", yscale="log", xlabel="arms or carts of the batch", ylabel="steps per second, one core")
-    axes.grid(color="0.9", lw=0.6)
-    axes.legend(frameon=False, fontsize=9)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    return figure
+def _envpool(carts: int, steps: int) -> Callable[[], object]:
+    """Step EnvPool's CartPole, in C++, with one thread."""
+    envpool = importlib.import_module("envpool")
+    env = envpool.make("CartPole-v1", env_type="gymnasium", num_envs=carts, num_threads=1, seed=0)
+    env.reset()
+    actions = np.random.default_rng(0).integers(0, 2, size=(_ACTIONS, carts), dtype=np.int32)
+
+    def run() -> None:
+        for step in range(steps):
+            env.step(actions[step % _ACTIONS])
+
+    return run
 
 
-def _page(names: list[str], rates: Floats, repetitions: int) -> str:
-    """Format the medians, shape (sizes, steppers), as a page."""
-    made = software("gymnasium", "numpy")
-    lines = [
-        "# Speed over the size of the batch",
-        "",
-        "Steps per second of vectorised environments, each on one core and called from Python, in turns; the median of"
-        f" {repetitions} repetitions. Actions are random, which costs a belt arm more than a controller's torques do:"
-        " its motor stays slow, where it stops more often and its drive needs short steps. A CartPole takes one"
-        " explicit Euler step of four numbers.",
-        "",
-        "EnvPool steps in C++, and gymnax in JAX, which is made for graphics processors; for the last column its whole"
-        " loop is compiled, actions drawn in it, so that no agent outside could take part.",
-        "",
-        "![Steps per second over the size of the batch](sizes.png)",
-        "",
-        "| arms or carts | " + " | ".join(names) + " |",
-        "|---:|" + "---:|" * len(names),
-        *(
-            f"| {size:,} | " + " | ".join(_shown(rate) for rate in row) + " |"
-            for size, row in zip(SIZES, rates, strict=True)
-        ),
-        "",
-        f"Generated by `{command_line()}`, beltarm {made['version']} ({made['commit']}), on one core of"
-        f" {os.cpu_count()}. Times differ between machines, so compare columns.",
-    ]
-    return "\n".join(lines) + "\n"
+def _gymnax_steps(carts: int, steps: int) -> Callable[[], object]:
+    """Step gymnax's CartPole, one compiled call a step."""
+    jax, step, beginning = _gymnax(carts)
+    actions = np.random.default_rng(0).integers(0, 2, size=(_ACTIONS, carts), dtype=np.int32)
+    split = jax.jit(lambda key: jax.random.split(key, carts))
+
+    def run() -> None:
+        states = beginning
+        for k in range(steps):
+            result = step(split(jax.random.key(k)), states, actions[k % _ACTIONS])
+            states = result[1]
+            np.asarray(result[0])  # what an agent needs
+
+    return run
 
 
-def _shown(rate: float) -> str:
-    """Format steps per second with two digits or more."""
-    for unit, name in ((1e6, " M"), (1e3, " k")):
-        if rate >= unit:
-            return f"{rate / unit:.1f}{name}" if rate < 100 * unit else f"{rate / unit:.0f}{name}"
-    return f"{rate:.0f}"
+def _gymnax_loop(carts: int, steps: int) -> Callable[[], object]:
+    """Step gymnax's CartPole in a loop that is compiled too and draws the actions: no agent outside takes part."""
+    jax, step, beginning = _gymnax(carts)
+
+    def advance(states: Any, key: Any) -> Any:
+        actions = jax.random.randint(key, (carts,), 0, 2)
+        result = step(jax.random.split(key, carts), states, actions)
+        return result[1], result[2].sum()
+
+    loop = jax.jit(lambda states: jax.lax.scan(advance, states, jax.random.split(jax.random.key(0), steps)))
+    return lambda: jax.block_until_ready(loop(beginning))
+
+
+def _gymnax(carts: int) -> tuple[Any, Any, Any]:
+    """JAX, the compiled step of keys, states and actions, and states to begin from."""
+    jax, gymnax = importlib.import_module("jax"), importlib.import_module("gymnax")
+    env, params = gymnax.make("CartPole-v1")
+    keys = jax.random.split(jax.random.key(0), carts)
+    _, beginning = jax.vmap(env.reset, in_axes=(0, None))(keys, params)
+    step = jax.jit(jax.vmap(lambda key, state, action: env.step(key, state, action, params)))
+    return jax, step, beginning
+
+
+STEPPERS: dict[str, tuple[str, Stepper]] = {
+    "BeltArm-v0, ideal drives": ("beltarm_env", partial(batch_steps, "BeltArm-v0", randomization="ideal")),
+    "BeltArm-v0, all effects of the drive": ("beltarm_env", partial(batch_steps, "BeltArm-v0", randomization="train")),
+    "CartPole-v1, Gymnasium": ("gymnasium", partial(batch_steps, "CartPole-v1")),
+    "CartPole-v1, EnvPool": ("envpool", _envpool),
+    "CartPole-v1, gymnax": ("gymnax", _gymnax_steps),
+    "CartPole-v1, gymnax, loop compiled": ("gymnax", _gymnax_loop),
+}
+"""Package that each needs, and how it is stepped."""

@@ -1,118 +1,151 @@
-"""Steps per second of the environments, beside Gymnasium's CartPole-v1."""
+"""Steps per second of the environments and of whole episodes, start-up and memory, beside Gymnasium's CartPole-v1."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 from joblib import cpu_count
 
 from agents.policy.bundle import POLICIES, load_controller
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
-from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.threads.blocks import usual_threads
-from eval.speed.timing import Row, ratios, times_in_turns
+from eval.speed.timing import Row, numbers, speed, times_in_turns
 
 _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
 _ROLLED_OUT = 1024  # arms
-_CORES = cpu_count()
+_MOST_STARTS = 3
+_MANY = 100_000  # arms whose memory is measured
+_FIRST_STEP = """
+import time
+began = time.perf_counter()
+import beltarm_env
+imported = time.perf_counter()
+import gymnasium, numpy
+env = gymnasium.make("BeltArm-v0")
+env.reset(seed=0)
+env.step(numpy.zeros(1, numpy.float32))
+print(imported - began, time.perf_counter() - imported)
+"""
+_EMPTY_FUNCTION = """
+import time
+began = time.perf_counter()
+import numba
+
+@numba.njit
+def nothing(x):
+    return x
+
+nothing(1.0)
+print(time.perf_counter() - began)
+"""
+_MEMORY = """
+import sys, gymnasium, beltarm_env
+
+def most():
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1000
+
+def stepped(arms):
+    env = gymnasium.make_vec(sys.argv[1], num_envs=arms, vectorization_mode="vector_entry_point")
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+
+stepped(100)
+before = most()
+stepped(int(sys.argv[2]))
+print(most() - before)
+"""
 
 
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
-    """Speed of the vector environment, beside CartPole's: ideal drives, on one core and on all, built ones, full arm.
+    """Speed of the vector environment beside CartPole's, on one core and on all.
 
     Random torques over the whole limit keep the motor slow, where steps are short, which no controller does: so drives
     are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
+    cores = cpu_count()
+    make = partial(batch_steps, "BeltArm-v0", arms, steps)
     stepped = {
-        "vector step": batch_steps("BeltArm-v0", arms, steps, randomization="ideal"),
-        f"vector step, {_CORES} threads": batch_steps(
-            "BeltArm-v0", arms, steps, randomization="ideal", num_threads=_CORES
-        ),
-        "vector step, all effects of the drive": batch_steps("BeltArm-v0", arms, steps, randomization="train"),
-        "vector step of the full arm": batch_steps(
-            "BeltArm-v0", arms, steps, randomization="ideal", model="lagrangian"
-        ),
+        "vector step": make(randomization="ideal"),
+        f"vector step, {cores} threads": make(randomization="ideal", num_threads=cores),
+        "vector step, all effects of the drive": make(randomization="train"),
+        "vector step of the full arm": make(randomization="ideal", model="lagrangian"),
     }
     episodes = {
         "episodes of the paper's controller": _episodes(arms, "ideal"),
         "episodes of the paper's controller, all effects of the drive": _episodes(arms, "train"),
     }
-    cart = batch_steps("CartPole-v1", arms, steps)
-    *times, carts = times_in_turns([*stepped.values(), cart], repetitions).T / steps
-    rows = [_row(name, arms, of_name, carts) for name, of_name in zip(stepped, times, strict=True)]
-    *longer, cart_times = times_in_turns([*episodes.values(), cart], max(repetitions // 5, 1)).T
-    carts = cart_times / steps
-    return rows + [
-        _row(name, arms, of_name / EPISODE_STEPS, carts) for name, of_name in zip(episodes, longer, strict=True)
-    ]
+    cart, rows = batch_steps("CartPole-v1", arms, steps), []
+    for runs, each, count in ((stepped, steps, repetitions), (episodes, EPISODE_STEPS, max(repetitions // 5, 1))):
+        *times, carts = times_in_turns([*runs.values(), cart], count).T
+        for name, times_of_run in zip(runs, times, strict=True):
+            what = f"{name}, N = {arms}"
+            rows.append(speed(what, arms * each, times_of_run, "CartPole-v1", arms * steps, carts))
+    return rows
+
+
+def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomization) -> Row:
+    """Speed of the vector environment with as many threads as cores, beside one thread."""
+    cores = cpu_count()
+    make = partial(batch_steps, "BeltArm-v0", arms, steps, randomization=randomization)
+    alone, together = times_in_turns([make(num_threads=1), make(num_threads=cores)], repetitions).T
+    drives = "" if randomization == "ideal" else ", all effects of the drive"
+    what = f"vector step{drives}, {cores} threads, N = {arms}"
+    return speed(what, arms * steps, together, "1 thread", arms * steps, alone)
+
+
+def single_row(steps: int, repetitions: int) -> Row:
+    """Speed of a single environment through `make`."""
+    count = _PER_SINGLE_ARM * steps
+    arm, cart = times_in_turns([_single_steps(name, count) for name in ("BeltArm-v0", "CartPole-v1")], repetitions).T
+    return speed("single step through make", count, arm, "CartPole-v1", count, cart)
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
     """Speed of whole episodes by `rollout`, controllers included: beside the paper's controller, and on one core."""
     student = load_controller(POLICIES / "student" / "seed0")
-    controllers = {"adaptive": AdaptiveController(), "student, seed 0": student}
+    controllers = {"adaptive": AdaptiveController(), "student, seed 0": student, "paper": PaperController()}
     settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
-    all_of_them = [*controllers.values(), PaperController()]
-    runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in all_of_them]
-    *times, paper, alone = times_in_turns([*runs, _in_one_thread(runs[0])], max(repetitions // 5, 1)).T / EPISODE_STEPS
-    peer = f"paper: {_rate(_ROLLED_OUT, paper)}"
+    runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in controllers.values()]
+
+    def in_one_thread() -> None:
+        with _one_thread():
+            runs[0]()
+
+    *times, paper, alone = times_in_turns([*runs, in_one_thread], max(repetitions // 5, 1)).T
+    steps, end = _ROLLED_OUT * EPISODE_STEPS, f", N = {_ROLLED_OUT}"
     rows = [
-        Row(f"rollout, {name}, N = {_ROLLED_OUT}", _rate(_ROLLED_OUT, of_name), peer, *ratios(of_name, paper))
-        for name, of_name in zip(controllers, times, strict=True)
+        speed(f"rollout, {name}{end}", steps, times_of_run, "paper", steps, paper)
+        for name, times_of_run in zip(controllers, times, strict=False)
     ]
-    name, peer = f"rollout, adaptive, {usual_threads()} threads", f"1 thread: {_rate(_ROLLED_OUT, alone)}"
-    return [*rows, Row(f"{name}, N = {_ROLLED_OUT}", _rate(_ROLLED_OUT, times[0]), peer, *ratios(times[0], alone))]
+    what = f"rollout, adaptive, {usual_threads()} threads{end}"
+    return [*rows, speed(what, steps, times[0], "1 thread", steps, alone)]
 
 
-def _in_one_thread(run: Callable[[], object]) -> Callable[[], None]:
-    def alone() -> None:
-        told = os.environ.get("OMP_NUM_THREADS")
-        os.environ["OMP_NUM_THREADS"] = "1"
-        try:
-            run()
-        finally:
-            os.environ.pop("OMP_NUM_THREADS")
-            if told is not None:
-                os.environ["OMP_NUM_THREADS"] = told
-
-    return alone
-
-
-def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomization) -> Row:
-    """Speed of the vector environment with as many threads as cores, beside one thread."""
-    settings = {"randomization": randomization}
-    runs = [batch_steps("BeltArm-v0", arms, steps, num_threads=threads, **settings) for threads in (1, _CORES)]
-    alone, together = times_in_turns(runs, repetitions).T / steps
-    drives = "" if randomization == "ideal" else ", all effects of the drive"
-    name = f"vector step{drives}, {_CORES} threads, N = {arms}"
-    return Row(name, _rate(arms, together), f"1 thread: {_rate(arms, alone)}", *ratios(together, alone))
-
-
-def _row(name: str, arms: int, times: Floats, cart: Floats) -> Row:
-    return Row(f"{name}, N = {arms}", _rate(arms, times), f"CartPole-v1: {_rate(arms, cart)}", *ratios(times, cart))
-
-
-def _rate(arms: int, times: Floats) -> str:
-    rate = arms / np.median(times)
-    return f"{rate / 1e6:.1f} M steps/s" if rate > 1e6 else f"{rate / 1e3:.0f} k steps/s"
-
-
-def single_row(steps: int, repetitions: int) -> Row:
-    """Time of a step of a single environment through `make`."""
-    count = _PER_SINGLE_ARM * steps
-    runs = [_single_steps(name, count) for name in ("BeltArm-v0", "CartPole-v1")]
-    arm, cart = times_in_turns(runs, repetitions).T / count
-    of_arm, of_cart = (f"{1e6 * np.median(times):.2f} us" for times in (arm, cart))
-    return Row("single step through make", of_arm, f"CartPole-v1: {of_cart}", *ratios(arm, cart))
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let controllers use one thread."""
+    before = os.environ.get("OMP_NUM_THREADS")
+    os.environ["OMP_NUM_THREADS"] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop("OMP_NUM_THREADS")
+        if before is not None:
+            os.environ["OMP_NUM_THREADS"] = before
 
 
 def batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
@@ -161,3 +194,26 @@ def _single_steps(name: str, steps: int) -> Callable[[], None]:
                 env.reset()
 
     return run
+
+
+def start_up_rows(repetitions: int) -> list[Row]:
+    """Time of the import, and of the first step with a warm and a cold cache of kernels."""
+    starts = min(repetitions, _MOST_STARTS)
+    with tempfile.TemporaryDirectory() as folder:
+        _, cold = numbers(_FIRST_STEP, NUMBA_CACHE_DIR=folder)
+        warm = [numbers(_FIRST_STEP, NUMBA_CACHE_DIR=folder) for _ in range(starts)]
+    imported, first = (min(times) for times in zip(*warm, strict=True))
+    numba, peer = min(numbers(_EMPTY_FUNCTION)[0] for _ in range(starts)), "numba, empty function"
+    return [
+        Row("import beltarm_env", imported, "s"),
+        Row("make, reset, first step: warm cache", first, "s", peer, numba, (numba / first,)),
+        Row("make, reset, first step: cold cache", cold, "s", peer, numba, (numba / cold,)),
+    ]
+
+
+def memory_rows() -> list[Row]:
+    """Most memory that a batch of arms ever has, made, reset and stepped, beside as many CartPoles; on Linux."""
+    if sys.platform != "linux":
+        return []
+    arms, carts = (max(numbers(_MEMORY, name, str(_MANY))) for name in ("BeltArm-v0", "CartPole-v1"))
+    return [Row(f"memory of a batch, N = {_MANY}", arms, "MB", "CartPole-v1", carts, (carts / arms,))]

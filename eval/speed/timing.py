@@ -1,4 +1,4 @@
-"""Times of runs that take turns, and rows of what was measured."""
+"""Times of runs that take turns, and rows of measured speeds."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Row(NamedTuple):
-    """What was measured, beside a peer; "-" where there is none."""
+    """A measured quantity, beside that of a peer."""
 
     what: str
-    measured: str
-    peer: str = "-"
-    ratio: str = "-"
-    half: str = "-"  # of the repetitions, between whose ratios the others lie
+    measured: float
+    unit: str  # "steps/s", "s" or "MB"
+    peer: str | None = None
+    of_peer: float | None = None
+    ratios: tuple[float, ...] = ()  # how many times as good: lower quartile, median and upper quartile, or one
 
 
 def times_in_turns(runs: Sequence[Callable[[], object]], repetitions: int) -> Floats:
@@ -38,15 +39,21 @@ def times_in_turns(runs: Sequence[Callable[[], object]], repetitions: int) -> Fl
     return times[1:]  # the first warms up
 
 
-def ratios(times: Floats, peer: Floats) -> tuple[str, str]:
-    """How many times as fast as a peer, in the median over repetitions, and in the middle half of them.
+def ratios(times: Floats, peer: Floats) -> tuple[float, ...]:
+    """How many times as fast as a peer: quartiles and median over repetitions.
 
     Args:
         times: Of each repetition, shape (repetitions,).
         peer: Of the peer in it.
     """
-    low, median, high = np.quantile(peer / times, [0.25, 0.5, 0.75])
-    return f"{median:.2f}x", f"{low:.2f} to {high:.2f}"
+    return tuple(float(ratio) for ratio in np.quantile(peer / times, [0.25, 0.5, 0.75]))
+
+
+def speed(what: str, steps: int, times: Floats, peer: str, steps_of_peer: int, times_of_peer: Floats) -> Row:
+    """Row of a speed, from the times that so many steps took in each repetition [s]."""
+    rate, of_peer = steps / times, steps_of_peer / times_of_peer
+    medians = float(np.median(rate)), float(np.median(of_peer))
+    return Row(what, medians[0], "steps/s", peer, medians[1], ratios(times / steps, times_of_peer / steps_of_peer))
 
 
 def numbers(code: str, *words: str, **environment: str) -> list[float]:

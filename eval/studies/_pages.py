@@ -44,6 +44,7 @@ class Page:
 
 
 OTHERS = (
+    Page("bench", "eval.speed.bench", ("eval/bench.py",)),
     Page(
         "comparison",
         "eval.report.summary",

@@ -1,17 +1,13 @@
-"""Accelerometer in the filters: its measurement equation, what it tells of the arm, and `eval/sensors.py`."""
+"""Accelerometer in the filters: its measurement equation, and what it tells of the arm."""
 
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from commands import mistake
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from pages import MISTAKES, tables_of
 
 from agents.policy.bundle import FELT_POLICIES, read_spec
 from baselines import CONTROLLERS
@@ -26,11 +22,7 @@ from beltarm_env.arm import COLUMN
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BIAS, RANGE
-from eval import sensors
 from eval.comparison.methods import learned_methods, shipped_policies
-from eval.comparison.sets import development_set
-from eval.sensing.page import draw
-from eval.sensing.study import NAMES, TIERS, Found, Tier, measure
 
 Floats = NDArray[np.float64]
 SEED = 5_210_000  # of the gains' search
@@ -158,25 +150,6 @@ class TestKnowledge:
         shares = errors[:, 2:] ** 2 / memory.belief.variance[:, 2:4]
         assert shares.max() < 9 and np.median(shares) > 0.005
 
-    @pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
-    def test_a_filter_that_feels_knows_the_torsion_better(self, name: str, most: float):
-        found = both(name)
-        assert found["accelerometer"].torsion < most * found["encoder"].torsion
-
-    @pytest.mark.parametrize("name", FELT)
-    def test_and_the_arm_vibrates_less(self, name: str):
-        found = both(name)
-        without, felt = (found[tier].metrics for tier in ("encoder", "accelerometer"))
-        assert np.median(felt["cost"] - without["cost"]) < 0
-        assert felt["residual_pp_mm"].mean() < 0.9 * without["residual_pp_mm"].mean()
-
-
-@cache
-def both(name: str) -> dict[Tier, Found]:
-    split = development_set().splits["randomized"]
-    tiers: tuple[Tier, Tier] = ("encoder", "accelerometer")
-    return {tier: measure(name, tier, split, 16) for tier in tiers}
-
 
 class TestControllers:
     @pytest.mark.parametrize("name", FELT)
@@ -215,29 +188,3 @@ class TestControllers:
         assert read_spec(folder)[0].sensors == "accelerometer" and folder not in shipped_policies()
         with pytest.raises(ValueError, match="the comparison gives all methods the encoder alone"):
             learned_methods([folder])
-
-
-@pytest.mark.parametrize("splits", [1, 9])
-def test_names_are_beside_the_costs(splits: int):
-    names = list(development_set().splits)[:splits]
-    found = Found({"cost": np.full(4, 200.0)}, 0, 1e-3)
-    figure = draw({(name, split, tier): found for name in NAMES for split in names for tier in TIERS})
-    figure.draw_without_rendering()
-    (axis,), (legend,) = figure.axes, figure.legends
-    assert len(legend.get_texts()) == 2 * len(NAMES)
-    assert not legend.get_window_extent().overlaps(axis.get_window_extent())
-    plt.close(figure)
-
-
-@pytest.mark.slow
-def test_the_command_writes_the_page(tmp_path: Path):
-    tables = tables_of(sensors.main, ("nominal", "randomized"), "cost.png", tmp_path)
-    assert [len(table.splitlines()) for table in tables] == [*(2 + 2 for _ in NAMES), 2 + 2 * len(NAMES)]
-    run = measure("preview", "accelerometer", development_set().splits["nominal"], 4)
-    assert f"→ {np.sort(run.metrics['cost'])[1:3].mean():.0f} |" in tables[1].splitlines()[2]
-
-
-@pytest.mark.parametrize(("arguments", "message"), MISTAKES)
-def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    line = mistake(sensors.main, arguments, tmp_path)
-    assert line.startswith("eval/sensors.py: ") and message in line

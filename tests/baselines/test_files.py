@@ -19,7 +19,6 @@ from eval.comparison.cache import Part, read_kept
 from eval.comparison.methods import classical_methods
 from eval.comparison.schema import read_results
 from eval.comparison.splits import draw_arms
-from eval.leaderboard.archive import read_archive
 
 
 def fail(code: int) -> Callable[..., Any]:
@@ -132,7 +131,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "scenarios": ("scenarios.json", scenarios.load),
     "gains": ("gains.json", lambda path: tuned("zv", TUNABLE["zv"].gains, path)),
     "part": ("", lambda path: read_kept(kept_part(), path.parent)),
-    "archive": ("mine.zip", read_archive),
     "sealed": ("any", read_sealed),
 }
 

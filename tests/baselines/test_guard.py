@@ -30,7 +30,7 @@ from beltarm_env import observation as layout
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from eval.comparison.run import choose_methods
-from eval.guarding.faults import FAULTS, FaultyArms
+from eval.studies.guard.faults import FAULTS, FaultyArms
 
 PARAMS = design_model()
 LIMIT = PARAMS.torque_limit

@@ -1,11 +1,11 @@
-"""LuGre friction of `eval/verification/lugre.py` against the kernels, and the study that is made of it."""
+"""LuGre friction of `eval/reference/lugre.py` against the kernels."""
 
 import numpy as np
 import pytest
 from driven_arms import push
 
 from beltarm_env import BeltArmVectorEnv
-from eval.verification.lugre import LuGreArms
+from eval.reference.lugre import LuGreArms
 
 ARMS, SEED = 3, 4_200_900
 

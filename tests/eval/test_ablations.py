@@ -6,7 +6,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,21 +16,17 @@ import pytest
 from commands import mistake
 from matplotlib.axes import Axes
 
-from agents.learners import ppo
 from agents.learners.registry import ALGORITHMS
-from agents.learners.reinforcement import make_env
 from baselines import PaperController
 from baselines.engines.parallel import StopRequest
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
-from beltarm_env.task.seeds import training_arms
 from eval.ablations import main
 from eval.learning import ablation_runs
 from eval.learning.ablation_report import COLUMNS, AblationStudy, VariantResult, as_json, draw, markdown
 from eval.learning.ablation_runs import AblationRun, score
 from eval.learning.ablations import AblationConfig, run_all
 from eval.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
-from eval.speed import training_loop
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ("--quick", "--only", "default", "--seeds", "1", "--arms", "4")
@@ -226,54 +221,3 @@ def test_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         assert levels == [2000.0, 210.0]
     monkeypatch.undo()
     plt.close(figure)
-
-
-# The loop of the training
-
-
-TINY: dict[str, Any] = {"arms": 4, "rollout_steps": 4, "batch_size": 8, "epochs": 1, "hidden": (8,), "hold": 40}
-
-
-def test_phases_are_timed_apart():
-    class Work:
-        def outer(self) -> None:
-            time.sleep(0.02)
-            self.inner()
-
-        def inner(self) -> None:
-            time.sleep(0.05)
-
-    watch, work = training_loop.Stopwatch(), Work()
-    watch.watch(work, "outer", training_loop.ADAPTER)
-    watch.watch(work, "inner", training_loop.ARMS)
-    began = time.perf_counter()
-    watch.restart()
-    work.outer()
-    watch.turn(training_loop.REST)
-    whole = time.perf_counter() - began
-    assert watch.seconds[training_loop.ARMS] >= 0.05 and watch.seconds[training_loop.ADAPTER] >= 0.02
-    assert sum(watch.seconds.values()) == pytest.approx(whole, abs=0.005)
-
-
-def test_shares_of_a_run_add_up_and_none_is_missed():
-    found = training_loop.shares(ppo.PpoConfig(**TINY), 2)
-    assert sum(found.values()) == pytest.approx(1.0)
-    assert all(share > 0 for share in found.values())
-
-
-def test_watching_changes_nothing():
-    """The timed model learns what the untimed one does."""
-    config = ppo.PpoConfig(**TINY)
-    timed, _ = training_loop.watched(config)
-    timed.learn(32)
-    env = make_env(config)
-    env.seed(training_arms(config.seed).first)
-    plain = ppo.make_model(config, env)
-    plain.learn(32)
-    for name, value in timed.policy.state_dict().items():
-        assert np.array_equal(value.numpy(), plain.policy.state_dict()[name].numpy())
-
-
-def test_an_iteration_on_a_batch_and_on_single_arms():
-    for make in (training_loop.iteration_on_batch, training_loop.iteration_on_single_arms):
-        make(ppo.PpoConfig(**TINY))()

@@ -531,6 +531,18 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
     assert all(path.name.startswith("seed-3.nominal.") for path in (tmp_path / "out" / "parts").iterdir())
 
 
+def test_recipes_do_not_lead_onto_the_test_set():
+    """Commands of the documentation that compare a method of one's own: only a submission names the test set."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    pages += [*(ROOT / "docs").glob("tutorials/*.py"), *(ROOT / "docs").glob("examples/*.py")]
+    texts = [page.read_text(encoding="utf-8").replace("\\\n", "") for page in pages]
+    command = r"^[# ]*`?((?:make compare|\S*python eval/compare\.py)\b.*--(?:add|policy) .*)"
+    recipes = [line for text in texts for line in re.findall(command, text, re.M)]
+    assert len(recipes) >= 9
+    assert all("--scenarios development" in line or "--scenarios test" in line for line in recipes)
+    assert len([line for line in recipes if "--scenarios test" in line]) == 1
+
+
 # Mistakes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
-from eval.drives.effects import ALL, IDEAL
+from eval.comparison.effects import ALL, IDEAL
 from eval.reproduction.assumptions import USUAL_MOVE
 from eval.reproduction.drive_page import drive_markdown, verdict
 from eval.reproduction.drives import DRIVES, DrivesStudy, run_drives

@@ -31,11 +31,11 @@ FLOORS = {
     "eval": (
         *("comparison", "report"),
         *(
-            "translation verification drives studies sensing observing guarding tails leaderboard offline",
+            "translation verification drives studies sensing observing guarding tails offline",
             "deploy",
             "loops sharing",
             "reproduction",
-            "learning repetition speed engines siege mutation",
+            "learning repetition speed",
         ),
     ),
 }
@@ -106,11 +106,3 @@ def test_commands_are_thin():
                 classes = [node.name for node in body if isinstance(node, ast.ClassDef)]
                 functions = [node.name for node in body if isinstance(node, ast.FunctionDef)]
                 assert classes in ([], ["Config"]) and len(functions) <= 2, f"{module} has {classes + functions}"
-
-
-def test_folders_hold_a_dozen_modules_at_most_beside_commands():
-    for package in PACKAGES:
-        for folder in {path.parent for _, path in modules(package)}:
-            inside = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
-            count = len([path for path in inside if not is_command(path)])
-            assert count <= 13, f"{folder.relative_to(ROOT)} has {count} modules"

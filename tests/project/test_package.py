@@ -118,7 +118,7 @@ def test_every_dependency_states_one_lowest_version():
 
 
 def test_hashes_are_of_the_pinned_versions():
-    """Of all but torch and the benchmark's peers, see the Makefile; `make hashes` writes them anew."""
+    """Of all but torch and the benchmark's peers, as CONTRIBUTING.md writes them."""
     without_peers, *_ = "\n".join(lines_of("constraints.txt")).partition("# Of the extra `bench`")
     pinned = {line.lower().replace("_", "-") for line in without_peers.splitlines() if "==" in line}
     hashed = re.findall(

@@ -25,22 +25,10 @@ from agents.runs.command_line import COMMAND, begun_options, main
 from baselines.tools.command import this_python
 from baselines.tools.options import parse
 from baselines.tools.resuming import note_options
-from eval import bench, scenarios
-from eval.speed import start_up
+from eval import scenarios
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = (
-    "--arms",
-    "8",
-    "--rollout-steps",
-    "8",
-    "--batch-size",
-    "32",
-    "--validation-every",
-    "128",
-    "--validation-arms",
-    "4",
-)
+TINY = "--arms 8 --rollout-steps 8 --batch-size 32 --validation-every 128 --validation-arms 4".split()
 
 
 def train_ppo() -> None:
@@ -214,41 +202,6 @@ def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path
 def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert stopped(scenarios.main, (), tmp_path) == (0, "")
     assert capsys.readouterr().out.startswith("development set, edition 2, version 2: sha256 ")
-
-
-QUICK_START = """
-import time
-began = time.perf_counter()
-from beltarm_env import ArmParams
-imported = time.perf_counter()
-ArmParams().plant()
-print(imported - began, time.perf_counter() - imported)
-"""
-
-
-@pytest.mark.slow
-def test_bench_prints_ratios(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With a start-up whose kernel is compiled in a moment."""
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(start_up, "_FIRST_STEP", QUICK_START)
-    options = ("--arms", "64", "--repetitions", "1", "--steps", "2", "--parts")
-    assert stopped(bench.main, options, tmp_path) == (0, "")
-    shown = capsys.readouterr().out
-    assert "vector step, N = 64" in shown
-    assert "CartPole-v1" in shown
-    rows = (
-        "full arm",
-        "motion",
-        "whole step",
-        "single step through make",
-        "tip error of 5",
-        "import beltarm_env",
-        "warm cache",
-        "cold cache",
-    )
-    assert [row for row in rows if row not in shown] == []
 
 
 def readme_examples() -> list[str]:

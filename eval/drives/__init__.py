@@ -1,1 +1,0 @@
-"""Controllers over the size of each effect of the drive; `eval/drive.py` is the command."""

@@ -1,1 +1,0 @@
-"""What it takes to run tasks side by side, by engine."""

@@ -1,1 +1,0 @@
-"""Iterative learning over repeated moves; `eval/iterative.py` is the command."""

@@ -1,0 +1,276 @@
+"""How every controller does as each effect of the drive grows.
+
+Each effect is varied alone, then all together, from none to twice the upper end of its training range, on the same
+arms with the same moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from agents.policy.bundle import read_spec
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.arm import params_columns
+from beltarm_env.metrics import TORQUE_QUALITY
+from beltarm_env.metrics import heading as metric_heading
+from beltarm_env.rollout import rollout
+from beltarm_env.task.moves import MOVE_FIELDS
+from beltarm_env.task.seeds import DRIVE_SIZES
+from eval.comparison.effects import ALL, EFFECTS, IDEAL, heading, with_effect
+from eval.comparison.methods import Method, chosen
+from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
+from eval.comparison.statistics import average, estimates
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
+from eval.report.text import markdown_table, rounded
+from eval.studies._frame import Pictures, StudyOptions
+
+QUICK = {"arms": 4, "controllers": ("paper", "student"), "effects": ("command_latency",), "jobs": 1}
+SIZES = (0.25, 0.5, 1.0, 1.5, 2.0)
+"""Sizes of an effect over the upper end of its training range, beside the ideal drive."""
+_UPPER_END = 1.0
+_SHOWN = ("tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)  # beside the cost
+_LEADERS = 3  # controllers that the sentences follow
+_STEADY = 1.25  # ratio of costs up to which an effect changes little
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"arms": (4, 1000), "jobs": (1, 256)}
+
+    controllers: tuple[str, ...] = ()
+    """Controllers to measure. Default: all shipped ones."""
+    effects: tuple[str, ...] = ()
+    """Effects to vary beside all together, by the names of `ArmParams`. Default: each."""
+    arms: int = 64
+    """Number of arms, 4 to 1000."""
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Cost, vibration and torques of every controller, by effect and size."""
+    methods = shipped_methods(options.controllers)
+    effects = dict.fromkeys((*chosen("effect", options.effects, EFFECTS), ALL))
+    cases = [(method.name, effect, options.arms) for effect in (IDEAL, *effects) for method in methods]
+    results = side_by_side("controllers and effects", metrics_of, cases, options.jobs)
+    rows = []
+    for method in methods:
+        ideal = results[method.name, IDEAL, options.arms]
+        for effect in effects:
+            driven = results[method.name, effect, options.arms]
+            joined = {name: np.concatenate([ideal[name], driven[name]]) for name in ideal}
+            rows.append({"controller": method.name, "effect": effect, **_summary(joined)})
+    return {
+        "arms": options.arms,
+        "first_seed": DRIVE_SIZES.first,
+        "sizes": (0.0, *SIZES),
+        "effects": {
+            name: {
+                "heading": heading(name),
+                "title": EFFECTS[name].title,
+                "unit": f"{EFFECTS[name].sign}{EFFECTS[name].unit}",
+                "end": float(EFFECTS[name].shown(name, _UPPER_END)),
+            }
+            for name in effects
+        },
+        "trained": trained_on(methods),
+        "rows": rows,
+    }
+
+
+def trained_on(methods: Sequence[Method]) -> dict[str, str]:
+    """Arms that learned methods were trained on, as their policies say; "unknown" where one does not."""
+    policies = {method.name: Path(method.sources[0]) for method in methods if method.kind == "learned"}
+    specs = {name: read_spec(folder)[0] for name, folder in policies.items()}
+    return {name: spec.provenance.get("config", {}).get("randomization", "unknown") for name, spec in specs.items()}
+
+
+def metrics_of(name: str, effect: str, arms: int) -> dict[str, np.ndarray]:
+    """Metrics of a controller on the same arms with all sizes of an effect, each of shape (sizes, arms)."""
+    env = BeltArmVectorEnv(arms, randomization="train")
+    env.reset(seed=DRIVE_SIZES.first)
+    sizes = (0.0,) if effect == IDEAL else SIZES
+    table = np.concatenate([with_effect(env.params_table, effect, size) for size in sizes])
+    move = dict(zip(MOVE_FIELDS, np.tile(env.moves, (len(sizes), 1)).T, strict=True))
+    options = {"params": params_columns(table), "move": move}
+    run = rollout(shipped_controller(name), len(table), seed=DRIVE_SIZES.first, options=options)
+    metrics = run.metrics()
+    values = {shown: metrics[shown] for shown in ("cost", *_SHOWN)} | {"left": ~run.finished}
+    return {shown: value.reshape(len(sizes), arms) for shown, value in values.items()}
+
+
+def _summary(metrics: Mapping[str, np.ndarray]) -> dict[str, list[Any]]:
+    """Estimates by size: of the cost with its interval and plain mean."""
+    costs = estimates(metrics["cost"][:, None])
+    return {
+        "left": metrics["left"].sum(axis=1).tolist(),
+        "cost": [cost.iqm for cost in costs],
+        "low": [cost.low for cost in costs],
+        "high": [cost.high for cost in costs],
+        "mean": metrics["cost"].mean(axis=1).tolist(),
+        **{name: [average(name, values) for values in metrics[name]] for name in _SHOWN},
+    }
+
+
+class _Levels:
+    """Levels by controller and effect, with the effect at the upper end of its training range, or on an ideal drive."""
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        self.rows = {(row["controller"], row["effect"]): row for row in data["rows"]}
+        self.effects: dict[str, Any] = data["effects"]
+        self.controllers = list(dict.fromkeys(row["controller"] for row in data["rows"]))
+        self._upper_end = data["sizes"].index(_UPPER_END)
+
+    def __call__(self, controller: str, effect: str, name: str = "cost") -> float:
+        """A number of the data."""
+        if effect == IDEAL:
+            return self.rows[controller, next(iter(self.effects))][name][0]
+        return self.rows[controller, effect][name][self._upper_end]
+
+    def ratio(self, controller: str, effect: str) -> float:
+        """Cost with an effect over that on the ideal drive."""
+        return self(controller, effect) / self(controller, IDEAL)
+
+    def heading(self, effect: str) -> str:
+        """Title of an effect at the upper end of its training range."""
+        return effect if effect == IDEAL else self.effects[effect]["heading"]
+
+    @property
+    def single(self) -> list[str]:
+        """Effects by themselves."""
+        return [effect for effect in self.effects if effect != ALL]
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables at the upper ends of the training ranges, and what the sentences name."""
+    levels = _Levels(data)
+    names = levels.controllers
+    order = sorted(names, key=lambda name: levels(name, ALL))
+    leaders = []
+    for name in sorted(names, key=lambda name: levels(name, IDEAL))[:_LEADERS]:
+        harms = sorted(levels.single, key=lambda effect: -levels.ratio(name, effect))[:2]
+        leaders.append(
+            {
+                "name": name,
+                "ideal": levels(name, IDEAL),
+                "all": levels(name, ALL),
+                "ratio": levels.ratio(name, ALL),
+                "place": order.index(name) + 1,
+                "harms": [(levels.heading(effect), levels.ratio(name, effect)) for effect in harms],
+            }
+        )
+    falling = [key for key, row in levels.rows.items() if key[1] != ALL and _falls(row["cost"])]
+    lost = {name: sum(levels(name, effect, "left") for effect in levels.effects) for name in names}
+    return {
+        "costs": _costs_table(levels),
+        "torques": _torques_table(levels),
+        "leaders": leaders,
+        "least": {"name": order[0], "all": levels(order[0], ALL), "ratio": levels.ratio(order[0], ALL)},
+        "falling": list(dict.fromkeys(name for name, _ in falling)),
+        "falling_over": list(dict.fromkeys(data["effects"][effect]["title"] for _, effect in falling)),
+        "steady": [name for name in names if max(levels.ratio(name, effect) for effect in levels.effects) < _STEADY],
+        "lost": {name: count for name, count in lost.items() if count},
+        "trained": {
+            kind: [name for name in data["trained"] if data["trained"][name] == kind]
+            for kind in dict.fromkeys(data["trained"].values())
+        },
+    }
+
+
+def _costs_table(levels: _Levels) -> str:
+    """Interquartile mean and mean of the cost, and the arms that left."""
+
+    def cell(name: str, effect: str) -> str:
+        left = levels(name, effect, "left")
+        text = f"{levels(name, effect):.0f} ({levels(name, effect, 'mean'):.0f})"
+        return f"{text}, {left} left" if left else text
+
+    columns = (IDEAL, *levels.effects)
+    rows = [[name, *(cell(name, effect) for effect in columns)] for name in levels.controllers]
+    best = [min(levels.controllers, key=lambda name: levels(name, effect)) for effect in columns]
+    rows.append(["*least*", *(f"*{name}*" for name in best)])
+    return markdown_table(["controller", *map(levels.heading, columns)], rows)
+
+
+def _torques_table(levels: _Levels) -> str:
+    """Torques on the ideal drive and with all effects."""
+    columns = [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)]
+    rows = [
+        [name, *(rounded(metric, levels(name, effect, metric)) for metric, effect in columns)]
+        for name in levels.controllers
+    ]
+    titles = [f"{metric_heading(metric)}, {levels.heading(effect)}" for metric, effect in columns]
+    return markdown_table(["torques", *titles], rows)
+
+
+def _falls(costs: Sequence[float]) -> bool:
+    """Whether the cost at some size is below half of that at a smaller one."""
+    return bool((np.array(costs) < 0.5 * np.maximum.accumulate(costs)).any())
+
+
+_FAMILIES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (PINK, ("paper", "rigid", "retuned")),
+    (SKY, ("zv", "zvd", "ei")),
+    (GREEN, ("smooth", "disturbance", "flat", "adrc")),
+    (BLUE, ("lqg", "robust", "preview", "mpc")),
+    (VERMILION, ("adaptive",)),
+    (ORANGE, ("ppo", "student")),
+)
+_LINES = (("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"))  # within a family
+_COLUMNS = 3
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """A picture for each metric, with a panel for each effect."""
+    metrics = {"cost.png": "cost", "tip_rms.png": "tip_rms_mm", "residual.png": "residual_pp_mm"}
+    return {file: lambda metric=metric: _draw(data, metric) for file, metric in metrics.items()}
+
+
+def _styles(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
+    """Colour, line and marker of each controller: those of one family have one colour."""
+    known = {name: (colour, *line) for colour, family in _FAMILIES for name, line in zip(family, _LINES, strict=False)}
+    return {name: known.get(name, ("0.5", "-", "o")) for name in names}
+
+
+def _draw(data: dict[str, Any], metric: str) -> Figure:
+    levels, sizes = _Levels(data), data["sizes"]
+    rows = -(-(len(levels.effects) + 1) // _COLUMNS)
+    figure, grid = plt.subplots(rows, _COLUMNS, figsize=(11, 3.05 * rows), sharey=True, squeeze=False)
+    styles = _styles(levels.controllers)
+    for axis, (name, effect) in zip(grid.flat, levels.effects.items(), strict=False):
+        axis.axvspan(_UPPER_END, 1.03 * sizes[-1], color="#F0F0F0", zorder=0, linewidth=0)
+        for controller, (colour, line, marker) in styles.items():
+            values = levels.rows[controller, name][metric]
+            axis.plot(sizes, values, line, color=colour, marker=marker, markersize=4, lw=1.6)
+        axis.set_title(effect["title"], fontsize=11)
+        ticks = np.linspace(0, sizes[-1], 5)
+        axis.set_xticks(ticks, [f"{tick * effect['end']:.4g}" for tick in ticks])
+        axis.set_xlim(-0.03 * sizes[-1], 1.03 * sizes[-1])
+        axis.set_xlabel(effect["unit"], labelpad=1)
+        axis.grid(color="0.9", lw=0.6)
+    grid[0, 0].set_yscale("log")
+    mark_one_two_five(grid[0, 0].yaxis)
+    for row in grid:
+        row[0].set_ylabel(metric_heading(metric))
+    for axis in list(grid.flat)[len(levels.effects) :]:
+        axis.axis("off")
+    handles = [
+        Line2D([], [], color=colour, ls=line, marker=marker, markersize=5, lw=1.8)
+        for colour, line, marker in styles.values()
+    ]
+    columns = 2 if len(styles) > 5 else 1
+    grid.flat[len(levels.effects)].legend(
+        handles, list(styles), loc="center left", ncols=columns, frameon=False, fontsize=11
+    )
+    figure.tight_layout(h_pad=1.0, w_pad=0.6)
+    return figure

@@ -1,0 +1,157 @@
+"""Runs of controllers with and without the guard: while something breaks, and while nothing does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from agents.residual.controller import ResidualController
+from agents.residual.guarded import GuardedResidualController
+from baselines.guard.controller import GuardedController, servo_for
+from baselines.guard.guard import LEARNED_LEVEL, PASSIVE_LEVEL
+from baselines.guard.settings import GuardSettings
+from beltarm_env.arrays import Flags, Floats
+from beltarm_env.rollout import Controller, record, rollout
+from beltarm_env.task.seeds import FAULTS as SEEDS
+from eval.comparison.methods import chosen
+from eval.comparison.rollouts import Recorder, shipped_controller, shipped_methods, side_by_side
+from eval.comparison.sets import development_set
+from eval.comparison.splits import EPISODES
+from eval.studies._frame import StudyOptions
+from eval.studies.guard.faults import EARLIEST, FAULTS, LATEST, BrokenPolicy, FaultyArms
+
+QUICK = {
+    "controllers": ("ppo",),
+    "faults": ("stuck encoder", "NaN weights"),
+    "splits": ("nominal",),
+    "arms": 2,
+    "episodes": 4,
+    "jobs": 1,
+}
+CONTROLLERS = ("student", "ppo", "adaptive", "preview", "mpc")
+"""Controllers of the study; of a learned one the policy of its first training seed."""
+NAN = "NaN weights"
+"""The fault that classical controllers cannot have."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
+        "arms": (1, SEEDS.size),
+        "episodes": (4, EPISODES),
+        "jobs": (1, 256),
+    }
+
+    controllers: tuple[str, ...] = ()
+    """Controllers to run. Default: all of the study."""
+    faults: tuple[str, ...] = ()
+    """Faults to inject. Default: all."""
+    splits: tuple[str, ...] = ()
+    """Splits on which nothing breaks. Default: all."""
+    arms: int = 60
+    """Arms on which something breaks, 1 to 10000."""
+    episodes: int = 40
+    """Scenarios per split, 4 to 500."""
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Outcomes of every controller under every fault, and its costs on the splits."""
+    scenarios = development_set()
+    controllers = chosen("controller", options.controllers, CONTROLLERS)
+    bases = {name: base_of(name) for name in controllers}
+    faults = chosen("fault", options.faults, FAULTS)
+    splits = chosen("split", options.splits, scenarios.splits)
+    pairs = [(name, fault) for name in controllers for fault in faults if fault != NAN or bases[name] != name]
+    runs = [
+        case
+        for name, fault in pairs
+        for case in ((bases[name], fault, False), (name, fault, False), (name, fault, True))
+    ]
+    cases = [(*run, options.arms) for run in dict.fromkeys(runs)]
+    outcomes = side_by_side("faults", outcome, cases, options.jobs)
+    places = [(name, split, options.episodes) for name in controllers for split in splits]
+    healthy = side_by_side("splits where nothing breaks", health, places, options.jobs)
+    return {
+        "note": scenarios.label.note,
+        "arms": options.arms,
+        "episodes": options.episodes,
+        "settings": GuardSettings(),
+        "onset": (EARLIEST, LATEST),
+        "faults": {fault: FAULTS[fault] for fault in faults},
+        "bases": bases,
+        "rows": [
+            {
+                "controller": name,
+                "fault": fault,
+                "base": outcomes[bases[name], fault, False, options.arms],
+                "without": outcomes[name, fault, False, options.arms],
+                "guarded": outcomes[name, fault, True, options.arms],
+            }
+            for name, fault in pairs
+        ],
+        "healthy": [{"controller": name, "split": split, **result} for (name, split, _), result in healthy.items()],
+    }
+
+
+def base_of(name: str) -> str:
+    """Name of the controller that a learned method corrects; of a classical controller its own."""
+    (method,) = shipped_methods((name,))
+    return method.base or name
+
+
+def with_guard(controller: Controller, name: str) -> Recorder[tuple[Flags, Floats]]:
+    """Put the guard behind a controller of the study, and note which commands it changed, and its levels."""
+    servo = servo_for(base_of(name))
+    learned = isinstance(controller, ResidualController)
+    guarded = GuardedResidualController(controller, servo) if learned else GuardedController(controller, servo)
+    return Recorder(guarded, lambda memory: (memory.changed, memory.level))
+
+
+def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
+    """Run a controller, with or without the guard, on the first arms of the study's seeds while something breaks.
+
+    Returns:
+        Means over the arms: `peak`, the largest distance of the tip from its reference [mm]; `left`, the share of arms
+        that left the workspace [%]; `energy`, the integral of the squared torque [10^-3 N^2 m^2 s]; `passive`, the
+        share of arms that the guard left without torque [%].
+    """
+    env, controller = FaultyArms(arms, fault, randomization="train"), shipped_controller(name)
+    if fault == NAN and isinstance(controller, ResidualController):
+        controller.policy = BrokenPolicy(controller.policy, env)
+    recorder = with_guard(controller, name) if guard else None
+    run = record(recorder or controller, env, seed=SEEDS.first)
+    levels = np.array([level for _, level in recorder.notes]) if recorder else np.zeros((1, arms))
+    return {
+        "peak": float(np.mean(1000 * np.linalg.norm(run.tip_error, axis=2).max(axis=0))),
+        "left": float(100 * np.mean(~run.finished)),
+        "energy": float(1000 * np.mean(env.energies())),
+        "passive": float(100 * np.mean((levels == PASSIVE_LEVEL).any(axis=0))),
+    }
+
+
+def health(name: str, split: str, episodes: int) -> dict[str, float]:
+    """Run a controller with and without the guard on the first scenarios of a split.
+
+    Returns:
+        Mean costs `before` and `after` the guard is added; shares of commands that the guard `changed`, of `arms` with
+        such a command, and of arms on which it has `fallen` back.
+    """
+    arguments = development_set().splits[split].arguments(slice(episodes))
+    before = rollout(shipped_controller(name), episodes, **arguments)
+    recorder = with_guard(shipped_controller(name), name)
+    after = rollout(recorder, episodes, **arguments)
+    changed, levels = map(np.array, zip(*recorder.notes, strict=True))
+    return {
+        "before": float(np.mean(before.cost)),
+        "after": float(np.mean(after.cost)),
+        "changed": float(np.mean(changed)),
+        "arms": float(np.mean(changed.any(axis=0))),
+        "fallen": float(np.mean((levels > LEARNED_LEVEL).any(axis=0))),
+    }

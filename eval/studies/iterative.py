@@ -1,0 +1,254 @@
+"""What a controller gains by repeating the same move on the same arm.
+
+Three ways of learning from one repetition to the next are compared: arm and torque
+(`baselines.iterative.controller`), the arm alone, and the textbook's use of the motor's error
+(`baselines.iterative.motor_learning`). Controllers that learn nothing stand beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from baselines import PaperController, tuned_controller
+from baselines.iterative.controller import IterativeController
+from baselines.iterative.lesson import Notes
+from baselines.iterative.motor_learning import MotorLearningController
+from baselines.yardsticks.privileged import PrivilegedController
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.arm import COLUMN
+from beltarm_env.arrays import Floats
+from beltarm_env.metrics import METRICS, heading
+from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.reference import sampled_moves
+from beltarm_env.task.seeds import REPETITION
+from eval.comparison.methods import chosen
+from eval.comparison.rollouts import side_by_side
+from eval.comparison.splits import SPLITS
+from eval.comparison.statistics import estimate, interquartile_mean, paired
+from eval.report.style import BLUE, ORANGE, VERMILION, mark_one_two_five
+from eval.report.text import markdown_table
+from eval.studies._frame import Pictures, StudyOptions
+
+QUICK = {"arms": 4, "repetitions": 2, "kinds": ("randomized",), "jobs": 1}
+TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
+LEARNERS: dict[str, Callable[..., Any]] = {
+    TORQUE: IterativeController,
+    ARM: partial(IterativeController, learn_torque=False),
+    MOTOR: MotorLearningController,
+}
+"""By name: makes the controller of one trial from the lesson of the trials before, None at first."""
+OTHERS = ("paper", "adaptive", "privileged")
+"""Controllers that learn nothing from trial to trial."""
+KINDS = {"nominal": "off", "ideal": "ideal", "randomized": "train"}
+"""The environment's randomization by the name of the split that has the same ranges."""
+_MOTOR_RMS = "motor_rms_mrad"
+_TITLES = {
+    **{name: heading(name) for name in ("cost", "tip_rms_mm", "residual_pp_mm")},
+    _MOTOR_RMS: "motor RMS (mrad at the joint)",
+}
+_DIGITS = {**{name: METRICS[name].digits + 1 for name in _TITLES if name in METRICS}, _MOTOR_RMS: 2}
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
+        "arms": (4, REPETITION.size),
+        "repetitions": (2, 100),
+        "jobs": (1, 256),
+    }
+
+    kinds: tuple[str, ...] = ()
+    """Kinds of arms: nominal, ideal, randomized. Default: all."""
+    arms: int = 100
+    """Arms of each kind, 4 to 1000."""
+    repetitions: int = 10
+    """Number of times that each arm makes its move, 2 to 100."""
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Metrics of every controller on every kind of arms, by repetition, and differences of their costs."""
+    kinds = chosen("kind", options.kinds, KINDS)
+    cases = [
+        *((kind, name, options.arms, options.repetitions) for kind in kinds for name in LEARNERS),
+        *((kind, name, options.arms, 1) for kind in kinds for name in OTHERS),
+    ]
+    results = side_by_side("controllers and kinds of arms", run, cases, options.jobs)
+    trials = {(kind, name): result for (kind, name, *_), result in results.items()}
+    rows, differences = [], []
+    for kind in kinds:
+        first = trials[kind, TORQUE][0]["cost"]
+        for name in (*LEARNERS, *OTHERS):
+            for k, metrics in enumerate(trials[kind, name], start=1):
+                levels = {metric: estimate(values[None]) for metric, values in metrics.items()}
+                cost = {"quartiles": np.percentile(metrics["cost"], [25, 75]), "relative": _relative(metrics, first)}
+                repetition = k if name in LEARNERS else None
+                rows.append({"kind": kind, "controller": name, "repetition": repetition, **levels, **cost})
+        last = trials[kind, TORQUE][-1]["cost"]
+        others = {
+            f"first of `{TORQUE}`": first,
+            f"last of `{ARM}`": trials[kind, ARM][-1]["cost"],
+            "`privileged`": trials[kind, "privileged"][0]["cost"],
+        }
+        for name, cost in others.items():
+            pair = paired(last[None], cost[None])
+            change = {"difference": pair.difference, "wins": pair.win_rate.iqm}
+            differences.append({"kind": kind, "against": name, **change})
+    return {
+        "arms": options.arms,
+        "repetitions": options.repetitions,
+        "first_seed": REPETITION.first,
+        "kinds": {kind: SPLITS[kind].description for kind in kinds},
+        "differences": differences,
+        "rows": rows,
+    }
+
+
+def _relative(metrics: Mapping[str, Floats], first: Floats) -> list[float]:
+    """Interquartile mean and quartiles of the cost over each arm's first [%]."""
+    ratio = 100 * metrics["cost"] / first
+    return [interquartile_mean(ratio), *np.percentile(ratio, [25, 75])]
+
+
+def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Floats]]:
+    """Metrics of each repetition of one controller on one kind of arms."""
+    scenarios = {"seed": REPETITION.first, "randomization": KINDS[kind]}
+    if name in LEARNERS:
+        return repeated(LEARNERS[name], arms, repetitions, **scenarios)
+    if name == "privileged":
+        return [metrics_of(rollout(_privileged(arms, **scenarios), arms, sensors="full", **scenarios))]
+    controller = PaperController() if name == "paper" else tuned_controller(name)
+    return [metrics_of(rollout(controller, arms, **scenarios))]
+
+
+def repeated(make: Callable[..., Any], arms: int, repetitions: int, **scenarios: Any) -> list[dict[str, Floats]]:
+    """Metrics of each repetition, in order.
+
+    Args:
+        make: One of `LEARNERS`.
+        arms: Number of arms, side by side.
+        repetitions: Number of times that each arm makes its move.
+        **scenarios: Seed and settings of `rollout`, the same every time.
+    """
+    lesson, trials = None, []
+    for _ in range(repetitions):
+        controller = make(lesson)
+        notes = Notes(controller)
+        trials.append(metrics_of(rollout(notes, arms, **scenarios)))
+        lesson = controller.learned(notes)
+    return trials
+
+
+def metrics_of(run: Recording) -> dict[str, Floats]:
+    """Reported metrics of a trial, each of shape (n,)."""
+    tasks = sampled_moves(run.moves, len(run.state))
+    joint = run.state[:, :, 0] / run.params[:, COLUMN.gear_ratio]
+    metrics = run.metrics()
+    motor = 1e3 * np.sqrt(np.mean((joint - tasks[:, 1:, 0].T) ** 2, axis=0))
+    return {name: motor if name == _MOTOR_RMS else metrics[name] for name in _TITLES}
+
+
+def _privileged(arms: int, seed: int, randomization: Any) -> Controller:
+    """The plan of `adaptive`, with its gains, for arms with known constants and state."""
+    env = BeltArmVectorEnv(arms, randomization=randomization)
+    env.reset(seed=seed)
+    return PrivilegedController(env.params)
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """Differences of the last repetition to others, and a table of all repetitions for each kind of arms."""
+    differences = []
+    for row in data["differences"]:
+        change = "{iqm:+.1f} [{low:+.1f}, {high:+.1f}]".format(**row["difference"])
+        differences.append([row["kind"], row["against"], change, f"{100 * row['wins']:.0f}"])
+    titles = ["arms", "against", "cost", "lower on (% of the arms)"]
+    return {
+        "differences": markdown_table(titles, differences, "llrr"),
+        "kinds": {kind: _repetitions_table(data, kind) for kind in data["kinds"]},
+    }
+
+
+def _repetitions_table(data: dict[str, Any], kind: str) -> str:
+    rows = []
+    for row in data["rows"]:
+        if row["kind"] == kind:
+            cells = [
+                "{0:.{3}f} [{1:.{3}f}, {2:.{3}f}]".format(*row[name].values(), digits)
+                for name, digits in _DIGITS.items()
+            ]
+            rows.append([row["controller"], str(row["repetition"] or "each"), *cells])
+    return markdown_table(["controller", "repetition", *_TITLES.values()], rows)
+
+
+_COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
+_LABEL_HEIGHT = 0.05  # least distance of two labels, of the axes' height
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """Cost over the repetitions."""
+    return {"cost.png": lambda: _draw(data)}
+
+
+def _draw(data: dict[str, Any]) -> Figure:
+    """Draw the cost over the repetitions, over each arm's first and as it is, for all kinds of arms."""
+    kinds = data["kinds"]
+    size = (5 * len(kinds), 7.4)
+    figure, grid = plt.subplots(2, len(kinds), figsize=size, sharey="row", squeeze=False, layout="constrained")
+    labels = {}
+    for (relative, whole), (kind, description) in zip(grid.T, kinds.items(), strict=True):
+        relative.set_title(f"{kind}\n{description}", fontsize=10)
+        labels[relative] = _curves(relative, data, kind, (TORQUE, ARM, "adaptive", "privileged"), relative=True)
+        whole.set_yscale("log")
+        labels[whole] = _curves(whole, data, kind, (TORQUE, MOTOR, "paper", "adaptive"), relative=False)
+        mark_one_two_five(whole.yaxis)
+        whole.set_xlabel("repetition")
+    grid[0, 0].set_ylabel("cost of an episode (% of that arm's first)")
+    grid[1, 0].set_ylabel("cost of an episode")
+    figure.draw_without_rendering()  # sets the limits of the axes
+    for axes, ends in labels.items():
+        _label(axes, ends)
+    figure.suptitle("Interquartile means over arms; bands: the middle half of the arms", fontsize=10)
+    return figure
+
+
+def _curves(
+    axes: Axes, data: dict[str, Any], kind: str, names: tuple[str, ...], relative: bool
+) -> list[tuple[float, str, str]]:
+    """Draw curves; return value at the end, name and colour of each."""
+    labels = []
+    for name in names:
+        rows = [row for row in data["rows"] if (row["kind"], row["controller"]) == (kind, name)]
+        levels = [row["relative"] if relative else [row["cost"]["iqm"], *row["quartiles"]] for row in rows]
+        means, low, high = zip(*levels, strict=True)
+        colour = _COLOURS.get(name, "#444444")
+        labels.append((means[-1], name, colour))
+        if name not in LEARNERS:
+            axes.axhline(means[0], color=colour, linewidth=1, linestyle="--")
+            continue
+        numbers = np.arange(1, len(rows) + 1)
+        axes.fill_between(numbers, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(numbers, means, color=colour, marker="o", markersize=3)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.margins(x=0.02)
+    return labels
+
+
+def _label(axes: Axes, labels: list[tuple[float, str, str]]) -> None:
+    """Write names beside the ends of their curves, one above the other; once the axes have their final limits."""
+    lowest = -1.0
+    for level, name, colour in sorted(labels):
+        height = float(axes.transAxes.inverted().transform(axes.transData.transform((1, level)))[1])
+        lowest = max(height, lowest + _LABEL_HEIGHT)
+        axes.text(1.01, lowest, name, color=colour, transform=axes.transAxes, va="center", fontsize=9)

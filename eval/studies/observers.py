@@ -1,0 +1,273 @@
+"""How well a Kalman filter and learned observers estimate what the encoder does not show.
+
+All of them watch the same episodes of the development set; none of them acts.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from agents.observer.episodes import Source
+from agents.observer.files import SHIPPED, load_observer
+from agents.observer.network import Estimate, Observer, offered
+from agents.observer.quantities import BELIEVED, DOUBTS, NAMES, QUANTITIES, SCALES, truth
+from agents.residual.informed import InformedBase
+from agents.residual.knowledge import Knowledge
+from baselines.tools.progress import progress_over
+from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.rollout import Controller, rollout
+from eval.comparison.methods import chosen
+from eval.comparison.sets import development_set
+from eval.comparison.splits import EPISODES, Split, main_split
+from eval.report.style import BLUE, GREEN, ORANGE
+from eval.report.text import markdown_table, number
+from eval.studies._frame import Pictures, StudyOptions
+
+QUICK = {"episodes": 4, "splits": ("nominal", "sensing")}
+HOLD = 4
+"""Samples from one estimate that is scored to the next."""
+ACTING = ("adaptive", "student")
+"""Controllers whose episodes are watched; the tables of one controller are those of the last."""
+_TIMED = 300  # estimates
+_SHOWN_AS = {"rad": (1e3, "mrad"), "rad/s": (1.0, "rad/s"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "ln": (100, "%")}
+"""Factor and unit in which a quantity's error is shown; the error of a logarithm is about a share."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (4, EPISODES)}
+
+    splits: tuple[str, ...] = ()
+    """Splits to run. Default: all."""
+    episodes: int = 100
+    """Scenarios per split, 4 to 500."""
+
+
+class FilterAlone:
+    """The filter in an observer's place: its belief, with its own doubts as deviations; NaN where it states none."""
+
+    knowledge: Knowledge = "belief"
+    hold = HOLD
+
+    def __init__(self) -> None:
+        entries = offered("belief")
+        at = {entry.name: k for k, entry in enumerate(entries)}
+        self._believed = [at[name] for name in BELIEVED]
+        self._doubts = [(k, at[DOUBTS[name]]) for k, name in enumerate(NAMES) if name in DOUBTS]
+        self._doubt_units = np.array([entries[k].scale for _, k in self._doubts])
+
+    def observe(self, seen: Singles, memory: Any = None, episode_start: Flags | None = None) -> tuple[Estimate, None]:
+        """Belief and doubts; no memory is needed."""
+        deviation = np.full((len(seen), len(NAMES)), np.nan)
+        deviation[:, [k for k, _ in self._doubts]] = seen[:, [k for _, k in self._doubts]] * self._doubt_units
+        return Estimate(seen[:, self._believed].astype(np.float64) * SCALES, deviation), None
+
+
+Watcher = Observer | FilterAlone
+
+
+@dataclass(frozen=True)
+class Score:
+    """Result of one watcher on one split; arrays by quantity."""
+
+    rms: Floats  # root mean square of its errors, over all samples and arms
+    within_one: Floats  # share of the truth within one stated deviation; NaN where none is stated
+    within_two: Floats
+    arms: int  # arms that stayed in their workspace
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Scores of all watchers on every split under every acting controller."""
+    scenarios, known = development_set(), watchers()
+    splits = chosen("split", options.splits, scenarios.splits)
+    rows = [
+        {"acting": acting, "split": split, "watcher": name, **asdict(score)}
+        for acting, split in progress_over("splits", [(acting, split) for acting in ACTING for split in splits])
+        for name, score in scores_of(acting, known, scenarios.splits[split], options.episodes).items()
+    ]
+    return {
+        "note": scenarios.label.note,
+        "splits": splits,
+        "episodes": options.episodes,
+        "acting": ACTING,
+        "watchers": list(known),
+        "hold": HOLD,
+        "quantities": [{"name": quantity.name, "unit": quantity.unit} for quantity in QUANTITIES],
+        "sizes": [
+            {
+                "observer": name,
+                "weights": sum(parameter.numel() for parameter in watcher.parameters()),
+                "products": (len(watcher.columns) + watcher.width) * (3 * watcher.width + 2 * len(NAMES)),
+                "hold": watcher.hold,
+                "microseconds": microseconds_of(watcher),
+            }
+            for name, watcher in known.items()
+            if isinstance(watcher, Observer)
+        ],
+        "rows": rows,
+    }
+
+
+def watchers() -> dict[str, Watcher]:
+    """All watchers by name: the filter, and the shipped observers without and with it."""
+    alone, corrected = (load_observer(SHIPPED / f"{name}.safetensors")[0] for name in ("none", "belief"))
+    return {"filter": FilterAlone(), "learned alone": alone, "learned on the filter": corrected}
+
+
+def score(estimates: Sequence[Estimate], true: Floats) -> Score:
+    """Score estimates, one for each row of the truth of shape (T, n, quantities)."""
+    mean, deviation = (np.stack(parts) for parts in zip(*estimates, strict=True))
+    errors = mean - true
+    one, two = (
+        np.where(np.isnan(deviation), np.nan, np.abs(errors) <= k * deviation).mean(axis=(0, 1)) for k in (1, 2)
+    )
+    return Score(np.sqrt((errors**2).mean(axis=(0, 1))), one, two, true.shape[1])
+
+
+class _Watched:
+    """Controller that keeps the watchers' estimates of every `HOLD`-th sample; for one rollout."""
+
+    def __init__(self, controller: Controller, known: Mapping[str, Watcher]) -> None:
+        self.informed = InformedBase(controller)
+        self.params = self.informed.params
+        self.estimates: dict[str, list[Estimate]] = {name: [] for name in known}
+        self._known = known
+        self._memories: dict[str, Any] = dict.fromkeys(known)
+        self._step = 0
+
+    def predict(
+        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
+    ) -> tuple[Singles, Any]:
+        """Call the controller's `predict`, and ask every watcher when its estimate is due."""
+        informed = self.informed.advance(observation, state, episode_start)
+        seen = self.informed.seen(observation, informed)
+        for name, watcher in self._known.items():
+            if self._step % watcher.hold == 0:
+                entries = seen[:, : len(offered(watcher.knowledge))]  # the belief comes last
+                estimate, self._memories[name] = watcher.observe(entries, self._memories[name])
+                if self._step % HOLD == 0:
+                    self.estimates[name].append(estimate)
+        self._step += 1
+        return informed.action, informed
+
+
+def scores_of(acting: str, known: Mapping[str, Watcher], split: Split, episodes: int) -> dict[str, Score]:
+    """Watch a controller on the first scenarios of a split.
+
+    Args:
+        acting: Name of a classical controller, or "student".
+        known: Watchers by name; each has an estimate at every `HOLD`-th sample.
+        split: Its arms that leave their workspace are not scored.
+        episodes: Number of scenarios.
+
+    Raises:
+        ValueError: If all arms leave their workspace.
+    """
+    watched = _Watched(Source(acting).controller(), known)
+    run = rollout(watched, episodes, **split.arguments(slice(episodes)))
+    if not run.finished.any():
+        raise ValueError(f"under {acting} all arms of {split.name} leave their workspace: nothing to score")
+    true = truth(run, HOLD)[:, run.finished]
+    return {
+        name: score([Estimate(*(part[run.finished] for part in estimate)) for estimate in estimates], true)
+        for name, estimates in watched.estimates.items()
+    }
+
+
+def microseconds_of(watcher: Watcher) -> float:
+    """Median of the time per estimate for one arm [us]."""
+    seen, memory, seconds = np.zeros((1, len(offered(watcher.knowledge))), np.float32), None, []
+    for _ in range(_TIMED):
+        began = time.perf_counter()
+        _, memory = watcher.observe(seen, memory)
+        seconds.append(time.perf_counter() - began)
+    return 1e6 * float(np.median(seconds))
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """Errors of the torsion and of all quantities, shares within the stated deviations, and sizes."""
+    rows = {(row["acting"], row["split"], row["watcher"]): row for row in data["rows"]}
+    acting, main, names = data["acting"][-1], main_split(data["splits"]), data["watchers"]
+    torsion = _torsion(data)
+    errors = [
+        [split, *(f"{1e3 * rows[by, split, name]['rms'][torsion]:.2f}" for by in data["acting"] for name in names)]
+        for split in data["splits"]
+    ]
+    quantities = []
+    for k, quantity in enumerate(data["quantities"]):
+        factor, unit = _SHOWN_AS[quantity["unit"]]
+        scores = [rows[acting, main, name] for name in names]
+        shown = [f"{factor * result['rms'][k]:.3g}" for result in scores]
+        quantities.append([f"{quantity['name']} ({unit})", *shown, *(_percent(row["within_one"][k]) for row in scores)])
+    shares = []
+    for split in data["splits"]:
+        scores = [rows[acting, split, name] for name in names]
+        pairs = [[_percent(result[key][torsion]) for key in ("within_one", "within_two")] for result in scores]
+        shares.append([split, *(" / ".join(pair) for pair in pairs)])
+    sizes = [
+        [row["observer"], f"{4e-3 * row['weights']:.0f}", *(f"{row[key]:.0f}" for key in _SIZES)]
+        for row in data["sizes"]
+    ]
+    counts = {(row["acting"], row["split"]): data["episodes"] - row["arms"] for row in data["rows"]}
+    return {
+        "acting": acting,
+        "main": main,
+        "left": [(by, split, count) for (by, split), count in counts.items() if count],
+        "errors": markdown_table(
+            ["error of the torsion, RMS (mrad)", *(f"{name}, under `{by}`" for by in data["acting"] for name in names)],
+            errors,
+        ),
+        "quantities": markdown_table(
+            ["quantity", *(f"{name}, RMS" for name in names), *(f"{name}, within one (%)" for name in names)],
+            quantities,
+        ),
+        "shares": markdown_table(["torsion within one / two deviations (%)", *names], shares),
+        "sizes": markdown_table(["observer", "weights (kB, single precision)", *_SIZES.values()], sizes),
+    }
+
+
+_SIZES = {
+    "products": "multiplications",
+    "hold": "every … samples",
+    "microseconds": "in Python, one arm, median (µs)",
+}
+
+
+def _torsion(data: dict[str, Any]) -> int:
+    return [quantity["name"] for quantity in data["quantities"]].index("torsion")
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else number(100 * share, 0)
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """Error of the torsion on every split under the last acting controller."""
+    return {"torsion.png": lambda: _draw(data)}
+
+
+def _draw(data: dict[str, Any]) -> Figure:
+    splits, acting, torsion = data["splits"], data["acting"][-1], _torsion(data)
+    errors = {
+        (row["split"], row["watcher"]): 1e3 * row["rms"][torsion] for row in data["rows"] if row["acting"] == acting
+    }
+    figure, axis = plt.subplots(figsize=(8.5, 0.52 * len(splits) + 1.7), layout="constrained")
+    for k, (name, colour) in enumerate(zip(data["watchers"], (BLUE, GREEN, ORANGE), strict=True)):
+        places = np.arange(len(splits)) + 0.26 * (k - 1)
+        bars = axis.barh(places, [errors[split, name] for split in splits], 0.24, color=colour, label=name)
+        axis.bar_label(bars, fmt="%.2f", padding=4, fontsize=8)
+    axis.set_yticks(range(len(splits)), splits)
+    axis.invert_yaxis()
+    axis.set_xlabel(f"error of the torsion under {acting}, RMS (mrad)")
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(frameon=False, fontsize=9, loc="outside upper center", ncols=len(data["watchers"]))
+    return figure

@@ -1,0 +1,193 @@
+"""What an accelerometer on the arm's end brings the best controllers and a student.
+
+Each runs with and without it on the same scenarios of the development set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
+from agents.residual.controller import ResidualMemory
+from baselines.registry import CONTROLLERS, FELT
+from baselines.tools.progress import progress_over
+from beltarm_env.arrays import Floats
+from beltarm_env.metrics import TORQUE_QUALITY, heading
+from beltarm_env.rollout import Controller, rollout
+from eval.comparison.check import action_times
+from eval.comparison.methods import chosen
+from eval.comparison.rollouts import Recorder
+from eval.comparison.sets import development_set
+from eval.comparison.splits import EPISODES, Split, main_split
+from eval.comparison.statistics import Estimate, average, paired
+from eval.report.style import BLUE, GREEN, ORANGE
+from eval.report.text import cell, markdown_table, rounded
+from eval.studies._frame import Pictures, StudyOptions
+
+QUICK = {"episodes": 4, "splits": ("nominal", "randomized")}
+Tier = Literal["encoder", "accelerometer"]
+TIERS: tuple[Tier, Tier] = ("encoder", "accelerometer")
+STUDENT = "student"
+NAMES = (*FELT, STUDENT)
+"""Controllers of the study."""
+COMPARED = ("cost", "tip_rms_mm", "residual_pp_mm")
+"""Metrics that are compared scenario by scenario."""
+_COLOURS = dict(zip(NAMES, (BLUE, ORANGE, GREEN), strict=True))
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (4, EPISODES)}
+
+    splits: tuple[str, ...] = ()
+    """Splits to run. Default: all."""
+    episodes: int = 60
+    """Scenarios per split, 4 to 500."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of one controller with one set of sensors on one split."""
+
+    metrics: dict[str, Floats]  # each of shape (episodes,)
+    left: int  # arms that left the workspace
+    torsion: float  # RMS error of the estimated torsion, over all samples and arms [rad]
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Metrics of every controller on every split, with and without the accelerometer."""
+    scenarios = development_set()
+    splits = chosen("split", options.splits, scenarios.splits)
+    rows, differences = [], []
+    for name, split in progress_over("controllers and splits", [(name, split) for name in NAMES for split in splits]):
+        pair = [outcome(name, tier, scenarios.splits[split], options.episodes) for tier in TIERS]
+        for tier, result in zip(TIERS, pair, strict=True):
+            levels = {metric: average(metric, values) for metric, values in result.metrics.items()}
+            about = {"left": result.left, "torsion": result.torsion}
+            rows.append({"controller": name, "split": split, "sensors": tier, **about, **levels})
+        before, after = (result.metrics for result in pair)
+        change = {metric: paired(after[metric][None], before[metric][None]).difference for metric in COMPARED}
+        differences.append({"controller": name, "split": split, **change})
+    specs = {tier: read_spec(student_folder(tier))[0] for tier in TIERS}
+    return {
+        "note": scenarios.label.note,
+        "splits": splits,
+        "episodes": options.episodes,
+        "students": {
+            tier: {"sensors": spec.sensors, "base": spec.base, "seed": spec.provenance["config"]["seed"]}
+            for tier, spec in specs.items()
+        },
+        "microseconds": {
+            name: {tier: action_times(controller(name, tier), tier)[0] for tier in TIERS} for name in NAMES
+        },
+        "rows": rows,
+        "differences": differences,
+    }
+
+
+def student_folder(tier: Tier) -> Any:
+    """Folder of the student's policy that has a set of sensors."""
+    return (POLICIES if tier == "encoder" else FELT_POLICIES) / STUDENT / "seed0"
+
+
+def controller(name: str, tier: Tier) -> Controller:
+    """Make a classical controller with its tuned gains, the same for both sets of sensors, or the student of a set."""
+    if name == STUDENT:
+        return load_controller(student_folder(tier))
+    return (CONTROLLERS if tier == "encoder" else FELT)[name]()
+
+
+def outcome(name: str, tier: Tier, split: Split, episodes: int) -> Outcome:
+    """Run one controller on the first scenarios of a split."""
+    recorder = Recorder(controller(name, tier), _torsion)
+    run = rollout(recorder, episodes, sensors=tier, **split.arguments(slice(episodes)))
+    metrics = run.metrics()
+    errors = np.array(recorder.notes[1:]) - run.state[: len(recorder.notes) - 1, :, 2]
+    chosen_metrics = {metric: metrics[metric] for metric in (*COMPARED, *TORQUE_QUALITY)}
+    return Outcome(chosen_metrics, int((~run.finished).sum()), float(np.sqrt(np.mean(errors**2))))
+
+
+def _torsion(memory: Any) -> Floats:
+    """Estimate of the torsion in a controller's memory [rad], shape (n,)."""
+    base: Any = memory.informed if isinstance(memory, ResidualMemory) else memory
+    estimate = base.belief if hasattr(base, "belief") else base.estimate
+    return estimate.state[:, 2]
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """A table for each controller, and one of torques, knowledge and time on the main split."""
+    main = main_split(data["splits"])
+    return {"compared": [_comparison(data, name) for name in NAMES], "main": main, "torques": _torques(data, main)}
+
+
+def _rows(data: dict[str, Any]) -> dict[tuple[str, str, str], dict[str, Any]]:
+    return {(row["controller"], row["split"], row["sensors"]): row for row in data["rows"]}
+
+
+def _comparison(data: dict[str, Any], name: str) -> str:
+    """Every split with and without the accelerometer, and the difference on the same scenarios."""
+    levels, rows = _rows(data), []
+    for row in data["differences"]:
+        if row["controller"] == name:
+            pair = [levels[name, row["split"], tier] for tier in TIERS]
+            cells = []
+            for metric in COMPARED:
+                cells.append(" → ".join(rounded(metric, result[metric]) for result in pair))
+                cells.append(cell(metric, Estimate(**row[metric])))
+            rows.append([row["split"], *cells, " → ".join(str(result["left"]) for result in pair)])
+    titles = [title for metric in COMPARED for title in (heading(metric), "difference")]
+    return markdown_table([f"`{name}` on", *titles, "left"], rows)
+
+
+def _torques(data: dict[str, Any], split: str) -> str:
+    """Quality of the torque, error of the filter, and time per action on one split."""
+    rows = []
+    for row in data["rows"]:
+        if row["split"] == split:
+            levels = [rounded(metric, row[metric]) for metric in TORQUE_QUALITY]
+            time = data["microseconds"][row["controller"]][row["sensors"]]
+            rows.append(
+                [f"`{row['controller']}`", row["sensors"], *levels, f"{1000 * row['torsion']:.2f}", f"{time:.0f}"]
+            )
+    titles = [*map(heading, TORQUE_QUALITY), "error of the torsion, RMS (mrad)", "per action, one arm, median (µs)"]
+    return markdown_table(["controller", "sensors", *titles], rows, "ll" + "r" * len(titles))
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """Cost on every split."""
+    return {"cost.png": lambda: _draw(data)}
+
+
+def _draw(data: dict[str, Any]) -> Figure:
+    """Draw the cost on every split: without the accelerometer a ring, with it a disc."""
+    splits, levels = data["splits"], _rows(data)
+    figure, axis = plt.subplots(figsize=(8.5, 0.8 * len(splits) + 1.9), layout="constrained")
+    for place, split in enumerate(splits):
+        for k, name in enumerate(NAMES):
+            before, after = (levels[name, split, tier]["cost"] for tier in TIERS)
+            height = place + 0.26 * (k - 1)
+            axis.plot([before, after], [height, height], color=_COLOURS[name], lw=2.2, alpha=0.45, zorder=1)
+            axis.plot(before, height, "o", mfc="white", mec=_COLOURS[name], ms=7)
+            axis.plot(after, height, "o", color=_COLOURS[name], ms=7)
+            beside = {"xytext": (-8, 0), "textcoords": "offset points", "ha": "right", "va": "center"}
+            axis.annotate(f"{after:.0f}", (min(before, after), height), **beside)
+    for name in NAMES:
+        axis.plot([], [], "o-", color=_COLOURS[name], mfc="white", label=f"{name}, encoder")
+        axis.plot([], [], "o-", color=_COLOURS[name], label=f"{name}, with the accelerometer")
+    axis.set_yticks(range(len(splits)), splits)
+    axis.set_ylim(len(splits) - 0.5, -0.5)
+    axis.set_xlim(left=0)
+    axis.set_xlabel("cost, interquartile mean")
+    axis.grid(axis="x", color="0.9", lw=0.6)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(frameon=False, fontsize=9, loc="outside upper center", ncols=len(NAMES))
+    return figure

@@ -1,0 +1,295 @@
+"""Iterative learning: the norm-optimal change against independent solutions, and the controllers."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+from scipy.optimize import lsq_linear
+
+from baselines import PaperController, tuned_controller
+from baselines.estimation.believed_arm import IDENTIFIED
+from baselines.iterative.controller import IterativeController, Learning
+from baselines.iterative.lesson import Lesson, Notes
+from baselines.iterative.motor_learning import FeedForward, MotorLearningController
+from baselines.models.linear import at_angle, linear_arm
+from baselines.planning.norm_optimal import Linearisation, Trial, Weights, norm_weights, optimal_change
+from beltarm_env import ArmParams, BeltArmEnv
+from beltarm_env.arm import params_table
+from beltarm_env.rollout import Recording, rollout
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+from beltarm_env.task.reference import MoveShape
+
+SEED = 4_200_000
+NOMINAL = params_table([ArmParams()])[0]
+
+
+def random_trial(rng: np.random.Generator, steps: int) -> Trial:
+    transition = rng.normal(0, 0.4, (steps, 4, 4))
+    by_torque = rng.normal(0, 1, (steps, 4)) * (rng.random(steps) > 0.2)[:, None]  # in some the motor is stuck
+    return Trial(transition, by_torque, rng.normal(0, 1, (steps, 4)), rng.normal(0, 1, (steps, 4, 4)))
+
+
+def lifted(trial: Trial) -> np.ndarray:
+    """Errors of the whole trial over all changes of the torque, shape (4 T, T)."""
+    steps = len(trial.by_torque)
+    matrix = np.zeros((steps, 4, steps))
+    for j in range(steps):
+        dx = trial.by_torque[j]
+        matrix[j, :, j] = trial.of_state[j] @ dx
+        for k in range(j + 1, steps):
+            dx = trial.transition[k] @ dx
+            matrix[k, :, j] = trial.of_state[k] @ dx
+    return matrix.reshape(4 * steps, steps)
+
+
+def lifted_change(trial: Trial, weights: Weights, torque_change: np.ndarray) -> np.ndarray:
+    """The same problem as one stacked least squares."""
+    steps = len(torque_change)
+    difference = np.eye(steps) - np.eye(steps, k=-1)
+    roots = np.sqrt(weights.errors).ravel()
+    smooth = np.sqrt(weights.smoothness)
+    matrix = np.vstack(
+        [roots[:, None] * lifted(trial), smooth[:, None] * difference, np.sqrt(weights.effort) * np.eye(steps)]
+    )
+    wanted = np.concatenate([-roots * trial.errors.ravel(), -smooth * torque_change, np.zeros(steps)])
+    return np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+
+
+def followed(trial: Trial, change: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    dx, last, changes = np.zeros(4), 0.0, []
+    for k in range(len(change)):
+        last = change[k] - gain[k] @ np.append(dx, last)
+        dx = trial.transition[k] @ dx + trial.by_torque[k] * last
+        changes.append(last)
+    return np.array(changes)
+
+
+@examples(40)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 25))
+def test_change_is_that_of_the_lifted_least_squares(seed: int, steps: int):
+    rng = np.random.default_rng(seed)
+    trial, before = random_trial(rng, steps), rng.normal(0, 1, steps)
+    weights = Weights(rng.uniform(0.1, 3, (steps, 4)), rng.uniform(0, 2, steps), float(rng.uniform(0.01, 2)))
+    found = followed(trial, *optimal_change(trial, weights, np.cumsum(before)))
+    np.testing.assert_allclose(found, lifted_change(trial, weights, before), rtol=1e-7, atol=1e-9)
+
+
+def test_feedback_is_optimal_from_where_it_is():
+    """Disturbed on its way, the law does what the problem of the rest of the trial asks for."""
+    rng = np.random.default_rng(5)
+    trial, before = random_trial(rng, 20), rng.normal(0, 1, 20)
+    weights = Weights(rng.uniform(0.1, 3, (20, 4)), rng.uniform(0, 2, 20), 0.3)
+    change, gain = optimal_change(trial, weights, np.cumsum(before))
+    dx, k = rng.normal(0, 1, 4), 12
+    rest = [Trial(*(part[k:].copy() for part in trial)), Weights(weights.errors[k:], weights.smoothness[k:], 0.3)]
+    errors, free = rest[0].errors, dx
+    for j in range(len(errors)):
+        free = trial.transition[k + j] @ free
+        errors[j] += trial.of_state[k + j] @ free
+    first = lifted_change(rest[0], rest[1], np.concatenate([[before[k] - 0.7], before[k + 1 :]]))[0]
+    assert change[k] - gain[k] @ np.append(dx, 0.7) == pytest.approx(first, rel=1e-8)
+
+
+def test_limited_changes_end_at_the_bounded_least_squares():
+    rng, limit = np.random.default_rng(6), 0.3
+    trial, torque = random_trial(rng, 20), np.zeros(20)
+    weights = Weights(rng.uniform(0.1, 3, (20, 4)), rng.uniform(0.1, 2, 20), 1e-2)
+    matrix, errors = lifted(trial), trial.errors.ravel()
+    for _ in range(50):
+        now = trial._replace(errors=(errors + matrix @ torque).reshape(20, 4))
+        torque = np.clip(torque + followed(now, *optimal_change(now, weights, torque, limit)), -limit, limit)
+    roots, difference = np.sqrt(weights.errors).ravel(), np.eye(20) - np.eye(20, k=-1)
+    rows = np.vstack([roots[:, None] * matrix, np.sqrt(weights.smoothness)[:, None] * difference])
+    wanted = np.append(-roots * errors, np.zeros(20))
+    expected = lsq_linear(rows, wanted, (-limit, limit), method="bvls").x
+    assert 3 < (np.abs(expected) == limit).sum() < 17
+    np.testing.assert_allclose(torque, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("mismatch", [1.0, 0.8, 1.2])
+def test_learning_converges_monotonically_on_a_linear_arm(mismatch: float):
+    """The nominal arm without friction, 45 degrees, torque acting more or less strongly than believed."""
+    steps, model = 150, linear_arm(ArmParams())
+    angle = np.full(steps, np.pi / 4)
+    transition, by_torque = at_angle(model.transition, angle), at_angle(model.by_torque, angle)
+    of_state = np.zeros((steps, 4, 4))
+    of_state[:, 0, 0], of_state[:, 0, 2], of_state[:, 1, 2] = 0.5 / 88, -0.5, 0.6
+    believed = Trial(transition, by_torque, np.zeros((steps, 4)), of_state)
+    effects = mismatch * lifted(believed)
+    wanted = 0.01 * np.outer(np.sin(np.linspace(0, 3, steps)) ** 2, [1, 0, 0, 0]).ravel()
+    torque, costs = np.zeros(steps), []
+    for _ in range(12):
+        errors = effects @ torque - wanted
+        costs.append(float(errors @ errors))
+        now = believed._replace(errors=errors.reshape(steps, 4))
+        weights = Weights(np.full((steps, 4), 1e4), np.zeros(steps), 0.1)
+        torque = torque + followed(now, *optimal_change(now, weights, np.zeros(steps)))
+    assert (np.diff(costs) <= 1e-12).all()
+    assert costs[1] < 0.3 * costs[0]
+
+
+def test_linearisation_predicts_what_the_arm_does():
+    params, rng = ArmParams(), np.random.default_rng(2)
+    states = np.array([[88 * angle, speed, 0.01, 0.2] for angle, speed in ((0.3, 40.0), (0.8, -30.0), (1.3, 20.0))])
+    torques, task = np.array([0.05, -0.1, 0.02]), np.array([[0.3, 0.4], [0.8, -0.3], [1.3, 0.2]])
+    linearisation = Linearisation(params, 3)
+    trial = linearisation.about(states, torques, task, NOMINAL)
+    dx = rng.normal(0, 1, (3, 4)) * [1e-2, 1e-1, 1e-5, 1e-3]
+    moved = linearisation.about(states + dx, torques + 1e-3, task, NOMINAL).errors - trial.errors
+    after = np.einsum("kij,kj->ki", trial.transition, dx) + 1e-3 * trial.by_torque
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", trial.of_state, after), moved, rtol=2e-3, atol=2e-7)
+
+
+def simulated(params: ArmParams, torques: np.ndarray, start: float) -> np.ndarray:
+    """States of an arm and its drive before each sample and after the last, friction drifting."""
+    simulation, row = ArmSimulation(params), params.row()[None]
+    states = [simulation.at_rest(np.array([start]))]
+    for step, torque in enumerate(torques):
+        simulation.set_table(row, np.array([float(step)]))
+        states.append(simulation.advance(states[-1], torque[None]))
+    return np.concatenate(states)
+
+
+def test_linearisation_predicts_what_the_drive_does():
+    """Lag, 1.4 samples of latency, ripple, kinematic error, drift of friction: simulated as the environment does."""
+    env = BeltArmEnv(randomization="train")
+    env.reset(seed=SEED, options={"params": {"command_latency": 0.0021, "friction_drift": 0.15}})
+    torques = 0.3 * np.full(40, 0.4, np.float32).astype(np.float64)
+    states, info = simulated(env.params, torques, env.state[0]), {}
+    for _ in range(40):
+        _, _, _, _, info = env.step(np.array([0.4], np.float32))
+    np.testing.assert_allclose(states[-1, :4], env.state, rtol=1e-12)
+    reference = env.reference(40 * 0.0015)
+    task = np.tile([reference.angle, reference.speed], (40, 1))
+    trial = Linearisation(env.params, 40).about(states[:-1], torques, task, env.params.row())
+    assert np.hypot(*trial.errors[-1, :2]) == pytest.approx(info["tip_error"], rel=1e-9)
+    push, dx = np.where(np.arange(40) >= 20, 1e-4, 0.0), np.zeros(8)
+    for k in range(40):
+        dx = trial.transition[k] @ dx + trial.by_torque[k] * push[k]
+    np.testing.assert_allclose(simulated(env.params, torques + push, states[0, 0])[-1] - states[-1], dx, rtol=0.02)
+
+
+def test_errors_are_the_environments():
+    env = BeltArmEnv()
+    state = np.array([88 * 0.7, 30.0, 0.02, 0.3])
+    move = MoveShape(0.6, 1.2, 0.8, 0.2)
+    env.reset(seed=0, options={"state": state, "move": move._asdict()})
+    _, _, _, _, info = env.step(np.array([0.2], np.float32))
+    reference = env.reference(0.0015)
+    task = np.array([[reference.angle, reference.speed]])
+    torque = np.array([np.float64(np.float32(0.2)) * 0.3])
+    errors = Linearisation(ArmParams(), 1).about(state[None], torque, task, NOMINAL).errors[0]
+    assert np.hypot(*errors[:2]) == pytest.approx(info["tip_error"], rel=1e-9)
+    assert np.hypot(*errors[2:]) / VELOCITY_SCALE == pytest.approx(info["cost_velocity"], rel=1e-9)
+
+
+def test_a_stuck_motor_does_not_yield():
+    state, task = np.array([[88 * 0.7, 0.0, 0.0, 0.0]]), np.array([[0.7, 0.0]])
+    trial = Linearisation(ArmParams(), 1).about(state, np.array([0.01]), task, NOMINAL)
+    assert (trial.by_torque == 0).all()
+
+
+def test_weights_have_the_slope_of_the_cost():
+    errors, change = np.array([[3e-3, 4e-3, 0.03, -0.04]]), np.array([0.06])
+    weights = norm_weights(errors, change, 0.3, 1.0, (0.01, 0.05))
+    slope = 2 * weights.errors * errors
+    np.testing.assert_allclose(slope[0, :2], np.array([0.6, 0.8]) / POSITION_SCALE)
+    np.testing.assert_allclose(slope[0, 2:], np.array([0.6, -0.8]) / VELOCITY_SCALE)
+    assert 2 * weights.smoothness[0] * change[0] == pytest.approx(TORQUE_RATE_WEIGHT / 0.3)
+
+
+def test_wrong_number_of_samples_is_refused():
+    with pytest.raises(ValueError, match="must have 3 samples"):
+        Linearisation(ArmParams(), 3).about(np.zeros((2, 4)), np.zeros(2), np.zeros((2, 2)), NOMINAL)
+
+
+def trial_of(controller, arms: int, seed: int = SEED) -> tuple[Recording, Notes]:
+    notes = Notes(controller)
+    return rollout(notes, arms, seed=seed, randomization="ideal"), notes
+
+
+@pytest.fixture(scope="module")
+def taught() -> tuple[Recording, Lesson]:
+    controller = IterativeController()
+    run, notes = trial_of(controller, 4)
+    return run, controller.learned(notes)
+
+
+def test_first_repetition_is_the_plain_controllers(taught: tuple[Recording, Lesson]):
+    plain = rollout(tuned_controller("adaptive"), 4, seed=SEED, randomization="ideal")
+    assert (taught[0].torque == plain.torque).all()
+    paper = rollout(PaperController(), 4, seed=SEED, randomization="ideal")
+    assert (trial_of(MotorLearningController(), 4)[0].torque == paper.torque).all()
+
+
+def test_learning_alone_and_side_by_side_is_the_same(taught: tuple[Recording, Lesson]):
+    lesson = taught[1]
+    together, _ = trial_of(IterativeController(lesson), 4)
+    for arm in (0, 3):
+        first = IterativeController()
+        alone = first.learned(trial_of(first, 1, SEED + arm)[1])
+        assert alone.law and lesson.law
+        for ours, theirs in zip(alone.law, lesson.law, strict=True):
+            assert (ours[0] == theirs[arm]).all()
+        run, _ = trial_of(IterativeController(alone), 1, SEED + arm)
+        assert (run.torque[:, 0] == together.torque[:, arm]).all()
+
+
+def test_another_move_is_met_as_in_a_first_trial(taught: tuple[Recording, Lesson]):
+    run, _ = trial_of(IterativeController(taught[1]), 4, SEED + 100)
+    plain, _ = trial_of(IterativeController(), 4, SEED + 100)
+    assert (run.torque == plain.torque).all()
+
+
+def test_nothing_passes_from_trial_to_trial_but_by_the_lesson(taught: tuple[Recording, Lesson]):
+    controller = IterativeController(taught[1])
+    first, notes = trial_of(controller, 4)
+    controller.learned(notes)
+    assert (trial_of(controller, 4)[0].torque == first.torque).all()
+
+
+def test_arms_of_a_lesson_are_counted(taught: tuple[Recording, Lesson]):
+    with pytest.raises(ValueError, match="about 4 arms, got observations of 3"):
+        trial_of(IterativeController(taught[1]), 3)
+    with pytest.raises(ValueError, match="about 2 arms, got observations of 3"):
+        trial_of(MotorLearningController(FeedForward(np.zeros((2, 4)), np.zeros((2, 1200)))), 3)
+
+
+def test_notes_must_be_of_one_trial():
+    controller = IterativeController()
+    notes = Notes(controller)
+    for _ in range(2):
+        rollout(notes, 1, seed=SEED)
+    with pytest.raises(ValueError, match="1200 samples, got 2400"):
+        controller.learned(notes)
+
+
+def test_arms_that_leave_the_workspace_keep_what_they_knew(taught: tuple[Recording, Lesson]):
+    class Pushed(IterativeController):
+        def predict(self, *arguments, **keywords):
+            action, memory = super().predict(*arguments, **keywords)
+            action[1] = 1.0
+            return action, memory
+
+    for before in (None, taught[1]):
+        controller = Pushed(before)
+        run, notes = trial_of(controller, 4)
+        assert run.finished.tolist() == [True, False, True, True]
+        lesson = controller.learned(notes)
+        assert lesson.law
+        assert np.isfinite(lesson.law.torque).all()
+        if before is None:
+            assert (lesson.constants[1, : len(IDENTIFIED)] == 0).all() and not lesson.law.holds[1].any()
+        else:
+            assert (lesson.constants[1] == before.constants[1]).all() and (
+                lesson.constants[0] != before.constants[0]
+            ).any()
+
+
+@pytest.mark.parametrize("name", ["effort", "softness", "change_softness"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_bad_learning_is_refused(name: str, value: float):
+    with pytest.raises(ValueError, match=rf"Learning.{name} must be positive and finite"):
+        Learning(**{name: value})

@@ -1,0 +1,212 @@
+"""What reads files of others, each with sound files and with damage to them.
+
+Half of what carries a hash gets a fitting one, as from a foreign program, so that what is behind the hash is reached.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+import damage
+import numpy as np
+
+from agents.learners.ppo import PpoConfig
+from agents.observer.files import SHIPPED, load_observer
+from agents.policy.actor import Actor
+from agents.policy.bundle import BundleSpec, read_spec, read_weights, save_bundle
+from agents.policy.card import MANIFEST
+from agents.policy.manifest import content_hash
+from agents.residual.controller import ResidualSettings
+from agents.runs.checkpoint import RunFolder
+from baselines.gains import FILE as GAINS
+from baselines.gains import tuned
+from baselines.registry import TUNABLE
+from baselines.tools.files import sealed
+from beltarm_env.task.seeds import arms_chosen_by
+from eval.comparison import scenarios
+from eval.comparison.cache import TABLES, Part, keep, read_kept
+from eval.comparison.methods import classical_methods
+from eval.comparison.schema import read_results
+from eval.comparison.sets import TEST_NAME, make_set
+from eval.comparison.splits import digest_of, draw_arms, first_seed
+
+_RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "comparison" / "results.json"
+_SCENARIOS = 3
+
+Damaged = tuple[dict[str, bytes], bool]
+"""Files by name, and whether they may mean something else than the sound ones: their hashes fit, or they have none."""
+
+
+class Reader(NamedTuple):
+    """Something that reads files, of which sound ones are in a folder."""
+
+    read: damage.Read  # what the files mean; None where they are refused without an error
+    damaged: Callable[[Random], Damaged]
+    removes: bool = False  # whether a damaged file is removed
+
+
+def _json(
+    rng: Random, content: Any, folder: Path, rehash: Callable[[dict[str, Any]], object] | None = None
+) -> tuple[bytes, bool]:
+    """Damaged text of JSON, and whether its hash fits, by `rehash`, or it has none."""
+    fits = rehash is None
+    if rng.random() < 0.75:
+        content = damage.damaged_content(rng, content)
+        if rehash is not None and rng.random() < 0.7 and isinstance(content, dict):
+            rehash(content)
+            fits = True
+    text = json.dumps(content).encode()
+    return (text, fits) if rng.random() < 0.7 else (damage.damaged_text(rng, text, folder), fits)
+
+
+def _of_json(
+    read: Callable[[], object], path: Path, content: Any, rehash: Callable[[Any], object] | None = None
+) -> Reader:
+    """Reader of a file of JSON, whose hash `rehash` makes fit, if it has one."""
+    path.write_text(json.dumps(content))
+
+    def damaged(rng: Random) -> Damaged:
+        text, fits = _json(rng, content, path.parent, rehash)
+        return {path.name: text}, fits
+
+    return Reader(read, damaged)
+
+
+def _rehash_manifest(content: dict[str, Any]) -> None:
+    content["content_hash"] = content_hash(content)
+
+
+def _bundle(folder: Path) -> dict[str, Any]:
+    """Save a small bundle, and return its manifest."""
+    origin = {"command": "x", "run": {"steps": 3, "seconds": 1.0}, "curve": [[0, 1.0, 2.0]], "config": {"seed": 1}}
+    spec = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance=origin)
+    save_bundle(folder, spec, Actor(spec.shape()).weights())
+    return json.loads((folder / MANIFEST).read_text())
+
+
+def _manifest(folder: Path) -> Reader:
+    content = _bundle(folder)
+    return _of_json(lambda: read_spec(folder)[1], folder / MANIFEST, content, _rehash_manifest)
+
+
+def _weights(folder: Path) -> Reader:
+    content = _bundle(folder)
+    name = content["weights"]["file"]
+    data = (folder / name).read_bytes()
+
+    def damaged(rng: Random) -> Damaged:
+        files, fits = {name: damage.damaged_weights(rng, data, folder)}, rng.random() < 0.7
+        if fits:
+            manifest = {**content, "weights": {"file": name, "sha256": hashlib.sha256(files[name]).hexdigest()}}
+            _rehash_manifest(manifest)
+            files[MANIFEST] = json.dumps(manifest).encode()
+        return files, fits
+
+    return Reader(lambda: {key: array.tolist() for key, array in read_weights(folder)[0].arrays.items()}, damaged)
+
+
+def _run(folder: Path) -> tuple[RunFolder, PpoConfig]:
+    """Folder of a run that has only begun, and options to resume it."""
+    config, run = PpoConfig(out=folder, resume=True), RunFolder(folder)
+    run.note(config)
+    run.save({"weights": np.arange(100.0)}, {"curve": [{"steps": 0, "cost": 1.0}], "scores": "", "best_cost": 1.0})
+    return run, config
+
+
+def _options(folder: Path) -> Reader:
+    run, config = _run(folder)
+    content = json.loads(run.config.read_text())
+    return _of_json(partial(run.check, config), run.config, content)
+
+
+def _checkpoint(folder: Path) -> Reader:
+    run, _ = _run(folder)
+    data = run.checkpoint.read_bytes()
+
+    def damaged(rng: Random) -> Damaged:
+        if rng.random() < 0.5:
+            return {run.checkpoint.name: damage.damaged_bytes(rng, data, folder)}, False
+        content = damage.damaged_content(rng, pickle.loads(data))
+        return {run.checkpoint.name: sealed(pickle.dumps(content))}, True
+
+    return Reader(lambda: run.load(lambda state: state["weights"].sum()), damaged)
+
+
+def _pair(folder: Path) -> Reader:
+    (method,) = [known for known in classical_methods() if known.name == "paper"]
+    pair = Part(method, draw_arms("nominal", "seed 0", range(4)), 4)
+    keep(pair, folder, {name: np.arange(4.0)[None] for name in TABLES})
+    path = pair.file(folder)
+    data, name = path.read_bytes(), str(path.relative_to(folder))
+
+    def damaged(rng: Random) -> Damaged:
+        changed, fits = damage.damaged_archive(rng, data, folder, damage.damaged_array)
+        return {name: changed}, fits
+
+    def read() -> dict[str, bytes] | None:
+        kept = read_kept(pair, folder)
+        if kept is None:
+            return None
+        if wrong := {str(table.dtype) for table in kept.values()} - {"float64"}:
+            raise TypeError(f"tables of {wrong} are taken for numbers")
+        return {key: table.tobytes() for key, table in kept.items()}
+
+    return Reader(read, damaged, removes=True)
+
+
+def _scenarios(folder: Path) -> Reader:
+    protocol = json.loads(scenarios.FILE.read_text())["protocol"]
+    first = first_seed("nominal", arms_chosen_by(protocol))
+    split = draw_arms("nominal", TEST_NAME, range(first, first + _SCENARIOS))
+    content, path = scenarios.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
+
+    def rehash(content: dict[str, Any]) -> None:
+        content["sha256"] = digest_of({key: value for key, value in content.items() if key != "sha256"})
+
+    return _of_json(lambda: scenarios.load(path).label, path, content, rehash)
+
+
+def _results(folder: Path) -> Reader:
+    content, path = json.loads(_RESULTS.read_text()), folder / "results.json"
+    for part in ("rows", "paired", "profiles", "primary"):
+        content[part] = content[part][:2]
+    return _of_json(partial(read_results, path), path, content)
+
+
+def _gains(folder: Path) -> Reader:
+    content, path = json.loads(GAINS.read_text()), folder / "gains.json"
+    content = {name: content[name] for name in ("zv", "zvd")}
+    return _of_json(partial(tuned, "zv", TUNABLE["zv"].gains, path), path, content)
+
+
+def _observer(folder: Path) -> Reader:
+    path = folder / "none.safetensors"
+    data = (SHIPPED / path.name).read_bytes()
+    path.write_bytes(data)
+
+    def read() -> object:
+        observer, content = load_observer(path)
+        return {name: array.tolist() for name, array in observer.state_dict().items()}, content
+
+    return Reader(read, lambda rng: ({path.name: damage.damaged_weights(rng, data, folder)}, False))
+
+
+READERS: dict[str, Callable[[Path], Reader]] = {
+    "manifest": _manifest,
+    "weights": _weights,
+    "options": _options,
+    "checkpoint": _checkpoint,
+    "pair": _pair,
+    "scenarios": _scenarios,
+    "results": _results,
+    "gains": _gains,
+    "observer": _observer,
+}
+"""Makes sound files in an empty folder, and what reads them."""
