@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import tyro
 
 from baselines.tools.command import require_bounds, run_command
+from eval.comparison.check import isolated_findings
 from eval.comparison.custom import LONGEST, TIME_LIMIT
-from eval.comparison.protocol import isolated_findings
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Config:
 
 
 def run(config: Config) -> None:
-    """Check and print what is found."""
+    """Check, and print each finding."""
     require_bounds(config, time_limit=(1, LONGEST))
     failed = 0
     for finding in isolated_findings(config.controller, config.time_limit):

@@ -1,11 +1,9 @@
 """Compare controllers on the same scenarios: `python eval/compare.py`.
 
-Runs the classical controllers, the shipped policies, and a yardstick that knows its arm. Prints a table and a verdict,
-and writes report.html, results.json, episodes.csv, summary.md and pictures. Results are kept in the folder and used
-again.
+Runs the classical controllers, the shipped policies, and an oracle that knows its arm. Prints a table and a verdict,
+and writes report.html, results.json, episodes.csv, page.md and pictures. Results are kept in the folder and used again.
 
-With --scenario-seed there are as many scenarios as you ask for. Beyond 500 per split, it writes tails.md instead: what
-happens once in a thousand moves, with tails.json and pictures.
+With --scenario-seed there are as many scenarios as you ask for.
 """
 
 from __future__ import annotations
@@ -26,16 +24,21 @@ from rich.console import Console
 
 from baselines.engines.options import SideBySide
 from baselines.tools.command import require_bounds, run_command
+from baselines.tools.files import write_text
 from baselines.tools.options import Groups
 from baselines.tools.progress import progress_count
 from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
-from eval.comparison.run import choose_methods, compare
+from eval.comparison.run import choose_methods, compare, verify
 from eval.comparison.scenarios import choose_set
+from eval.comparison.sets import ScenarioSet, enlarged_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
-from eval.report.publish import publish
-from eval.tails.publish import publish as publish_tails
-from eval.tails.study import check_options, study
+from eval.report import summary
+from eval.report.publish import print_results, publish
+from eval.studies._frame import PAGE, page
+
+MOST = 100_000
+"""Scenarios of a split that fit into the memory of a usual machine, with all methods."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +48,13 @@ class Config(SideBySide):
     groups: ClassVar[Groups] = {
         "method": ("methods", "policy", "add", "time_limit", "guard"),
         "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
-        "output": ("out", "verbose", "traceback", "maps"),
+        "output": ("out", "verbose", "verify", "traceback"),
         "run": (),
     }
 
     methods: tuple[str, ...] = ()
-    """Which of the project's own methods run, by name; what --add and --policy give always runs. Default: all shipped
-    policies, the yardstick, and the classical controllers, without those that a simpler one beats everywhere
+    """The project's own methods that run, by name; those of --add and --policy always run. Default: all shipped
+    policies, the oracle, and the classical controllers, without those that a simpler one beats everywhere
     (docs/science/controllers.md)."""
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
@@ -69,11 +72,11 @@ class Config(SideBySide):
     """Also run each classical and learned method with the guard between it and the motor, as NAME+guard
     (docs/results/guard/page.md)."""
     out: Path = Path("results/compare")
-    """Folder for report.html, results.json, episodes.csv, summary.md, the pictures, and the results that are kept. One
-    that has results of more methods, splits or scenarios is left as it is."""
+    """Folder for report.html, results.json, episodes.csv, page.md, pictures, and the parts that are kept. One that has
+    results of more methods, splits or scenarios is left as it is."""
     episodes: int | None = None
-    """Scenarios per split, 4 to 500, or with --scenario-seed up to 10000000: the first 500 are the same, and beyond
-    them tails are compared. Default: 200."""
+    """Scenarios per split, 4 to 500, or with --scenario-seed up to 100000, of which the first 500 are always the same.
+    Default: 200."""
     quick: bool = False
     """Take a first look, with 24 scenarios per split."""
     scenarios: Literal["development", "test"] | None = None
@@ -81,14 +84,12 @@ class Config(SideBySide):
     set."""
     scenario_seed: int | None = None
     """Draw a fresh set of scenarios by the same rules instead. Seeds 0, 1, 2, ... are used by nothing else."""
-    maps: bool = False
-    """Also map the best learned method against each classical controller of --methods, for the report: over stiffness
-    and payload, and over friction and delay. Takes about a minute with all controllers."""
     fresh: bool = False
     """Run everything again, and use no kept results."""
-    computing_time: bool = False
-    """Let computing time count: the commands of a method act later by its own time per action (99th percentile, one
-    arm). Times are measured once and kept in computing_time.json. Needs its own --out."""
+    verify: Path | None = None
+    """Run again what the results.json of this folder claims, and write nothing. The first number that differs by more
+    than another processor explains is printed, and exits with 1. Give a controller or a policy with --add or --policy
+    if it is not where the results' command names it."""
     traceback: bool = False
     """Print the whole traceback of each failure, to stderr."""
     verbose: bool = False
@@ -97,63 +98,60 @@ class Config(SideBySide):
     @property
     def count(self) -> int:
         """Scenarios per split."""
-        return self.episodes or (QUICK_EPISODES if self.quick else DEFAULT_EPISODES)
+        if self.episodes is not None:
+            return self.episodes
+        return QUICK_EPISODES if self.quick else DEFAULT_EPISODES
+
+    def chosen_scenarios(self) -> ScenarioSet:
+        """Scenarios that are run.
+
+        Raises:
+            ValueError: If there are not so many of them, saying where there are more, or the options contradict.
+        """
+        known = choose_set(self.scenarios, self.scenario_seed)
+        splits = chosen("split", self.splits, known.splits)
+        most = EPISODES if self.scenario_seed is None else MOST
+        if not 4 <= self.count <= most:
+            more = f"; --scenario-seed 1 draws up to {MOST}" if self.scenario_seed is None else ""
+            raise ValueError(f"--episodes must lie within 4 and {most}, got {self.count}{more}")
+        if self.scenario_seed is not None and self.count > EPISODES:
+            return enlarged_set(self.scenario_seed, splits, self.count)
+        return known.only(splits)
 
 
 def run(config: Config) -> None:
     """Run all methods on all splits and write everything; failures are named, and exit with 1."""
     console = Console()
-    check_options(config)
     config.check_engine()
     require_bounds(config, time_limit=(1, LONGEST))
-    known = choose_set(config.scenarios, config.scenario_seed)
-    scenarios = known.only(chosen("split", config.splits, known.splits))
+    if config.verify is not None:
+        with progress_count("parts", console) as done:
+            news, sound = verify(config.verify, config.policy, config.add, config.jobs, config.time_limit, done)
+        console.print(news, soft_wrap=True, markup=False, highlight=False)
+        sys.exit(0 if sound else 1)
+    scenarios = config.chosen_scenarios()
     methods = choose_methods(
         config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
     )
-    if config.scenario_seed is not None and config.count > EPISODES:
-        names = list(scenarios.splits)
-        with progress_count("shards of scenarios", console) as done:
-            found = study(
-                methods,
-                names,
-                config.scenario_seed,
-                config.count,
-                config.out,
-                config.jobs,
-                engine=config.runs_on,
-                fresh=config.fresh,
-                done=done,
-            )
-        publish_tails(found, config.out, console)
-        failures = found.failures
-    else:
-        for method in methods:
-            if method.identity is None:
-                why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
-                console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
-        with progress_count("pairs of method and split", console) as done:
-            comparison = compare(
-                methods,
-                scenarios,
-                config.count,
-                config.out,
-                config.jobs,
-                engine=config.runs_on,
-                fresh=config.fresh,
-                computing_time=config.computing_time,
-                done=done,
-            )
-        shown = publish(
-            comparison,
-            scenarios.splits,
+    for method in methods:
+        if method.identity is None:
+            why = f"{home(method.sources[0])} is too large to be hashed, or cannot be read"
+            console.print(f"Results of {method.name} will not be used again: {why}.", soft_wrap=True)
+    with progress_count("parts", console) as done:
+        comparison = compare(
+            methods,
+            scenarios,
+            config.count,
             config.out,
-            console,
-            maps=config.maps,
-            verbose=config.verbose,
-            jobs=config.jobs,
+            config.jobs,
+            engine=config.runs_on,
+            fresh=config.fresh,
+            done=done,
         )
-        failures = shown.failures
+    content, failures = publish(comparison, scenarios.splits, config.out, config.jobs)
+    write_text(config.out / PAGE, page("comparison", summary, content))
+    print_results(content, console, verbose=config.verbose)
+    console.print(f"Written to {config.out}: report.html, {PAGE}, results.json, episodes.csv, pictures", soft_wrap=True)
     for failure in failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)
         if config.traceback:

@@ -37,13 +37,14 @@ def run(config: Config) -> None:
         scenarios.write_record(scenarios.RECORD)
     if config.freeze_test:
         scenarios.freeze_test_set(scenarios.FILE)
-    found = [development_set()]
+    sets = [development_set()]
     if scenarios.FILE.exists():
-        found.append(scenarios.load(scenarios.FILE))
-    for one in found:
-        scenarios.require_same_physics(one)
-        print(f"{one.label.title}, edition {scenarios.EDITION}, version {scenarios.VERSION}: sha256 {one.label.sha256}")
-        for name, split in one.splits.items():
+        sets.append(scenarios.load(scenarios.FILE))
+    for known in sets:
+        scenarios.require_same_physics(known)
+        label = known.label
+        print(f"{label.title}, edition {scenarios.EDITION}, version {scenarios.VERSION}: sha256 {label.sha256}")
+        for name, split in known.splits.items():
             print(f"{name:<11} {len(split.moves)} scenarios  sha256 {split.digest[:12]}  {SPLITS[name].description}")
 
 

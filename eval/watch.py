@@ -66,7 +66,7 @@ class Config:
 
 
 def watch(config: Config) -> None:
-    """Run the arms, then show or write what they did."""
+    """Run the arms, then show or write their motions."""
     console = Console()
     config.check()
     (name,) = chosen("split", (config.split,), SPLITS)
@@ -79,8 +79,8 @@ def watch(config: Config) -> None:
         require_writable(config.out.parent)
     window = side_by_side.open_window(len(methods)) if config.out is None else None
     tracks = [
-        side_by_side.track_of(name, side_by_side.motion_of(name, of, split, scenario))
-        for name, of in progress_over("arms", methods)
+        side_by_side.track_of(name, side_by_side.motion_of(name, method, split, scenario))
+        for name, method in progress_over("arms", methods)
     ]
     for track in tracks:
         console.print(f"{track.name}: tip error at most {track.error.max():.1f} mm, cost {track.motion.cost[0]:.0f}")

@@ -112,9 +112,9 @@ for name in ("not_arrived_share", "residual_pp_mm", "tip_rms_mm", "torque_rate_r
 # 2. **The verdict** on the main split, and on how many splits it holds.
 # 3. **Mean and tail** beside the interquartile mean: do they agree?
 # 4. **The other splits.** Where does the order change? That is what the winner relies on.
-# 5. **Vibration, torques, computing time**: what the lower cost is paid with.
+# 5. **Vibration, torques, time per action**: what the lower cost is paid with.
 # 6. **The motions.** A picture shows at once what a number means.
 #
-# A full report is made by ``make compare`` in ``results/compare/report.html``; :doc:`the summary
-# </comparison/summary>` has the committed one as text, and :doc:`the benchmark </benchmark>` the
-# rules.
+# A full report is made by ``make compare`` in ``results/compare/report.html``; :doc:`one page
+# </results/comparison/page>` has the committed one as text, and :doc:`the benchmark
+# </benchmark/comparison>` the rules.

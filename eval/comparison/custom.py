@@ -52,11 +52,11 @@ def factory(spec: str) -> Callable[[], Any]:
             module = importlib.import_module(where)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise ValueError(f"{spec} cannot be imported: {type(error).__name__}: {error}") from error
-    found = getattr(module, name, None)
-    if not callable(found):
+    maker = getattr(module, name, None)
+    if not callable(maker):
         public = ", ".join(sorted(key for key, value in vars(module).items() if isinstance(value, type)))
         raise ValueError(f"{where} has no class or function {name!r}; its classes: {public or 'none'}")
-    return found
+    return maker
 
 
 def _from_file(path: Path) -> ModuleType:
@@ -98,19 +98,19 @@ def home(spec: str) -> Path:
 def _home_of_module(spec: str, package: str, *inside: str) -> Path:
     _search(Path.cwd())
     try:
-        found = importlib.util.find_spec(package)
+        spec_of = importlib.util.find_spec(package)
     except (ImportError, ValueError):
-        found = None
-    if found is None:
+        spec_of = None
+    if spec_of is None:
         raise ValueError(f"{spec} cannot be imported: No module named {package!r}")
-    folders = [Path(folder).resolve() for folder in found.submodule_search_locations or ()]
+    folders = [Path(folder).resolve() for folder in spec_of.submodule_search_locations or ()]
     for folder in folders:
         below = folder.joinpath(*inside)
         if below.with_suffix(".py").is_file() or below.is_dir():
             return folder
     if inside:
         raise ValueError(f"{spec} cannot be imported: No module named {'.'.join((package, *inside))!r}")
-    return Path(found.origin or ".").resolve().parent
+    return Path(spec_of.origin or ".").resolve().parent
 
 
 def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
@@ -124,7 +124,7 @@ def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
         None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read.
     """
     skipped = results.resolve() if results else None
-    found: list[Path] = []
+    own: list[Path] = []
     entries, size = 0, 0
     try:
         for root, folders, names in os.walk(folder, onerror=_raise, followlinks=True):
@@ -134,10 +134,10 @@ def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
             size += sum(path.stat().st_size for path in files)
             if entries > MOST_FILES or size > MOST_BYTES:
                 return None
-            found += files
+            own += files
     except OSError:
         return None
-    return found
+    return own
 
 
 def identity(folder: Path, results: Path | None = None) -> str | None:

@@ -1,4 +1,4 @@
-"""Failures of controllers: what is reported where one cannot be run to the end, and the rest goes on."""
+"""Failures of controllers: each is reported, and affects nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The methods of the comparison: classical controllers, shipped or given policies, a yardstick, and a user's own."""
+"""The methods of the comparison: classical controllers, shipped or given policies, an oracle, and a user's own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,12 @@ PRIMARY = ("student", "adaptive")
 """Learned method and classical controller that the comparison is about first: the best ones on the development set,
 named in docs/benchmark/protocol.md before the test scenarios were drawn."""
 LARGEST_BATCH = 500
-"""Arms of several training seeds or splits: what is done once for all of them costs little beside so many."""
+"""Arms of a batch of several training seeds or splits; larger batches are hardly faster."""
+
+EFFORT = ("simulator_steps", "wall_clock_s", "trials", "refused", "base_steps")
+"""Effort of tuning or training, a number per training seed: samples and seconds; of a search for gains also its trials,
+and the proposals that it refused because their loop fell short of the margins; of a learned method the samples of the
+search for its base's gains. Empty: neither tuned nor trained here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +45,7 @@ class Method:
     kind: Kind  # "privileged" sees what no other does; "added" is a user's own
     sources: tuple[str, ...]  # one per training seed: name of a controller, folder of a policy, or package.module:Class
     identity: str | None  # SHA-256 of gains, policies or sources; None: unknown, its results are not used again
-    training: dict[str, Any] = field(
-        default_factory=dict
-    )  # of tuning or training: simulator steps, wall-clock, per seed
+    training: dict[str, list[float]] = field(default_factory=dict)  # effort of tuning or training, see `EFFORT`
     base: str | None = None  # of a learned method: the controller that it corrects
     guarded: bool = False  # whether the guard is between its controllers and the motor
     time_limit: float = custom.TIME_LIMIT  # of an added one, for a batch of episodes [s]
@@ -90,7 +93,7 @@ class Method:
             ValueError: If a user's own folder is too large to be carried.
         """
         if self.kind == "learned":
-            return {one: Carried(Path(one), tuple(bundle_files(Path(one)).items())) for one in self.sources}
+            return {path: Carried(Path(path), tuple(bundle_files(Path(path)).items())) for path in self.sources}
         if self.kind != "added" or not self.sources[0].rpartition(":")[0].endswith(".py"):
             return {}
         folder = custom.home(self.sources[0])
@@ -119,13 +122,18 @@ class Method:
 
 def classical_methods() -> list[Method]:
     """All classical controllers."""
-    tuned, methods = read_file(), []
-    for name in CONTROLLERS:
-        entry = tuned.get(name, {})
-        tuning = entry.get("provenance", {})
-        cost = {"simulator_steps": [tuning["steps"]], "wall_clock_s": [tuning["seconds"]]} if tuning else {}
-        methods.append(Method(name, "classical", (name,), _hash(entry.get("gains")), cost))
-    return methods
+    tuned = read_file()
+    return [
+        Method(name, "classical", (name,), _hash(tuned.get(name, {}).get("gains")), _tuning_of(tuned.get(name, {})))
+        for name in CONTROLLERS
+    ]
+
+
+def _tuning_of(entry: dict[str, Any]) -> dict[str, list[float]]:
+    """Effort of a search for gains, from their provenance."""
+    origin = entry.get("provenance", {})
+    names = zip(EFFORT, ("steps", "seconds", "trials", "refused"), strict=False)
+    return {name: [origin[key]] for name, key in names if key in origin}
 
 
 def _all_gains() -> dict[str, Any]:
@@ -138,7 +146,7 @@ def _hash(content: object) -> str:
 
 
 def privileged_method() -> Method:
-    """Preview LQG with true constants and true state: the yardstick."""
+    """Preview LQG with true constants and true state: the oracle."""
     return Method(PRIVILEGED, "privileged", (PRIVILEGED,), "")
 
 
@@ -205,12 +213,15 @@ def _learned(name: str, folders: list[Path]) -> Method:
     if len(bases) > 1:
         raise ValueError(f"the policies of {name} correct different controllers: {', '.join(sorted(bases))}")
     runs = [(spec.provenance.get("run", {}), spec.residual.hold) for spec, _ in read]
+    base = bases.pop()
+    base_steps = _tuning_of(read_file().get(base or "", {})).get("simulator_steps", [])
     training = {
         "simulator_steps": [int(run.get("steps", 0)) * hold for run, hold in runs],
         "wall_clock_s": [float(run.get("seconds", 0.0)) for run, _ in runs],
+        **({"base_steps": base_steps} if base_steps else {}),
     }
     identity = _hash([[content["content_hash"] for _, content in read], _all_gains()])
-    return Method(name, "learned", tuple(map(str, folders)), identity, training, bases.pop())
+    return Method(name, "learned", tuple(map(str, folders)), identity, training, base)
 
 
 def shipped_policies() -> list[Path]:
@@ -244,14 +255,14 @@ def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -
     if not controllers and not policies:
         controllers, policies = ("paper", "adaptive"), shipped_policies()[:1]
     known = {method.name: method for method in classical_methods()}
-    found = []
+    methods = []
     for name in controllers:
         method = added_method(name) if ":" in name else known[chosen("controller", (name,), known)[0]]
-        found.append((method.name, method))
+        methods.append((method.name, method))
     for folder in policies:
         (method,) = learned_methods([folder])
-        found.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))
-    return found
+        methods.append((method.name if len(policies) == 1 else f"{method.name} ({folder})", method))
+    return methods
 
 
 def chosen(kind: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tools.provenance import commit
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
+from eval.comparison.cache import LEFT, Metrics
 from eval.comparison.failures import Failure
-from eval.comparison.methods import PRIMARY, Method, is_shipped, policies_of
-from eval.comparison.pairs import LEFT, SENSITIVE, Metrics
+from eval.comparison.methods import PRIMARY, Method, policies_of
+from eval.comparison.provenance import provenance as about
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import (
     LEAST_SCENARIOS,
@@ -28,21 +27,16 @@ from eval.comparison.statistics import (
     all_paired,
     estimates,
     holm,
-    profile,
+    interquartile_mean,
     together,
 )
 
+MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
+"""Module and functions that measure a comparison, for the digest of the code."""
 PAIRED_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
-COMPUTING_TIME = "computing_time"
-"""Entry of the provenance: whether every method's commands were later by its own computing time."""
-TIMED_NOTE = (
-    "Computing time counts: commands of each method are later than by the drive alone, by the 99th percentile of its "
-    "own time per action for one arm."
-)
 MOSTLY = 0.95
 """Share of its runs that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
 arrives on easy arms alone looks better than it is."""
-_THRESHOLDS = 25  # of a performance profile
 
 Against = dict[str, dict[str, dict[str, Paired]]]
 """Comparisons scenario by scenario, by split, method and metric."""
@@ -59,7 +53,6 @@ class MethodOutcome:
     metrics: Metrics  # each (seeds, episodes)
     estimates: dict[str, Estimate]  # of `OF_ARRIVED` over scenarios in which all seeds arrive; not numbers for none
     action_times: tuple[float, float]  # median, 99th percentile [us]
-    latency: float = 0.0  # of its computing time, which its commands had beyond the drive's [s]
 
     @property
     def seeds(self) -> int:
@@ -84,9 +77,10 @@ class MethodOutcome:
         return float(self.metrics[NOT_ARRIVED].mean())
 
     @property
-    def sensitivity(self) -> float | None:
-        """Share of episodes that are other ones after a nudge; None where that was not measured."""
-        return float(self.metrics[SENSITIVE].mean()) if SENSITIVE in self.metrics else None
+    def median_seed(self) -> int:
+        """Training seed of median cost."""
+        costs = [interquartile_mean(of_seed) for of_seed in self.metrics["cost"]]
+        return int(np.argsort(costs)[len(costs) // 2])
 
 
 def arrived(metrics: Metrics) -> NDArray[np.bool_]:
@@ -94,13 +88,13 @@ def arrived(metrics: Metrics) -> NDArray[np.bool_]:
     return ~np.any(metrics[NOT_ARRIVED], axis=0)
 
 
-def estimated(found: Sequence[Metrics]) -> list[dict[str, Estimate]]:
+def estimated(measured: Sequence[Metrics]) -> list[dict[str, Estimate]]:
     """Estimate the metrics that are shown, each of several methods and splits; see `MethodOutcome.estimates`."""
     nothing = Estimate(float("nan"), float("nan"), float("nan"))
-    by_name = [dict.fromkeys(SHOWN, nothing) for _ in found]
+    by_name = [dict.fromkeys(SHOWN, nothing) for _ in measured]
     for share in (False, True):
         cells: list[tuple[int, str, Floats]] = []
-        for k, metrics in enumerate(found):
+        for k, metrics in enumerate(measured):
             there = arrived(metrics)
             for name in SHOWN:
                 values = metrics[name][:, there] if name in OF_ARRIVED else metrics[name]
@@ -112,19 +106,12 @@ def estimated(found: Sequence[Metrics]) -> list[dict[str, Estimate]]:
     return by_name
 
 
-def tables_of(one: MethodOutcome, other: MethodOutcome, name: str) -> tuple[Floats, Floats]:
+def tables_of(method: MethodOutcome, other: MethodOutcome, name: str) -> tuple[Floats, Floats]:
     """Values of two methods in the scenarios in which they are compared: for `OF_ARRIVED` those where both arrive."""
     if name not in OF_ARRIVED:
-        return one.metrics[name], other.metrics[name]
-    both = arrived(one.metrics) & arrived(other.metrics)
-    return one.metrics[name][:, both], other.metrics[name][:, both]
-
-
-class Profiles(NamedTuple):
-    """Performance profiles of all methods on one split, in one metric."""
-
-    thresholds: NDArray[np.float64]
-    shares: dict[str, NDArray[np.float64]]  # of the runs at or below each threshold, by method
+        return method.metrics[name], other.metrics[name]
+    both = arrived(method.metrics) & arrived(other.metrics)
+    return method.metrics[name][:, both], other.metrics[name][:, both]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,19 +123,8 @@ class Comparison:
     against_base: Against  # every learned method against the controller that it corrects
     marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
     failures: list[Failure]
-    scenario_set: SetLabel  # what the splits belong to
+    scenario_set: SetLabel  # of the splits
     provenance: dict[str, Any]
-
-    @property
-    def timed(self) -> bool:
-        """Whether every method's commands were later by its own computing time."""
-        return bool(self.provenance.get(COMPUTING_TIME))
-
-    @property
-    def note(self) -> str:
-        """What its numbers are worth."""
-        own = [outcome.method.name for outcome in self.methods() if not is_shipped(outcome.method)]
-        return self.scenario_set.note_with(own) + (f" {TIMED_NOTE}" if self.timed else "")
 
     def with_failures(self, failures: list[Failure]) -> Comparison:
         """Copy with more failures, one per method and split."""
@@ -159,8 +135,8 @@ class Comparison:
 
     def on(self, split: str) -> list[MethodOutcome]:
         """Outcomes on one split, in the order of the methods; those that are not ranked last."""
-        found = [outcome for outcome in self.outcomes if outcome.split == split]
-        return sorted(found, key=lambda outcome: not outcome.ranked)
+        outcomes = [outcome for outcome in self.outcomes if outcome.split == split]
+        return sorted(outcomes, key=lambda outcome: not outcome.ranked)
 
     def splits(self) -> list[str]:
         """Names of the splits, in order."""
@@ -173,18 +149,18 @@ class Comparison:
 
     def methods(self) -> list[MethodOutcome]:
         """One outcome of every method, in order; those that are not ranked last."""
-        found = {outcome.method.name: outcome for outcome in reversed(self.outcomes)}
+        first = {outcome.method.name: outcome for outcome in reversed(self.outcomes)}
         order = dict.fromkeys(outcome.method.name for outcome in self.outcomes)
-        return sorted((found[name] for name in order), key=lambda outcome: not outcome.ranked)
+        return sorted((first[name] for name in order), key=lambda outcome: not outcome.ranked)
 
     def challengers(self, split: str) -> list[MethodOutcome]:
-        """Rivals of the classical controllers on a split, best first: learned methods, or else added ones."""
+        """Challengers of the classical controllers on a split, best first: learned methods, or else added ones."""
         kinds = {outcome.method.kind for outcome in self.outcomes}
         wanted = next((kind for kind in ("learned", "added") if kind in kinds), None)
-        found = [outcome for outcome in self.on(split) if outcome.method.kind == wanted]
-        return sorted(found, key=lambda outcome: outcome.estimates["cost"].iqm)
+        outcomes = [outcome for outcome in self.on(split) if outcome.method.kind == wanted]
+        return sorted(outcomes, key=lambda outcome: outcome.estimates["cost"].iqm)
 
-    def rivals(self) -> tuple[MethodOutcome, MethodOutcome] | None:
+    def primary_pair(self) -> tuple[MethodOutcome, MethodOutcome] | None:
         """Challenger and classical controller of the primary comparison, on the main split; None without both.
 
         Those of the protocol where both took part, or else the ones of the lowest cost.
@@ -234,22 +210,22 @@ def _against(
     All comparisons in one metric on one split are a family for Holm's correction: one question, asked of every method.
     """
     pairs = [
-        (one, other)
+        (outcome, other)
         for outcomes in by_split.values()
         for against in [opponents(outcomes)]
-        for one in outcomes
-        if one.ranked and (other := against.get(one.method.name))
+        for outcome in outcomes
+        if outcome.ranked and (other := against.get(outcome.method.name))
     ]
-    compared = iter(all_paired([tables_of(one, other, name) for one, other in pairs for name in PAIRED_METRICS]))
-    found: Against = {split: {} for split in by_split}
-    for one, _ in pairs:
-        found[one.split][one.method.name] = {name: next(compared) for name in PAIRED_METRICS}
-    for of_split in found.values():
+    compared = iter(all_paired([tables_of(*pair, name) for pair in pairs for name in PAIRED_METRICS]))
+    results: Against = {split: {} for split in by_split}
+    for outcome, _ in pairs:
+        results[outcome.split][outcome.method.name] = {name: next(compared) for name in PAIRED_METRICS}
+    for of_split in results.values():
         for name in PAIRED_METRICS:
             adjusted = holm([of_method[name].p for of_method in of_split.values()])
             for of_method, p in zip(of_split.values(), adjusted, strict=True):
                 of_method[name] = replace(of_method[name], p_holm=p)
-    return found
+    return results
 
 
 def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
@@ -270,7 +246,7 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dic
         others = [outcome for outcome in outcomes if outcome.ranked and outcome is not best]
         compared = all_paired([tables_of(other, best, name) for other in others])
         pairs = {other.method.name: pair for other, pair in zip(others, compared, strict=True)}
-        if classical and best.method.name in against_best:  # one test for a pair, whichever way round it is told
+        if classical and best.method.name in against_best:  # a pair has one p value
             same = against_best[best.method.name][name]
             pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)
         adjusted = holm([pair.p for pair in pairs.values()])
@@ -280,38 +256,18 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dic
     return marks
 
 
-def profiles(outcomes: list[MethodOutcome], metric: str) -> Profiles:
-    """Performance profiles of one split's methods, at thresholds between the least and the largest value of all.
-
-    In a metric of `OF_ARRIVED`, a run that does not arrive is below no threshold.
-    """
-    tables = {o.method.name: o.metrics[metric] for o in outcomes}
-    if metric in OF_ARRIVED:
-        tables = {o.method.name: np.where(o.metrics[NOT_ARRIVED], np.inf, o.metrics[metric]) for o in outcomes}
-    everything = np.concatenate([table.ravel() for table in tables.values()])
-    everything = everything[np.isfinite(everything)]
-    least = max(float(everything.min(initial=np.inf)), 1e-6) if everything.size else 1.0  # nothing arrives
-    largest = max(float(everything.max(initial=0.0)), least)
-    thresholds = np.geomspace(least, largest, _THRESHOLDS)
-    thresholds[-1] = largest  # not a rounding error below
-    return Profiles(thresholds, {name: profile(table, thresholds) for name, table in tables.items()})
-
-
 def provenance(
     command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
 ) -> dict[str, Any]:
-    """Provenance of the results: command, commit, scenarios, policies, packages."""
+    """Provenance of the results: command, commit, digest of the code, scenarios, policies, packages."""
     packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
     return {
+        **about(MEASURES, seconds, STARTS),
         "command": command,
         "beltarm": __version__,
-        "commit": commit(),
         "splits_version": splits.VERSION,
         "split_seeds": {name: split.seed for name, split in chosen.items()},
         "split_sha256": {name: split.digest for name, split in chosen.items()},
         "policies": policies_of(methods),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
         "packages": {name: version(name) for name in packages},
-        "seconds": round(seconds, 1),
     }

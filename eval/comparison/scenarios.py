@@ -1,4 +1,4 @@
-"""Files of the scenarios: the test set, and what is kept of the development set.
+"""Files of the scenarios: the test set, and the record of the development set.
 
     eval/comparison/development.json   seeds, hashes and a few motions of the development set, which is drawn on the fly
     eval/comparison/scenarios.json     the test set: the numbers themselves, with the same; written once, there or not
@@ -99,13 +99,13 @@ class _Probe:
 
 def motions(splits: Sequence[Split]) -> list[list[list[float]]]:
     """Last state, cost and RMS tip error of each split's first scenarios under a fixed simple controller."""
-    found: dict[int, list[list[float]]] = {}
+    by_place: dict[int, list[list[float]]] = {}
     for group in beside_one_another(splits):
         together = side_by_side([(splits[k], slice(_CHECKED)) for k in group])
         run = rollout(_Probe(), len(together.table), **together.arguments(slice(None)))
         rows = np.column_stack([run.state[-1], run.cost, run.metrics()["tip_rms_mm"]])
-        found |= zip(group, rows.reshape(len(group), _CHECKED, -1).tolist(), strict=True)
-    return [found[k] for k in range(len(splits))]
+        by_place |= zip(group, rows.reshape(len(group), _CHECKED, -1).tolist(), strict=True)
+    return [by_place[k] for k in range(len(splits))]
 
 
 def columns_of(split: Split) -> dict[str, NDArray[Any]]:
@@ -138,11 +138,11 @@ def content_of(scenarios: ScenarioSet, protocol: str = "") -> dict[str, Any]:
 def text_of(content: dict[str, Any]) -> str:
     """JSON with a line for each list of numbers."""
     lists = re.compile(r"\[[^][{}]*\]")
-    return lists.sub(lambda found: " ".join(found[0].split()), json.dumps(content, indent=1)) + "\n"
+    return lists.sub(lambda numbers: " ".join(numbers[0].split()), json.dumps(content, indent=1)) + "\n"
 
 
 def write_record(path: Path) -> None:
-    """Write what is kept of the development set."""
+    """Write the record of the development set."""
     write_text(path, text_of(content_of(development_set())))
 
 
@@ -171,10 +171,10 @@ def load(path: Path) -> ScenarioSet:
     content = _read(path, TEST_NAME, remedy)
     try:
         seeds = arms_chosen_by(content["protocol"])
-        found = {name: _split_of(name, entry) for name, entry in content["splits"].items()}
-        if wrong := [name for name, split in found.items() if split.seed != first_seed(name, seeds)]:
+        splits = {name: _split_of(name, entry) for name, entry in content["splits"].items()}
+        if wrong := [name for name, split in splits.items() if split.seed != first_seed(name, seeds)]:
             raise ValueError(f"the seed of {wrong[0]} is not the one that the protocol's commit chooses")
-        return make_set(TEST_NAME, found)
+        return make_set(TEST_NAME, splits)
     except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{path} does not hold what it should ({in_a_line(repr(error), 120)}): {remedy}") from None
 
@@ -188,8 +188,8 @@ def _read(path: Path, name: str, remedy: str) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != FORMATS[name]:
         raise ValueError(f"{path} is no file of {FORMATS[name]}: {remedy}")
     if content.get("version") != VERSION:
-        found = in_a_line(repr(content.get("version")), 80)
-        raise ValueError(f"{path} has version {found}, this checkout needs {VERSION}: {remedy}")
+        version = in_a_line(repr(content.get("version")), 80)
+        raise ValueError(f"{path} has version {version}, this checkout needs {VERSION}: {remedy}")
     if content.get("sha256") != digest_of({key: value for key, value in content.items() if key != "sha256"}):
         raise ValueError(f"{path} was changed after it was written, its SHA-256 does not match: {remedy}")
     return content

@@ -1,4 +1,4 @@
-"""Sets of scenarios: what controllers are developed on, what they are tested on, and what anybody draws afresh.
+"""Sets of scenarios: for development, for the test, and fresh ones for anybody.
 
     development   drawn on the fly; controllers and agents may be chosen on it: its numbers are no test results
     test          drawn once, after controllers, agents and protocol are frozen, from seeds that the hash of the
@@ -54,7 +54,7 @@ class SetLabel(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Sentence about what its numbers are worth."""
+        """Sentence about the worth of its numbers."""
         if self.name == DEVELOPMENT_NAME:
             return "Scenarios of the development set, on which controllers and agents may be chosen: no test results."
         if self.name == TEST_NAME:
@@ -62,7 +62,7 @@ class SetLabel(NamedTuple):
         return f"Scenarios drawn afresh from {self.name}, by the rules of the test set, but not the test set."
 
     def note_with(self, own: Sequence[str]) -> str:
-        """Sentences about what its numbers are worth where methods take part that the protocol does not know."""
+        """Sentences about the worth of its numbers where methods take part that the protocol does not know."""
         if self.name != TEST_NAME or not own:
             return self.note
         return (
@@ -118,6 +118,12 @@ def fresh_set(number: int) -> ScenarioSet:
     """
     _require_seeds(number)
     return draw_set(_fresh_name(number), fresh_arms(number))
+
+
+def enlarged_set(number: int, names: Sequence[str], episodes: int) -> ScenarioSet:
+    """Draw splits of a fresh set that go on beyond its first `EPISODES` scenarios; the label is that of the set."""
+    splits = {name: fresh_scenarios(number, name, range(episodes)) for name in names}
+    return ScenarioSet(fresh_set(number).label, splits)
 
 
 def fresh_scenarios(number: int, split: str, chosen: Sequence[int]) -> Split:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env import ArmParams, BeltArmVectorEnv
-from beltarm_env.arm import COLUMN, NOMINAL, params_columns
+from beltarm_env.arm import NOMINAL, params_columns
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, Ranges
 from beltarm_env.task.seeds import SeedRange
-from beltarm_env.timing import MAX_LATENCY
 
 Floats = NDArray[np.float64]
 
@@ -123,23 +122,15 @@ class Split:
         """Whether scenarios of another split can run in a batch with those of this one."""
         return self.settings == other.settings and self.delays.any() == other.delays.any()
 
-    def later(self, seconds: float) -> Split:
-        """Return the same scenarios with all commands later, by the time that a controller takes [s]; itself for none.
+    def part(self, rows: slice | NDArray[np.intp]) -> Split:
+        """Make a split of some of the scenarios."""
+        chosen = self.table[rows], self.moves[rows], self.delays[rows]
+        return make_split(self.name, self.of, self.seed, self.settings, *chosen)
 
-        Raises:
-            ValueError: If commands would be later than an arm's can be.
-        """
-        if seconds == 0:
-            return self
-        table = self.table.copy()
-        table[:, COLUMN.command_latency] += seconds
-        latest = table[:, COLUMN.command_latency].max()
-        if latest > MAX_LATENCY:
-            raise ValueError(
-                f"with {1e6 * seconds:.0f} us of computing time, commands would be up to {1e6 * latest:.0f} us late, "
-                f"an arm's can be {1e6 * MAX_LATENCY:.0f} us late: it is too slow for this drive"
-            )
-        return make_split(self.name, f"{self.of} late", self.seed, self.settings, table, self.moves, self.delays)
+    def cut(self, size: int, episodes: int) -> Iterator[tuple[int, Split]]:
+        """Cut the first `episodes` scenarios into splits of at most `size`, each with the number of its first one."""
+        for first in range(0, episodes, size):
+            yield first, self.part(slice(first, min(first + size, episodes)))
 
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""

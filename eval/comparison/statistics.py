@@ -7,7 +7,7 @@ for both; a classical controller has a single row.
 A p value is the larger of two: that of the bootstrap, and that of a t test of the interquartile mean, which counts
 scenarios and training seeds as samples. The bootstrap alone shows too much where there are few of either. By
 simulation, without any difference about 5 % of these p values are below 0.05 or fewer, from 20 scenarios on, with one
-seed and with five, also of skewed differences (tests/eval/test_estimates.py has a part of it).
+seed and with five, also of skewed differences (tests/eval/test_statistics.py has a part of it).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scipy.stats import bootstrap
 from beltarm_env.metrics import METRICS
 
 Floats = NDArray[np.float64]
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 RESAMPLES = 2000
 LEAST_P = 2 / (RESAMPLES + 1)
@@ -35,6 +35,7 @@ LEAST_SCENARIOS = 20
 LEAST_OF_TAIL = 40
 """Scenarios of which the worst 5 % are shown, at least: with fewer they are a single one."""
 CONFIDENCE = 0.95
+_LARGE, _AT_ONCE = 500, 4_000_000  # episodes beyond which resamples are drawn in batches of so many values
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +87,14 @@ def resampled(values: Floats, mean: bool = False) -> Floats:
         places = scenarios
         if runs is not None:
             places = (episodes * runs[..., :, None] + scenarios[..., None, :]).reshape(len(runs), -1)
-        drawn = (table.take(places) for table in tables)
-        return np.stack([one.mean(axis=-1) if mean else _middle_mean(one) for one in drawn])
+        samples = (table.take(places) for table in tables)
+        return np.stack([sample.mean(axis=-1) if mean else _middle_mean(sample) for sample in samples])
 
     result = bootstrap(
         (np.arange(episodes), np.arange(seeds)) if seeds > 1 else (np.arange(episodes),),
         centers,
         n_resamples=RESAMPLES,
+        batch=max(1, _AT_ONCE // (seeds * episodes)) if episodes > _LARGE else None,
         confidence_level=CONFIDENCE,
         method="percentile",
         vectorized=True,
@@ -107,8 +109,7 @@ def estimate(values: Floats, mean: bool = False) -> Estimate:
     Raises:
         ValueError: If there are fewer than two episodes.
     """
-    (found,) = estimates(values[None], mean)
-    return found
+    return estimates(values[None], mean)[0]
 
 
 def estimates(tables: Floats, mean: bool = False) -> list[Estimate]:
@@ -116,11 +117,11 @@ def estimates(tables: Floats, mean: bool = False) -> list[Estimate]:
     if tables.shape[2] < 2:
         raise ValueError(f"an interval needs at least 2 episodes, got {tables.shape[2]}")
     points = [float(values.mean()) if mean else interquartile_mean(values) for values in tables]
-    found = [Estimate(point, point, point) for point in points]
+    results = [Estimate(point, point, point) for point in points]
     varied = np.flatnonzero(np.ptp(tables, axis=(1, 2)))
     for k, distribution in zip(varied.tolist(), resampled(tables[varied], mean) if len(varied) else (), strict=True):
-        found[k] = _interval(points[k], distribution)
-    return found
+        results[k] = _interval(points[k], distribution)
+    return results
 
 
 def _interval(point: float, distribution: Floats) -> Estimate:
@@ -171,8 +172,7 @@ NOT_COMPARED = Paired(_NOTHING, _NOTHING, 1.0, scenarios=0)
 
 def paired(values: Floats, other: Floats) -> Paired:
     """Compare two methods scenario by scenario; the other's seeds are averaged per scenario."""
-    (found,) = all_paired([(values, other)])
-    return found
+    return all_paired([(values, other)])[0]
 
 
 def all_paired(tables: Sequence[tuple[Floats, Floats]]) -> list[Paired]:
@@ -185,12 +185,12 @@ def mean_differences(tables: Sequence[tuple[Floats, Floats]]) -> list[Estimate]:
     return together(_differences(tables), partial(estimates, mean=True))
 
 
-def together(tables: Sequence[Floats], found: Callable[[Floats], list[Found]]) -> list[Found]:
-    """Return what is found in some tables, in their order, asked once for all tables of a shape."""
-    results: dict[int, Found] = {}
+def together(tables: Sequence[Floats], compute: Callable[[Floats], list[Result]]) -> list[Result]:
+    """Compute something of each table, in their order, with one call for all tables of a shape."""
+    results: dict[int, Result] = {}
     for shape in {table.shape for table in tables}:
         places = [k for k, table in enumerate(tables) if table.shape == shape]
-        results |= zip(places, found(np.stack([tables[k] for k in places])), strict=True)
+        results |= zip(places, compute(np.stack([tables[k] for k in places])), strict=True)
     return [results[k] for k in range(len(tables))]
 
 
@@ -204,12 +204,12 @@ def _paired(differences: Floats) -> list[Paired]:
     if count < 2:
         return [NOT_COMPARED] * len(differences)
     wins = estimates((differences < 0) + 0.5 * (differences == 0), mean=True)
-    found = []
+    results = []
     for difference, win_rate, distribution in zip(differences, wins, resampled(differences), strict=True):
         beyond = min(np.sum(distribution <= 0), np.sum(distribution >= 0))
         p = max(min(1.0, LEAST_P * (1 + float(beyond))), _t_test(difference)) if count >= LEAST_SCENARIOS else 1.0
-        found.append(Paired(_interval(interquartile_mean(difference), distribution), win_rate, p, scenarios=count))
-    return found
+        results.append(Paired(_interval(interquartile_mean(difference), distribution), win_rate, p, scenarios=count))
+    return results
 
 
 def _t_test(differences: Floats) -> float:
@@ -231,7 +231,7 @@ def _t_test(differences: Floats) -> float:
     variance, size = sum(variances), abs(interquartile_mean(differences))
     if variance == 0:
         return 0.0 if size else 1.0
-    freedom = variance**2 / sum(one**2 / free for one, free in zip(variances, freedoms, strict=True))
+    freedom = variance**2 / sum(part**2 / free for part, free in zip(variances, freedoms, strict=True))
     return float(2 * stdtr(freedom, -size / np.sqrt(variance)))
 
 
@@ -248,11 +248,3 @@ def holm(p_values: Sequence[float]) -> list[float]:
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(np.maximum.accumulate(factors * values[order]), 1.0)
     return adjusted.tolist()
-
-
-def profile(values: Floats, thresholds: Floats) -> Floats:
-    """Performance profile: the share of all (seed, episode) pairs at or below each threshold.
-
-    R. Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021.
-    """
-    return np.searchsorted(np.sort(values, axis=None), thresholds, side="right") / values.size

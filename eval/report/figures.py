@@ -1,58 +1,154 @@
-"""Pictures of the numbers: paired differences, performance profiles, robustness maps."""
+"""Pictures of the report as SVG: paired differences in cost; and of motions the error, the torque, and the spectrum.
+
+Colours follow the page's light or dark theme, element names do not clash.
+"""
 
 from __future__ import annotations
 
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
 from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+from collections.abc import Callable
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
+from numpy.typing import NDArray
+from scipy.signal import detrend
+from scipy.signal.windows import hann
 
-from eval.comparison.results import Comparison, profiles
-from eval.comparison.statistics import tail_mean
-from eval.report.scenes import Map
-from eval.report.style import mark_one_two_five
-from eval.report.svg import GROUND, INK, WIDTH, Panel, colour_of, faint, line, panel, panel_style
+from baselines.models.modes import held_mode
+from beltarm_env.arm import ArmParams
+from beltarm_env.rollout import Recording
+from beltarm_env.timing import CONTROL_PERIOD
+from eval.comparison.schema import AGAINST
+from eval.report.recordings import Scene
+from eval.report.style import COLOURS
+from eval.report.table import Results, difference, estimate
 from eval.report.text import cell
 
-STRONGEST = 4
-"""Ratio of a map's strongest colour, in all maps, so that they can be compared."""
+INK = "#010203"  # stands for the page's colour of text
+MUTED = "#7f7f7e"  # of the background
+SHADE = "#eeeeed"  # of an area in the background
+STYLES = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)), (0, (8, 3)))
+"""Of the lines of methods, beside their colours."""
+WIDTH = 4.2  # of a panel [in]
+
 _MARKERS = {"classical": "o", "learned": "s", "added": "D"}
+_NAMED = "method-"  # begins the name of a line, which the page shows to a pointer that rests on it
+_THEMED = {INK: "currentColor", MUTED: "var(--muted)", SHADE: "var(--shade)"}
+_THEMED |= {colour.lower(): f"var(--c{k})" for k, colour in enumerate(COLOURS)}
+_LOOK: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "beltarm",
+    "font.sans-serif": ["DejaVu Sans"],  # each text of an SVG repeats the list
+    "font.size": 10,
+    "text.color": INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "grid.color": MUTED,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "path.simplify_threshold": 0.2,
+}
 
 
-def forests(comparison: Comparison, colours: dict[str, str]) -> list[Panel]:
+def line(colours: dict[str, str], method: str) -> dict[str, Any]:
+    """Style of a method's line: colour and dashes, so that either alone tells methods apart, and its name."""
+    return {"color": colours[method], "ls": STYLES[list(colours).index(method)], "gid": f"{_NAMED}{method}"}
+
+
+def colour_of(colours: dict[str, str], method: str) -> str:
+    """Colour of a method's marks, in every picture the same; grey for one that has no colour of its own."""
+    return colours.get(method, MUTED)
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Picture of the page."""
+
+    svg: str
+    title: str
+
+
+@contextmanager
+def panel_style() -> Iterator[None]:
+    """Apply the page's style to all figures drawn within."""
+    with matplotlib.rc_context(_LOOK):
+        yield
+
+
+def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
+    """Render a figure as SVG.
+
+    Args:
+        figure: What is drawn; closed afterwards.
+        name: Distinguishes its parts from those of other pictures on the page.
+        title: Shown above.
+        alt: What it shows, for those who do not see it.
+    """
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    plt.close(figure)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), text)  # a hundredth of a pixel
+    text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", text)
+    text = re.sub(r"#[0-9a-f]{6}\b", lambda colour: _THEMED.get(colour[0], colour[0]), text)
+    text = re.sub(rf'<g id="{name}-{_NAMED}([^"]+)">', r"\g<0><title>\1</title>", text)
+    width, height = re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)[0]
+    opening = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(alt, quote=True)}">'
+    return Panel(re.sub(r"<svg[^>]*>", lambda _: opening, text, count=1), title)
+
+
+def forests(results: Results, colours: dict[str, str]) -> list[Panel]:
     """Differences in cost from the best classical controller, split by split."""
     with panel_style():
-        return [_forest(comparison, split, colours) for split in comparison.splits() if comparison.against_best[split]]
+        return [_forest(results, split, colours) for split in results.splits if results.against(AGAINST[0], split)]
 
 
-def _forest(comparison: Comparison, split: str, colours: dict[str, str]) -> Panel:
-    best = comparison.best_classical(split)
-    assert best is not None
-    pairs = comparison.against_best[split]
-    shown = [outcome for outcome in comparison.on(split) if outcome.method.name in pairs]
-    order = [outcome.method.name for outcome in shown]
-    costs = best.metrics["cost"]
-    figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(order)), layout="constrained")
-    for height, outcome in enumerate(shown):
-        method, theirs = outcome.method, outcome.metrics["cost"]
-        pair, colour = pairs[method.name]["cost"], colour_of(colours, method.name)
-        value = pair.difference
-        ends = np.abs([[value.iqm - value.low], [value.high - value.iqm]])
-        style = {"fmt": _MARKERS[method.kind], "color": colour, "ms": 5, "capsize": 2.5}
-        axis.errorbar(value.iqm, height, xerr=ends, mfc=None if pair.survives else "none", **style)
-        axis.plot(theirs.mean() - costs.mean(), height, marker="|", ms=11, mew=1.6, color=INK)
-        axis.plot(tail_mean(theirs) - tail_mean(costs), height, marker="x", ms=5, mew=1.2, color=INK)
+def _forest(results: Results, split: str, colours: dict[str, str]) -> Panel:
+    best = results.records[results.best_classical(split) or "", split]
+    pairs = {name: difference(pair, "cost") for name, pair in results.against(AGAINST[0], split).items()}
+    figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(pairs)), layout="constrained")
+    for height, (name, pair) in enumerate(pairs.items()):
+        assert pair is not None
+        row, colour = results.records[name, split], colour_of(colours, name)
+        ends = np.abs([[pair.iqm - pair.low], [pair.high - pair.iqm]])
+        style = {"fmt": _MARKERS[row["kind"]], "color": colour, "ms": 5, "capsize": 2.5}
+        axis.errorbar(pair.iqm, height, xerr=ends, mfc=None if pair.p_holm < 0.05 else "none", **style)
+        axis.plot(_beyond(row, best, "cost_mean"), height, marker="|", ms=11, mew=1.6, color=INK)
+        axis.plot(_beyond(row, best, "cost_worst"), height, marker="x", ms=5, mew=1.2, color=INK)
     axis.axvline(0, color=INK, lw=0.9)
-    axis.set_yticks(range(len(order)), order)
-    axis.set_ylim(len(order) - 0.3, -0.7)
-    _symmetric_log(axis, 0.1 * best.estimates["cost"].iqm)
-    axis.set_xlabel(f"cost minus that of {best.method.name}")
+    axis.set_yticks(range(len(pairs)), list(pairs))
+    axis.set_ylim(len(pairs) - 0.3, -0.7)
+    _symmetric_log(axis, 0.1 * estimate(best, "cost").iqm)
+    axis.set_xlabel(f"cost minus that of {best['method']}")
     axis.grid(axis="x")
-    alt = "; ".join(f"{method} {cell('cost', pairs[method]['cost'].difference)}" for method in reversed(order))
-    return panel(figure, f"forest-{split}", split, f"Difference in cost from {best.method.name} on {split}: {alt}.")
+    alt = "; ".join(f"{name} {cell('cost', pair)}" for name, pair in reversed(pairs.items()))
+    return panel(figure, f"forest-{split}", split, f"Difference in cost from {best['method']} on {split}: {alt}.")
+
+
+def _beyond(row: dict[str, float], best: dict[str, float], average: str) -> float:
+    return row.get(average, np.nan) - best.get(average, np.nan)
 
 
 def _symmetric_log(axis: Axes, unit: float) -> None:
@@ -72,77 +168,145 @@ def _short(value: float) -> str:
     return f"{sign}{size / 1000:g}k" if size >= 1000 else f"{sign}{size:g}"
 
 
-def background(comparison: Comparison, colours: dict[str, str]) -> list[str]:
-    """Ranked methods without a colour, which profiles show by their number in this list, from 1."""
-    return [
-        outcome.method.name for outcome in comparison.methods() if outcome.ranked and outcome.method.name not in colours
+# Motions
+
+Floats = NDArray[np.float64]
+_EVERY = 3  # samples; 4.5 ms are finer than a line on the page
+_START_S = 0.15  # in which a motor breaks away and its load speeds up
+_PADDED = 8192  # samples of a spectrum, most of them zeros: interpolates, does not resolve
+_HIGHEST_HZ = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Motion with the style of its method's line."""
+
+    method: str
+    motion: Recording
+    style: dict[str, Any]
+
+
+_Draw = Callable[[Figure, list[_Run]], dict[str, float]]
+"""Draws some runs; returns the numbers that the alternative text names, by method."""
+
+
+def scene_panels(scene: Scene, number: int, colours: dict[str, str]) -> list[Panel]:
+    """Pictures of one scene, its methods in the order of the colours."""
+    drawn: list[tuple[str, str, _Draw]] = [
+        ("error of the arm's end", "largest in mm", _tip_error),
+        (f"torque, first {_START_S:g} s", "largest in N m", _start),
+        ("torque after the move", "largest in N m", _rest),
+        ("spectrum after the move", "peak in mm", _spectrum),
     ]
-
-
-def profile_panels(comparison: Comparison, colours: dict[str, str]) -> list[Panel]:
-    """Share of the runs at or below a cost, split by split; methods without a colour stay in the background."""
+    runs = [
+        _Run(name, scene.motions[name], {"lw": 1.3} | line(colours, name)) for name in colours if name in scene.motions
+    ]
+    made = []
     with panel_style():
-        splits = [split for split in comparison.splits() if any(outcome.ranked for outcome in comparison.on(split))]
-        return [_profile(comparison, split, colours) for split in splits]
+        for part, (title, unit, draw) in enumerate(drawn):
+            figure = plt.figure(figsize=(WIDTH, 2.7), layout=ConstrainedLayoutEngine(hspace=0, h_pad=0.01))
+            said = ", ".join(f"{method} {value:.3g}" for method, value in draw(figure, runs).items())
+            alt = f"{title} on scenario {scene.scenario} of {scene.split}, {unit}: {said}."
+            made.append(panel(figure, f"scene{number}-{part}", title, alt))
+    return made
 
 
-def _profile(comparison: Comparison, split: str, colours: dict[str, str]) -> Panel:
-    found = profiles([outcome for outcome in comparison.on(split) if outcome.ranked], "cost")
-    figure, axis = plt.subplots(figsize=(WIDTH, 3.0), layout="constrained")
-    others = background(comparison, colours)
-    for number, method in enumerate(others, 1):
-        if method in found.shares:
-            share = 100 * found.shares[method]
-            axis.plot(found.thresholds, share, **faint(method))
-            height = 12 + 76 * number / (len(others) + 1)  # each at its own, so that neighbours do not cover each other
-            first = np.searchsorted(share, height)
-            place = np.interp(height, share[first - 1 : first + 1], np.log(found.thresholds[first - 1 : first + 1]))
-            halo = {"boxstyle": "circle,pad=0.1", "fc": GROUND, "ec": "none"}
-            axis.text(np.exp(place), height, str(number), color=INK, fontsize=8, ha="center", va="center", bbox=halo)
-    halves = []
-    for method in colours:
-        if method in found.shares:
-            share = found.shares[method]
-            axis.plot(found.thresholds, 100 * share, lw=1.6, **line(colours, method))
-            reached = found.thresholds[np.searchsorted(share, 0.5)]
-            halves.append(f"{method} reaches half of its runs at a cost of {reached:.0f}")
-    axis.axhline(95, color=INK, lw=0.8, ls=":")
-    axis.set_xscale("log")
-    mark_one_two_five(axis.xaxis)
-    axis.set(xlabel="cost", ylabel="runs at or below (%)", ylim=(0, 101))
+def _tip_error(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    axis = figure.subplots()
+    largest = {}
+    for run in runs:
+        error = 1000 * np.linalg.norm(run.motion.tip_error[:, 0], axis=1)
+        axis.plot(run.motion.time[::_EVERY], np.maximum(error[::_EVERY], 1e-3), **run.style)
+        largest[run.method] = float(error.max())
+    first = runs[0].motion
+    duration = first.moves[0, 2]
+    axis.axvspan(0, duration, color=SHADE, zorder=0, lw=0)
+    axis.text(duration / 2, 1.01, "move", transform=axis.get_xaxis_transform(), ha="center", color=MUTED)
+    axis.set(xlabel="time (s)", xlim=(0, first.time[-1]), ylabel="error (mm)", yscale="log")
+    axis.set_ylim(bottom=max(axis.get_ylim()[0], 0.01))
     axis.grid()
-    return panel(figure, f"profile-{split}", split, f"Performance profiles on {split}: {'; '.join(halves)}.")
+    return largest
 
 
-def map_panels(maps: list[Map], colours: dict[str, str]) -> list[Panel]:
-    """Ratio of costs over two properties of the arm, in the colour of whichever method is better, and in figures."""
-    with panel_style():
-        return [_map(k, found, colours) for k, found in enumerate(maps)]
+def _start(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    """Draw the torques of the first moments, one over the other."""
+    axis = figure.subplots()
+    axis.axhline(0, color=MUTED, lw=0.8)
+    axis.set(xlabel="time (s)", xlim=(0, _START_S), ylabel="torque (N m)")
+    axis.grid()
+    return {run.method: _torque(axis, run, 0.0, _START_S) for run in runs}
 
 
-def _map(number: int, found: Map, colours: dict[str, str]) -> Panel:
-    ratio, means = np.array(found.ratio), np.array(found.means)
-    figure, axis = plt.subplots(figsize=(WIDTH, 3.3), layout="constrained")
-    ends = colour_of(colours, found.challenger), "#f7f7f7", colour_of(colours, found.classical)
-    shades = LinearSegmentedColormap.from_list("better", ends)
-    reach = np.log2(STRONGEST)
-    shade = Normalize(-reach, reach, clip=True)
-    axis.imshow(np.log2(ratio), cmap=shades, norm=shade, origin="lower", aspect="auto")
-    for (row, column), value in np.ndenumerate(ratio):
-        red, green, blue, _ = shades(shade(np.log2(value)))
-        dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
-        style: dict[str, Any] = {"ha": "center", "color": "#ffffff" if dark else "#111111"}
-        weight = "bold" if value < 1 else "normal"
-        axis.text(column, row, _ratio(value), va="bottom", fontsize=9, weight=weight, **style)
-        axis.text(column, row - 0.06, _ratio(float(means[row, column])), va="top", fontsize=7, **style)
-    axis.set_xticks(range(len(found.x)), [f"{value:g}" for value in found.x])
-    axis.set_yticks(range(len(found.y)), [f"{value:g}" for value in found.y])
-    axis.set(xlabel=found.x_label, ylabel=found.y_label)
-    title = f"{found.y_label.split(' (')[0]} by {found.x_label.removesuffix(' over nominal')}"
-    wins = int(np.sum(ratio < 1))
-    alt = f"Cost of {found.challenger} over {found.classical}, {title}: below 1 in {wins} of {ratio.size} cells, "
-    return panel(figure, f"map{number}", title, alt + f"from {ratio.min():.2f} to {ratio.max():.2f}.")
+def _rest(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    """Draw the torques after the move, one below the other: they would cover each other."""
+    axes: list[Axes] = list(figure.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0])
+    largest = {}
+    for axis, run in zip(axes, runs, strict=True):
+        first, last = float(run.motion.moves[0, 2]), float(run.motion.time[-1])
+        largest[run.method] = _torque(axis, run, first, last)
+        axis.axhline(0, color=MUTED, lw=0.8)
+        axis.text(1.01, 0.5, run.method, transform=axis.transAxes, va="center", fontsize=9)
+        axis.set_xlim(0, last - first)
+        axis.spines.bottom.set_visible(axis is axes[-1])
+        axis.tick_params(bottom=axis is axes[-1])
+    highest = max(*largest.values(), 1e-3)
+    axes[0].set(ylim=(-1.1 * highest, 1.1 * highest), yticks=[0, _one_digit(highest)])
+    axes[-1].set_xlabel("time since the end of the move (s)")
+    figure.supylabel("torque (N m)", fontsize=10)
+    return largest
 
 
-def _ratio(value: float) -> str:
-    return f"{value:.2f}" if value < 10 else f"{value:.0f}"
+def _one_digit(value: float) -> float:
+    """Round down to one significant digit."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(np.floor(value / power) * power)
+
+
+def _torque(axis: Axes, run: _Run, begin: float, end: float) -> float:
+    """Draw a torque over the time since `begin`; a command is held over the sample that ends at its time."""
+    time = run.motion.time
+    shown = (time > begin) & (time <= end + CONTROL_PERIOD)
+    torque = run.motion.torque[shown, 0]
+    axis.plot(time[shown] - begin, torque, drawstyle="steps-pre", **run.style)
+    return float(np.abs(torque).max())
+
+
+def _spectrum(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+    axis = figure.subplots()
+    peaks = {}
+    for run in runs:
+        hertz, amplitude = spectrum(run.motion)
+        shown = hertz <= _HIGHEST_HZ
+        axis.plot(hertz[shown], amplitude[shown], **run.style)
+        peaks[run.method] = float(amplitude.max())
+    mode = _mode(runs[0].motion)
+    axis.axvline(mode, color=MUTED, ls=":", lw=1.2)
+    label = f"mode: {mode:.1f} Hz, {2 * np.pi * mode:.0f} rad/s"
+    beside = "left" if mode < 0.3 * _HIGHEST_HZ else "center"
+    axis.text(mode, 1.01, label, transform=axis.get_xaxis_transform(), ha=beside, color=MUTED)
+    axis.set(xlabel="frequency (Hz)", ylabel="amplitude (mm)", xlim=(0, _HIGHEST_HZ), ylim=(0, None))
+    axis.grid()
+    return peaks
+
+
+def spectrum(recording: Recording) -> tuple[Floats, Floats]:
+    """Amplitudes of the tip's vibration after the move.
+
+    Both components of the tip error from the move's end on are detrended and windowed (Hann); a sine of amplitude a
+    gives a peak of height a. Resolution: about 2 / (time after the move), 2 to 3 Hz.
+
+    Returns:
+        Frequencies [Hz] and amplitudes, both components together [mm], each of shape (n,).
+    """
+    after = recording.time > recording.moves[0, 2]
+    motion = detrend(1000 * recording.tip_error[after, 0], axis=0)
+    window = hann(len(motion), sym=False)[:, None]
+    lines = 2 * np.abs(np.fft.rfft(motion * window, _PADDED, axis=0)) / window.sum()
+    hertz = np.arange(len(lines)) / (_PADDED * CONTROL_PERIOD)
+    return hertz, np.sqrt(np.sum(lines**2, axis=1))
+
+
+def _mode(recording: Recording) -> float:
+    """Frequency of this arm's mode at the goal with the motor held [Hz]."""
+    params = ArmParams.from_row(recording.params[0])
+    return float(1 / held_mode(recording.moves[0, 1], params.plant()).period)

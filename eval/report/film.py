@@ -18,7 +18,7 @@ Pictures = Iterable[NDArray[np.uint8]]
 FPS = {".gif": 20, ".mp4": 30}
 """Pictures per second, by the name's ending."""
 REST_S = 1.0
-"""How long the last picture stays [s]."""
+"""Time that the last picture stays [s]."""
 _GIF_COLOURS = 64
 
 

@@ -1,123 +1,98 @@
-"""Page of the report, rendered with the template beside this file."""
+"""The report, one HTML page that loads nothing else: `report.html` beside this file, with results and motions."""
 
 from __future__ import annotations
 
+import base64
 import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jinja2
+import numpy as np
+
 from baselines.tools.files import write_text
-from beltarm_env.metrics import ARRIVAL_BOUND, REVERSAL_SWING, SETTLING_BAND, heading
-from beltarm_env.timing import EPISODE_TIME
-from eval.comparison.pairs import CHANGE, NUDGE
-from eval.comparison.results import MOSTLY, Comparison
+from beltarm_env.arm import COLUMN, ArmParams
+from beltarm_env.metrics import SETTLING_BAND, heading
+from beltarm_env.rollout import Recording
+from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
+from eval.comparison.check import PERIOD_US
+from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.splits import EDITION, SPLITS
-from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_SCENARIOS, RESAMPLES
-from eval.report.animation import animation
-from eval.report.arm import arm_drawing
-from eval.report.figures import STRONGEST, background, forests, map_panels, profile_panels
-from eval.report.frame import best_first
-from eval.report.motions import scene_panels
-from eval.report.scenes import Map, Recordings
+from eval.report.figures import forests, line, scene_panels
+from eval.report.recordings import Scene, reference_angles
 from eval.report.style import COLOURS
-from eval.report.svg import Panel, line
-from eval.report.tables import PERIOD_US, effort_table, main_table, metric_tables, torque_table
-from eval.report.templates import template
-from eval.report.traces import seed_note
+from eval.report.summary import constants
+from eval.report.table import Results
 
 LARGEST = 3_000_000
 """Bytes that the page may have."""
+EVERY = 4  # samples per frame of the animation: 6 ms
+_LONGEST_MM = 500.0  # an arm that left its workspace may be anywhere
 
 
-def write_report(comparison: Comparison, said: Sequence[str], recordings: Recordings, out: Path) -> Path:
-    """Write `report.html` into the folder `out`.
-
-    Args:
-        comparison: What was found.
-        said: The verdict, sentence by sentence.
-        recordings: Motions of chosen scenarios, and robustness maps if there are any.
-        out: Folder of the comparison.
-
-    Returns:
-        The file: one page that loads nothing else.
+def write_report(content: dict[str, Any], scenes: Sequence[Scene], path: Path) -> None:
+    """Write the report of the content of a results.json, with recordings of chosen scenarios.
 
     Raises:
         OSError: If it cannot be written.
     """
-    path = out / "report.html"
-    write_text(path, render(comparison, said, recordings))
-    return path
+    write_text(path, render(content, scenes))
 
 
-def render(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> str:
-    """Render the page, with methods everywhere in the same order: the lowest cost on the main split first."""
-    return template("report.html").render(**_content(best_first(comparison), said, recordings))
+def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
+    """Render the page."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("report.html").render(**_content(Results(content), scenes))
 
 
-def _content(comparison: Comparison, said: Sequence[str], recordings: Recordings) -> dict[str, Any]:
-    colours: dict[str, str] = dict(zip(_coloured(comparison, recordings), COLOURS, strict=False))
+def _content(results: Results, scenes: Sequence[Scene]) -> dict[str, Any]:
+    colours: dict[str, str] = dict(zip(_coloured(results, scenes), COLOURS, strict=False))
+    origin = results.content["provenance"]
     return {
-        "arm": arm_drawing(),
-        "verdict": said,
-        "main_split": comparison.main_split,
+        "arm": Path(__file__).with_name("arm.svg").read_text(encoding="utf-8"),
+        "verdict": results.content["verdict"],
+        "main_split": results.main,
         "vibration": heading("residual_pp_mm"),
         "band_mm": 1000 * SETTLING_BAND,
         "episode_s": EPISODE_TIME,
-        "failures": comparison.failures,
-        "splits": [(name, SPLITS[name].description) for name in comparison.splits()],
-        "episodes": comparison.outcomes[0].metrics["cost"].shape[1],
-        "main_table": main_table(comparison),
-        "tables": metric_tables(comparison),
-        "set_note": comparison.note,
-        "set_label": comparison.scenario_set,
+        "failures": results.content["failures"],
+        "splits": [(name, SPLITS[name].description) for name in results.splits],
+        "episodes": results.episodes,
+        "main_table": results.main_table(),
+        "tables": [results.across_splits(metric) for metric in PAIRED_METRICS],
+        "torque_table": results.torques(),
+        "effort_table": results.effort(),
+        "set_note": results.note,
+        "set_label": results.label,
         "edition": EDITION,
-        "torque_table": torque_table(comparison),
-        "effort_table": effort_table(comparison),
-        "forests": forests(comparison, colours),
-        "profiles": profile_panels(comparison, colours),
+        "forests": forests(results, colours),
         "scenes": [
             (scene, scene_panels(scene, k, colours), {name: run.cost[0] for name, run in scene.motions.items()})
-            for k, scene in enumerate(recordings.scenes)
+            for k, scene in enumerate(scenes)
         ],
-        "maps": recordings.maps,
-        "map_panels": _by_opponent(recordings.maps, colours),
-        "strongest": STRONGEST,
-        "background": background(comparison, colours),
-        "seed_note": seed_note(comparison, list(colours)),
-        "animation": animation(recordings.scenes, colours),
+        "seed_note": results.seed_note(colours),
+        "animation": animation(scenes, colours),
         "legend": [_legend_entry(colours, method) for method in colours],
         "palette": COLOURS,
-        "arrival_mm": 1000 * ARRIVAL_BOUND,
-        "mostly": MOSTLY,
-        "resamples": RESAMPLES,
-        "least_scenarios": LEAST_SCENARIOS,
-        "least_of_tail": LEAST_OF_TAIL,
-        "reversal_swing": REVERSAL_SWING,
         "period_us": PERIOD_US,
-        "change": CHANGE,
-        "nudge": NUDGE,
-        "origin": comparison.provenance,
-        "command": without_paths(comparison.provenance["command"]),
+        "origin": origin,
+        "command": without_paths(origin["command"]),
+        **constants(),
     }
 
 
-def _coloured(comparison: Comparison, recordings: Recordings) -> list[str]:
+def _coloured(results: Results, scenes: Sequence[Scene]) -> list[str]:
     """Methods with a colour: those whose motion is shown, or else the best challenger and classical controller."""
-    shown = {method for scene in recordings.scenes for method in scene.motions}
-    split = comparison.main_split
-    best = comparison.best_classical(split)
-    shown = shown or {o.method.name for o in [*comparison.challengers(split)[:1], *([best] if best else [])]}
-    return [outcome.method.name for outcome in comparison.methods() if outcome.method.name in shown]
-
-
-def _by_opponent(maps: list[Map], colours: dict[str, str]) -> dict[str, list[Panel]]:
-    """Pictures of the maps by the pair of methods that they compare."""
-    found: dict[str, list[Panel]] = {}
-    for map_, panel in zip(maps, map_panels(maps, colours), strict=True):
-        found.setdefault(f"{map_.challenger} against {map_.classical}", []).append(panel)
-    return found
+    shown = {method for scene in scenes for method in scene.motions}
+    shown = shown or {*(results.of_kind("learned") or results.of_kind("added"))[:1], *results.of_kind("classical")[:1]}
+    return [row["method"] for row in results.methods if row["method"] in shown]
 
 
 def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:
@@ -129,3 +104,52 @@ def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:
 def without_paths(command: str) -> str:
     """Command with absolute paths cut to their last part."""
     return " ".join(re.sub(r"^(--[\w-]+=)?(?:~[^/]*)?/(?:.*/)?", r"\1…/", part) for part in shlex.split(command))
+
+
+# Animation
+
+
+def animation(scenes: Sequence[Scene], colours: dict[str, str]) -> dict[str, Any]:
+    """Data of the animation, as the page's script reads them: JSON with arrays in base64."""
+    return {"period": EVERY * CONTROL_PERIOD, "scenes": [_animated(scene, list(colours)) for scene in scenes]}
+
+
+def _animated(scene: Scene, names: list[str]) -> dict[str, Any]:
+    moved = {method: _frames(scene.motions[method]) for method in names if method in scene.motions}
+    first = next(iter(scene.motions.values()))
+    arm = ArmParams.from_row(first.params[0])
+    largest = [float(np.hypot(frames[:, 2], frames[:, 3]).max()) for frames in moved.values()]
+    return {
+        "title": scene.title,
+        "link": arm.link_length,
+        "hand": arm.hand_length,
+        "payload": arm.payload_mass,
+        "duration": float(first.moves[0, 2]),
+        "magnified": _round_up(float(np.median(largest))),
+        "reference": encode(reference_angles(first)[EVERY - 1 :: EVERY]),
+        "methods": [
+            {"name": method, "colour": names.index(method), "frames": encode(frames)}
+            for method, frames in moved.items()
+        ],
+    }
+
+
+def _frames(recording: Recording) -> np.ndarray:
+    """Joint angle, torsion [rad], radial and lateral error [mm], torque [N m] of each frame, shape (frames, 5)."""
+    chosen = slice(EVERY - 1, None, EVERY)
+    gear_ratio = recording.params[0, COLUMN.gear_ratio]
+    state = recording.state[chosen, 0]
+    errors = np.clip(1000 * recording.tip_error[chosen, 0], -_LONGEST_MM, _LONGEST_MM)
+    columns = [state[:, 0] / gear_ratio, state[:, 2], errors[:, 0], errors[:, 1], recording.torque[chosen, 0]]
+    return np.column_stack(columns).astype("<f4")
+
+
+def encode(values: np.ndarray) -> str:
+    """Little-endian float32 in base64, row by row."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode()
+
+
+def _round_up(millimetres: float) -> float:
+    """Round up to 1, 2 or 5 times a power of ten, at least 2 mm."""
+    power = 10.0 ** np.floor(np.log10(max(millimetres, 2.0)))
+    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= max(millimetres, 2.0)))

@@ -1,10 +1,9 @@
-"""Pictures of the comparison."""
+"""Pictures of a comparison beside its page: motions on every split, and all intervals."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -15,19 +14,17 @@ from matplotlib.figure import Figure
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import heading
 from beltarm_env.rollout import Recording
-from eval.comparison.results import Comparison, MethodOutcome, best_classical
-from eval.report.style import BLUE, COLOURS, OF_KIND, mark_one_two_five, save_figure
-from eval.report.traces import Traces
+from eval.report.recordings import Traces
+from eval.report.style import BLUE, COLOURS, OF_KIND, mark_one_two_five
+from eval.report.table import Record, Results, estimate
 
 _MOVE_SHADE = "#EEEEEE"
 _SHOWN = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
-RESULTS_KEY = "results.json"
-"""Of a picture's metadata: the SHA-256 of the file that the picture belongs to."""
 _ACROSS = 3  # splits side by side
 Quantity = Callable[[Recording], Floats]
 
 
-def plots(comparison: Comparison, traces: Traces) -> dict[str, Callable[[], Figure]]:
+def plots(results: Results, traces: Traces) -> dict[str, Callable[[], Figure]]:
     """Recipes of all pictures, by the names of their files."""
     shown = dict.fromkeys(name for methods in traces.values() for name in methods)
     colours: dict[str, str] = dict(zip(shown, COLOURS, strict=False))
@@ -36,15 +33,10 @@ def plots(comparison: Comparison, traces: Traces) -> dict[str, Callable[[], Figu
         "residual.png": partial(_residual_plot, traces, colours),
         "torque.png": partial(_time_plot, traces, colours, _torque, "torque command (N m)"),
     }
-    caption = f"Scenarios of the {comparison.scenario_set.title}"
+    caption = f"Scenarios of the {results.label.title}"
     figures = {name: partial(_captioned, draw, caption) for name, draw in of_traces.items()} if traces else {}
     how = "interquartile means with 95 % intervals; further left is better"
-    return {**figures, "intervals.png": partial(_captioned, partial(_intervals, comparison), f"{caption}: {how}")}
-
-
-def save_plot(draw: Callable[[], Figure], path: Path, results: str) -> None:
-    """Draw a picture, with the SHA-256 of the results.json that it belongs to."""
-    save_figure(draw(), path, metadata={RESULTS_KEY: results})
+    return {**figures, "intervals.png": partial(_captioned, partial(_intervals, results), f"{caption}: {how}")}
 
 
 def _captioned(draw: Callable[[], Figure], caption: str) -> Figure:
@@ -129,42 +121,41 @@ def _residual_plot(traces: Traces, colours: dict[str, str]) -> Figure:
     return figure
 
 
-def _intervals(comparison: Comparison) -> Figure:
+def _intervals(results: Results) -> Figure:
     """Interquartile means with their intervals: a row of axes per split, best at the top, what is not ranked below."""
-    splits = comparison.splits()
-    count = len(comparison.methods())
+    count = len(results.methods)
     figure, axes = plt.subplots(
-        len(splits),
+        len(results.splits),
         len(_SHOWN),
-        figsize=(3.0 * len(_SHOWN), (0.9 + 0.19 * count) * len(splits) + 0.6),
+        figsize=(3.0 * len(_SHOWN), (0.9 + 0.19 * count) * len(results.splits) + 0.6),
         layout="constrained",
         squeeze=False,
     )
-    for row, split in zip(axes, splits, strict=True):
-        ranking = sorted(comparison.on(split), key=lambda o: (o.ranked, -o.estimates["cost"].iqm))
+    for row, split in zip(axes, results.splits, strict=True):
+        ranking = sorted(results.on(split), key=lambda r: (r["kind"] != "privileged", -estimate(r, "cost").iqm))
+        best = results.records.get((results.best_classical(split) or "", split))
         for axis, name in zip(row, _SHOWN, strict=True):
             _interval_axis(axis, ranking, name)
+            if best and np.isfinite(estimate(best, name).iqm):
+                axis.axvline(estimate(best, name).iqm, color=BLUE, lw=0.8, ls=":")
             axis.set_xlabel(heading(name))
             axis.set_yticks([])
-        row[0].set_yticks(range(len(ranking)), [outcome.method.name for outcome in ranking], fontsize=8)
+        row[0].set_yticks(range(len(ranking)), [record["method"] for record in ranking], fontsize=8)
         row[0].set_title(split, loc="left", fontsize=11)
     _legend(figure, [axis for row in axes for axis in row], 4)
     return figure
 
 
-def _interval_axis(axis: Axes, ranking: list[MethodOutcome], name: str) -> None:
-    for kind in dict.fromkeys(outcome.method.kind for outcome in ranking):
-        heights = [height for height, outcome in enumerate(ranking) if outcome.method.kind == kind]
-        values = [ranking[height].estimates[name] for height in heights]  # not numbers where no arm arrives
+def _interval_axis(axis: Axes, ranking: list[Record], name: str) -> None:
+    for kind in dict.fromkeys(record["kind"] for record in ranking):
+        heights = [height for height, record in enumerate(ranking) if record["kind"] == kind]
+        values = [estimate(ranking[height], name) for height in heights]  # not numbers where no arm arrives
         ends = np.abs([[value.iqm - value.low for value in values], [value.high - value.iqm for value in values]])
         middles, colour = [value.iqm for value in values], OF_KIND[kind]
         axis.errorbar(middles, heights, xerr=ends, fmt="o", color=colour, ms=4, capsize=2, label=kind)
-    unranked = sum(not outcome.ranked for outcome in ranking)
+    unranked = sum(record["kind"] == "privileged" for record in ranking)
     if unranked:
         axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
-    best = best_classical(ranking)
-    if best and np.isfinite(best.estimates[name].iqm):
-        axis.axvline(best.estimates[name].iqm, color=BLUE, lw=0.8, ls=":")
     axis.set_xscale("log")
     mark_one_two_five(axis.xaxis)
     axis.set_ylim(-0.7, len(ranking) - 0.3)

@@ -20,8 +20,8 @@ from beltarm_env.rollout import Recording
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
 from eval.comparison.splits import Split
-from eval.report.animation import reference_angles
 from eval.report.film import FPS, REST_S, write_film
+from eval.report.recordings import reference_angles
 
 _COLUMN = 480  # pixels across of one arm
 _PICTURE = _COLUMN * HEIGHT // WIDTH

@@ -36,7 +36,7 @@ _RESULTS: dict[Result, str] = {"better": "better", "worse": "worse", "open": "no
 
 
 @dataclass(frozen=True, slots=True)
-class Duel:
+class PairwiseTest:
     """A challenger against a classical controller on one split, in one metric."""
 
     challenger: MethodOutcome
@@ -60,39 +60,39 @@ class Duel:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a comparison says of its primary question."""
+    """Result of the primary comparison."""
 
     sentences: tuple[str, ...]
-    duels: Mapping[str, Mapping[str, Duel]]  # by metric and split; empty where the question is not decided
+    tests: Mapping[str, Mapping[str, PairwiseTest]]  # by metric and split; empty where the question is not decided
 
     def rows(self) -> list[dict[str, Any]]:
-        """The duels as entries of `results.json`."""
+        """The pairwise tests as entries of `results.json`."""
         return [
             {
                 "metric": metric,
                 "split": split,
-                "challenger": duel.challenger.method.name,
-                "classical": duel.classical.method.name,
-                "result": duel.result,
-                "iqm": duel.middle.difference.iqm,
-                "low": duel.middle.difference.low,
-                "high": duel.middle.difference.high,
-                "p_holm": duel.middle.p_holm,
-                "relative": duel.relative,
-                "mean": duel.mean.iqm,
-                "mean_low": duel.mean.low,
-                "mean_high": duel.mean.high,
+                "challenger": test.challenger.method.name,
+                "classical": test.classical.method.name,
+                "result": test.result,
+                "iqm": test.middle.difference.iqm,
+                "low": test.middle.difference.low,
+                "high": test.middle.difference.high,
+                "p_holm": test.middle.p_holm,
+                "relative": test.relative,
+                "mean": test.mean.iqm,
+                "mean_low": test.mean.low,
+                "mean_high": test.mean.high,
             }
-            for metric, of_metric in self.duels.items()
-            for split, duel in of_metric.items()
+            for metric, of_metric in self.tests.items()
+            for split, test in of_metric.items()
         ]
 
 
 def verdict(comparison: Comparison) -> Verdict:
-    """The answer on the main split and on all splits, what the arm's end does, and how a user's own methods do."""
-    pair = comparison.rivals()
+    """Decide the primary comparison, and put it into sentences, with one for each of a user's own methods."""
+    pair = comparison.primary_pair()
     if pair is None:
-        return Verdict(_without_rivals(comparison), {})
+        return Verdict(_without_pair(comparison), {})
     home = comparison.main_split
     own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
     away = [sentence for o in [*pair, *own] if (sentence := _not_arrived(o))]
@@ -102,14 +102,14 @@ def verdict(comparison: Comparison) -> Verdict:
             f"There is no verdict: {episodes} scenarios per split are too few, --episodes {LEAST_SCENARIOS} are enough."
         )
         return Verdict((few, *away), {})
-    fought = {metric: duels(comparison, metric) for metric in PAIRED_METRICS}
-    sentences = [_answer(fought["cost"][home], comparison)]
-    if len(fought["cost"]) > 1:
-        sentences.append(_everywhere(fought["cost"]))
-    sentences += _of_tip(fought, home, pair)
+    tests = {metric: pairwise_tests(comparison, metric) for metric in PAIRED_METRICS}
+    sentences = [_answer(tests["cost"][home], comparison)]
+    if len(tests["cost"]) > 1:
+        sentences.append(_everywhere(tests["cost"]))
+    sentences += _of_tip(tests, home, pair)
     best = comparison.best_classical(home)
-    sentences += [_costs(duel, home) for duel in _fought([(one, best) for one in own if best], "cost")]
-    return Verdict((*sentences, *away), fought)
+    sentences += [_costs(test, home) for test in _tested([(outcome, best) for outcome in own if best], "cost")]
+    return Verdict((*sentences, *away), tests)
 
 
 def _not_arrived(outcome: MethodOutcome) -> str:
@@ -123,73 +123,73 @@ def _not_arrived(outcome: MethodOutcome) -> str:
     )
 
 
-def duels(comparison: Comparison, metric: str = "cost") -> dict[str, Duel]:
-    """Duels of the primary comparison by split, corrected for the number of splits; none where nothing is decided."""
-    pair = comparison.rivals()
+def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, PairwiseTest]:
+    """Tests of the primary comparison by split, corrected for the number of splits; none where nothing is decided."""
+    pair = comparison.primary_pair()
     if pair is None:
         return {}
     pairs = []
     for split in comparison.splits():
         by_name = {outcome.method.name: outcome for outcome in comparison.on(split)}
-        one, other = (by_name.get(rival.method.name) for rival in pair)
-        if one and other:
-            pairs.append((one, other))
-    found = _fought(pairs, metric)
-    adjusted = holm([duel.middle.p for duel in found])
+        challenger, classical = (by_name.get(member.method.name) for member in pair)
+        if challenger and classical:
+            pairs.append((challenger, classical))
+    tests = _tested(pairs, metric)
+    adjusted = holm([test.middle.p for test in tests])
     return {
-        duel.challenger.split: replace(duel, middle=replace(duel.middle, p_holm=p))
-        for duel, p in zip(found, adjusted, strict=True)
+        test.challenger.split: replace(test, middle=replace(test.middle, p_holm=p))
+        for test, p in zip(tests, adjusted, strict=True)
     }
 
 
-def _fought(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -> list[Duel]:
-    """Duels of pairs in one metric, not corrected for their number; none of too few scenarios to decide anything."""
-    tables = [tables_of(one, other, metric) for one, other in pairs]
+def _tested(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -> list[PairwiseTest]:
+    """Tests of pairs in one metric, not corrected for their number; none of too few scenarios to decide anything."""
+    tables = [tables_of(*pair, metric) for pair in pairs]
     enough = [k for k, (values, _) in enumerate(tables) if values.shape[1] >= LEAST_SCENARIOS]
     pairs, tables = [pairs[k] for k in enough], [tables[k] for k in enough]
     compared = zip(pairs, all_paired(tables), mean_differences(tables), strict=True)
-    return [Duel(one, other, metric, replace(found, p_holm=found.p), mean) for (one, other), found, mean in compared]
+    return [PairwiseTest(*pair, metric, replace(middle, p_holm=middle.p), mean) for pair, middle, mean in compared]
 
 
-def _answer(duel: Duel, comparison: Comparison) -> str:
-    one, other, split = duel.challenger, duel.classical, comparison.main_split
-    of_kind = [o for o in comparison.on(split) if o.method.kind == one.method.kind]
-    first = min(of_kind, key=_of_cost) is one
-    classical = "best " if comparison.best_classical(split) is other else ""
-    learned = f"the {'best ' if first else ''}{_KINDS[one.method.kind]}, {one.method.name},"
-    return _costs(duel, split, learned, f"the {classical}classical controller, {other.method.name}")
+def _answer(test: PairwiseTest, comparison: Comparison) -> str:
+    challenger, classical, split = test.challenger, test.classical, comparison.main_split
+    of_kind = [outcome for outcome in comparison.on(split) if outcome.method.kind == challenger.method.kind]
+    first = "best " if min(of_kind, key=_of_cost) is challenger else ""
+    best = "best " if comparison.best_classical(split) is classical else ""
+    named = f"the {first}{_KINDS[challenger.method.kind]}, {_name(challenger)},"
+    return _costs(test, split, named, f"the {best}classical controller, {_name(classical)}")
 
 
-def _costs(duel: Duel, split: str, one: str = "", other: str = "") -> str:
+def _costs(test: PairwiseTest, split: str, challenger: str = "", classical: str = "") -> str:
     """Sentence about the cost on one split."""
-    one, other = one or duel.challenger.method.name, other or duel.classical.method.name
-    pair = duel.challenger, duel.classical
+    challenger, classical = challenger or _name(test.challenger), classical or _name(test.classical)
+    pair = test.challenger, test.classical
     middle, mean = (" against ".join(f"{average(o):.0f}" for o in pair) for average in (_of_cost, _mean))
     numbers = f"averages: {middle}; mean of all runs {mean}"
-    if duel.result == "open":
-        return f"On {split}, no difference in cost is shown between {one} and {other} ({numbers})."
-    size, less = abs(duel.relative), "less than" if duel.result == "better" else "more than"
+    if test.result == "open":
+        return f"On {split}, no difference in cost is shown between {challenger} and {classical} ({numbers})."
+    size, less = abs(test.relative), "less than" if test.result == "better" else "more than"
     shown = f"{size:.0%} {less}" if size < 1 else f"{1 + size:.1f} times as much as"
     tie = ": a practical tie" if size < _PRACTICALLY_EQUAL else ""
-    return f"On {split}, scenario by scenario, {one} costs {shown} {other} ({numbers}){tie}."
+    return f"On {split}, scenario by scenario, {challenger} costs {shown} {classical} ({numbers}){tie}."
 
 
-def _everywhere(fought: Mapping[str, Duel]) -> str:
-    name = next(iter(fought.values())).challenger.method.name
+def _everywhere(tests: Mapping[str, PairwiseTest]) -> str:
+    name = next(iter(tests.values())).challenger.method.name
     words = {"better": "{0} costs less", "worse": "{0} costs more", "open": "no difference is shown"}
     parts = [
-        f"On {_listed(splits, len(fought))} {words[result].format(name)}."
-        for result, splits in _by_result(fought).items()
+        f"On {_listed(splits, len(tests))} {words[result].format(name)}."
+        for result, splits in _by_result(tests).items()
     ]
     return " ".join(parts)
 
 
-def _by_result(fought: Mapping[str, Duel]) -> dict[Result, list[str]]:
+def _by_result(tests: Mapping[str, PairwiseTest]) -> dict[Result, list[str]]:
     """Splits by result; only results that there are."""
-    found: dict[Result, list[str]] = {
-        result: [split for split, duel in fought.items() if duel.result == result] for result in _RESULTS
+    by_result: dict[Result, list[str]] = {
+        result: [split for split, test in tests.items() if test.result == result] for result in _RESULTS
     }
-    return {result: splits for result, splits in found.items() if splits}
+    return {result: splits for result, splits in by_result.items() if splits}
 
 
 def _listed(splits: list[str], total: int) -> str:
@@ -197,33 +197,33 @@ def _listed(splits: list[str], total: int) -> str:
 
 
 def _of_tip(
-    fought: Mapping[str, Mapping[str, Duel]], home: str, pair: tuple[MethodOutcome, MethodOutcome]
+    tests: Mapping[str, Mapping[str, PairwiseTest]], home: str, pair: tuple[MethodOutcome, MethodOutcome]
 ) -> list[str]:
-    """What the arm's end does: vibration after the move, and error on the way; a sentence each."""
+    """Sentences about the error of the arm's end: its vibration after the move, and over the whole episode."""
     sentences = []
     for metric, words in _TIP.items():
-        if home not in fought[metric]:
+        if home not in tests[metric]:
             names = " and ".join(_name(outcome) for outcome in pair)
             sentences.append(f"The vibration after the move is not compared: {names} arrive both in too few scenarios.")
             continue
-        duel = fought[metric][home]
+        test = tests[metric][home]
         shown = " and ".join(f"{_shown(metric, outcome)} with {_name(outcome)}" for outcome in pair)
-        left_out = [split for split in fought["cost"] if split not in fought[metric]]
+        left_out = [split for split in tests["cost"] if split not in tests[metric]]
         others = f", not compared on {', '.join(left_out)}" if left_out else ""
-        elsewhere = _elsewhere(fought[metric], duel.result)
-        sentences.append(f"{words.format(shown)}: {_RESULTS[duel.result]}{elsewhere}{others}.")
+        elsewhere = _elsewhere(tests[metric], test.result)
+        sentences.append(f"{words.format(shown)}: {_RESULTS[test.result]}{elsewhere}{others}.")
     return sentences
 
 
-def _elsewhere(fought: Mapping[str, Duel], result: Result) -> str:
-    """How many splits have this result too, and which have another."""
-    if len(fought) == 1:
+def _elsewhere(tests: Mapping[str, PairwiseTest], result: Result) -> str:
+    """Number of splits with the same result, and names of those with another."""
+    if len(tests) == 1:
         return ""
-    by_result = _by_result(fought)
+    by_result = _by_result(tests)
     same = by_result.pop(result)
-    everywhere = len(same) == len(fought)
+    everywhere = len(same) == len(tests)
     others = "".join(f", {_RESULTS[other]} on {', '.join(splits)}" for other, splits in by_result.items())
-    return f", as on {f'all {len(fought)}' if everywhere else f'{len(same)} of {len(fought)}'} splits{others}"
+    return f", as on {f'all {len(tests)}' if everywhere else f'{len(same)} of {len(tests)}'} splits{others}"
 
 
 def _shown(metric: str, outcome: MethodOutcome) -> str:
@@ -242,7 +242,7 @@ def _mean(outcome: MethodOutcome) -> float:
     return float(outcome.metrics["cost"].mean())
 
 
-def _without_rivals(comparison: Comparison) -> tuple[str, ...]:
+def _without_pair(comparison: Comparison) -> tuple[str, ...]:
     leaders = {split: best for split in comparison.splits() if (best := comparison.best_classical(split))}
     if not leaders:
         return (

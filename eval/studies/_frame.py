@@ -133,7 +133,7 @@ def write_data(data: Mapping[str, Any], folder: Path) -> None:
     write_text(folder / DATA, f"{{\n {listed}\n}}\n")
 
 
-def read_data(folder: Path) -> dict[str, Any]:
+def read_data(folder: Path, name: str = DATA) -> dict[str, Any]:
     """Read the data of a page.
 
     Raises:
@@ -141,9 +141,9 @@ def read_data(folder: Path) -> dict[str, Any]:
         ValueError: If they are damaged.
     """
     try:
-        return json.loads((folder / DATA).read_text(encoding="utf-8"))
+        return json.loads((folder / name).read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{folder / DATA} is damaged ({error}): measure it again") from None
+        raise ValueError(f"{folder / name} is damaged ({error}): measure it again") from None
 
 
 def plain(value: Any) -> Any:

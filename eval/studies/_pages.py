@@ -12,10 +12,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 from baselines.tools.command import require_known
+from baselines.tools.files import write_text
 from baselines.tools.provenance import commit
 from eval.comparison.provenance import ROOT, inputs_digest, python_version
+from eval.comparison.results import MEASURES, STARTS
+from eval.report.readme import blocks, updated
 from eval.studies._frame import DATA, PAGE, RESULTS, chosen_options, names, read_data, render
 
+README = ROOT / "README.md"
+"""Its blocks of numbers are those of the comparison."""
 MEASURED = ROOT / "results" / "pages"
 """Where pages are measured before all of them replace the committed ones."""
 
@@ -28,6 +33,9 @@ class Page:
     module: str  # that has `tables`, and `pictures` where they are drawn from data
     words: tuple[str, ...]  # command that measures it, without --out
     starts: tuple[str, ...] = ("measure", "Options")  # what in the module measures
+    measures: str = ""  # module that measures, where it is another
+    data: str = DATA
+    left_out: tuple[str, ...] = ()  # files of its folder that are not committed
 
     @property
     def committed(self) -> Path:
@@ -35,7 +43,18 @@ class Page:
         return RESULTS / self.name
 
 
-OTHERS: tuple[Page, ...] = (Page("bench", "eval.speed.bench", ("eval/bench.py",)),)
+OTHERS = (
+    Page("bench", "eval.speed.bench", ("eval/bench.py",)),
+    Page(
+        "comparison",
+        "eval.report.summary",
+        ("eval/compare.py", "--episodes", "500"),
+        STARTS,
+        MEASURES,
+        "results.json",
+        ("report.html", "episodes.csv"),
+    ),
+)
 """Pages of commands that are no studies."""
 
 
@@ -62,7 +81,7 @@ def pages(wanted: Sequence[str] = ()) -> list[Page]:
 def state(page: Page, folder: Path) -> State:
     """Compare the data of a page with today's code and options."""
     try:
-        about = read_data(folder)["provenance"]
+        about = read_data(folder, page.data)["provenance"]
     except (OSError, ValueError, KeyError):
         return State("missing")
     measured = (about["commit"], float(about["seconds"]))
@@ -71,7 +90,7 @@ def state(page: Page, folder: Path) -> State:
     module = importlib.import_module(page.module)
     if hasattr(module, "Options") and about["options"] != chosen_options(module.Options()):
         return State("other options", *measured)
-    same = about["inputs"] == inputs_digest(page.module, page.starts)
+    same = about["inputs"] == inputs_digest(page.measures or page.module, page.starts)
     return State("fresh" if same and not about["commit"].endswith("-dirty") else "older inputs", *measured)
 
 
@@ -83,9 +102,13 @@ def check(wanted: Sequence[str] = ()) -> list[tuple[str, State]]:
 def render_all(wanted: Sequence[str] = ()) -> Iterator[Path]:
     """Render pages from their data, one after the other."""
     for page in pages(wanted):
-        if (page.committed / DATA).exists():
-            render(page.name, importlib.import_module(page.module), read_data(page.committed), page.committed)
+        if (page.committed / page.data).exists():
+            data = read_data(page.committed, page.data)
+            render(page.name, importlib.import_module(page.module), data, page.committed)
             yield page.committed / PAGE
+            if page.name == "comparison":
+                write_text(README, updated(README.read_text(encoding="utf-8"), blocks(data)))
+                yield README
 
 
 def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
@@ -116,6 +139,6 @@ def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
             raise ValueError(f"{page.name} could not be measured; the same command goes on from there")
     for page in chosen:
         for path in sorted((MEASURED / page.name).iterdir()):
-            if path.is_file():
+            if path.is_file() and path.name not in page.left_out:
                 shutil.copyfile(path, page.committed / path.name)
         yield page.name, "replaced"

@@ -20,12 +20,12 @@ from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUE_QUALITY, heading
 from beltarm_env.rollout import Controller, rollout
+from eval.comparison.check import action_times
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.comparison.statistics import Estimate, average, paired
-from eval.comparison.timing import action_times
 from eval.report.style import BLUE, GREEN, ORANGE
 from eval.report.text import cell, markdown_table, rounded
 from eval.studies._frame import Pictures, StudyOptions

@@ -32,8 +32,8 @@ from baselines.engines.options import WithStorage
 from baselines.engines.parallel import BrokenOff, Channel, Engine, Failure, StopRequest, Task, run_side_by_side
 from baselines.engines.storage import Storage
 from baselines.engines.workplace import Workplace
+from eval.comparison.cache import Part, run_parts
 from eval.comparison.methods import added_method, learned_methods, shipped_policies
-from eval.comparison.pairs import Pair, run_pairs
 from eval.comparison.sets import development_set
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'beltarm-env[ray]'")
@@ -205,19 +205,19 @@ def test_a_comparison_is_the_same_on_ray(tmp_path: Path):
     (policy,) = learned_methods(shipped_policies()[:1])
     methods = [policy, added_method(f"{tmp_path}/own/own.py:Own")]
     split = development_set().splits["randomized"]
-    pairs = [Pair(method, split, 4) for method in methods]
-    here = run_pairs(pairs, tmp_path / "here", 1, lambda _: None)
+    parts = [Part(method, split, 4) for method in methods]
+    here = run_parts(parts, tmp_path / "here", 1)
     gone = tmp_path / "own"
-    carried = pairs[1].method.belongings()
+    carried = parts[1].method.belongings()
     gone.rename(tmp_path / "gone")
-    moved = pairs[1].method.at(carried)
+    moved = parts[1].method.at(carried)
     assert not moved.sources[0].startswith(str(gone)) and moved.sources[0].endswith("own.py:Own")
     (tmp_path / "gone").rename(gone)
-    there = run_pairs(pairs, tmp_path / "there", None, lambda _: None, RAY)
+    there = run_parts(parts, tmp_path / "there", None, engine=RAY)
     for one, other in zip(here, there, strict=True):
         assert isinstance(one, dict) and isinstance(other, dict)
         assert all(np.array_equal(one[name], other[name]) for name in one)
-    assert len(list((tmp_path / "there/pairs").iterdir())) == 2, "kept by this process"
+    assert len(list((tmp_path / "there/parts").iterdir())) == 2, "kept by this process"
 
 
 @pytest.mark.slow
@@ -240,7 +240,7 @@ def test_the_command_runs_on_a_cluster_that_is_there(tmp_path: Path):
     command = [sys.executable, str(ROOT / "eval/compare.py"), *words, "--out", "out"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "out/pairs").iterdir())) == 2
+    assert len(list((tmp_path / "out/parts").iterdir())) == 2
 
 
 # Trainings

@@ -11,8 +11,8 @@ from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spe
 from agents.policy.together import are_alike, load_together
 from agents.residual.controller import ResidualSettings
 from beltarm_env.rollout import rollout
+from eval.comparison.cache import Part, measure
 from eval.comparison.methods import Method, learned_methods
-from eval.comparison.pairs import SENSITIVE, Pair, measure
 from eval.comparison.sets import development_set
 
 SHARE = 2  # rows of each policy
@@ -78,11 +78,11 @@ def test_batches_stay_small():
 
 @pytest.mark.parametrize("guarded", [False, True])
 def test_a_comparison_runs_training_seeds_together(guarded: bool):
-    """On a split where episodes are other ones after a nudge, and delays and encoders are not the usual ones."""
+    """On a split where delays and encoders are not the usual ones."""
     split, episodes = development_set().splits["sensing"], 3
     several = method("student", 2).with_guard() if guarded else method("student", 2)
-    found = measure(Pair(several, split, episodes, nudged=True))
-    assert found[SENSITIVE].shape == (2, episodes)
+    found = measure(Part(several, split, episodes))
+    assert found["cost"].shape == (2, episodes)
     for seed in range(2):
         alone = rollout(several.controller(seed, []), episodes, **split.arguments(slice(episodes)))
         for name, values in alone.metrics().items():

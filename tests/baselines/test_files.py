@@ -15,8 +15,8 @@ from baselines.gains import tuned
 from baselines.registry import TUNABLE
 from baselines.tools.files import read_sealed, require_writable, write_atomically, write_text
 from eval.comparison import scenarios
+from eval.comparison.cache import Part, read_kept
 from eval.comparison.methods import classical_methods
-from eval.comparison.pairs import Pair, read_kept
 from eval.comparison.schema import read_results
 from eval.comparison.splits import draw_arms
 
@@ -121,16 +121,16 @@ def test_what_a_killed_process_left_is_taken_away_later(tmp_path: Path):
     assert set(os.listdir(tmp_path)) == {"results.json", *names[1:]}
 
 
-def kept_pair() -> Pair:
+def kept_part() -> Part:
     (method,) = [known for known in classical_methods() if known.name == "paper"]
-    return Pair(method, draw_arms("nominal", "seed 0", range(2)), 2)
+    return Part(method, draw_arms("nominal", "seed 0", range(2)), 2)
 
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "results": ("results.json", read_results),
     "scenarios": ("scenarios.json", scenarios.load),
     "gains": ("gains.json", lambda path: tuned("zv", TUNABLE["zv"].gains, path)),
-    "pair": ("", lambda path: read_kept(kept_pair(), path.parent)),
+    "part": ("", lambda path: read_kept(kept_part(), path.parent)),
     "sealed": ("any", read_sealed),
 }
 
@@ -140,13 +140,13 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 def test_what_is_no_regular_file_is_refused(reader: str, kind: str, tmp_path: Path):
     """A pipe would be waited for, and a device has no end."""
     name, read = READERS[reader]
-    path = tmp_path / name if name else kept_pair().file(tmp_path)
+    path = tmp_path / name if name else kept_part().file(tmp_path)
     path.parent.mkdir(exist_ok=True)
     if kind == "pipe":
         os.mkfifo(path)
     else:
         path.symlink_to("/dev/zero")
-    if reader == "pair":
+    if reader == "part":
         assert read(path) is None, "it is run again"
         return
     with pytest.raises((OSError, ValueError), match="is no regular file"):

@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from beltarm_env.metrics import SHOWN
+from eval.comparison.cache import LEFT, Metrics
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Kind, Method
-from eval.comparison.pairs import LEFT, Metrics
 from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison
 from eval.comparison.sets import SetLabel
 
 ORIGIN = {
     "command": "python eval/compare.py --out /tmp/me/out",
     "beltarm": "1",
+    "version": "1",
+    "inputs": "0",
     "commit": "abc",
     "splits_version": 2,
     "split_seeds": {"nominal": 1},

@@ -31,8 +31,8 @@ from baselines.registry import TUNABLE
 from baselines.tools.files import sealed
 from beltarm_env.task.seeds import arms_chosen_by
 from eval.comparison import scenarios
+from eval.comparison.cache import TABLES, Part, keep, read_kept
 from eval.comparison.methods import classical_methods
-from eval.comparison.pairs import Pair, keep, read_kept
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
@@ -141,8 +141,8 @@ def _checkpoint(folder: Path) -> Reader:
 
 def _pair(folder: Path) -> Reader:
     (method,) = [known for known in classical_methods() if known.name == "paper"]
-    pair = Pair(method, draw_arms("nominal", "seed 0", range(4)), 4)
-    keep(pair, folder, {name: np.arange(4.0)[None] for name in pair.tables})
+    pair = Part(method, draw_arms("nominal", "seed 0", range(4)), 4)
+    keep(pair, folder, {name: np.arange(4.0)[None] for name in TABLES})
     path = pair.file(folder)
     data, name = path.read_bytes(), str(path.relative_to(folder))
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 from scipy.stats.mstats import trimmed_mean_ci
 
+from eval.comparison import statistics
 from eval.comparison.statistics import (
     RESAMPLES,
     all_paired,
@@ -17,7 +18,6 @@ from eval.comparison.statistics import (
     holm,
     interquartile_mean,
     paired,
-    profile,
     resampled,
 )
 
@@ -253,6 +253,9 @@ def test_holm_keeps_false_findings_rare():
     assert np.mean(families.min(axis=1) < 0.05) > 0.35  # without it
 
 
-def test_profile_by_hand():
-    values = np.array([[1.0, 2, 3, 4], [2, 2, 9, 9]])
-    assert profile(values, np.array([0.5, 1, 2, 4, 8.9, 9])).tolist() == [0, 1 / 8, 4 / 8, 6 / 8, 6 / 8, 1]
+def test_many_scenarios_are_resampled_in_batches(monkeypatch: pytest.MonkeyPatch):
+    """Samples of one seed are the same; memory is that of a batch."""
+    values = np.random.default_rng(0).random((1, 501))
+    before = resampled(values)
+    monkeypatch.setattr(statistics, "_AT_ONCE", 501 * 100)
+    assert np.array_equal(resampled(values), before)

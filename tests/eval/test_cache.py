@@ -1,4 +1,4 @@
-"""What the comparison keeps and does not run again, and what it says of mistakes."""
+"""Parts that a comparison keeps and does not run again, which methods it runs, and what it does about mistakes."""
 
 from __future__ import annotations
 
@@ -25,22 +25,19 @@ from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.observation import index, size
-from beltarm_env.rollout import rollout
+from beltarm_env.observation import index
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
-from eval.comparison import custom, failures, pairs, timing
+from eval.comparison import cache, custom, failures
+from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept
 from eval.comparison.failures import Failure
-from eval.comparison.methods import Method, classical_methods, learned_methods, privileged_method, shipped_policies
-from eval.comparison.pairs import LEFT, Metrics, Pair, measure, read_kept
-from eval.comparison.results import TIMED_NOTE, Comparison
+from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
+from eval.comparison.results import Comparison
 from eval.comparison.run import choose_methods
-from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
 from eval.comparison.splits import EDITION, VERSION
 from eval.report import publish
-from eval.report.readme import tables
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -55,29 +52,20 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 # What is kept
 
 
-def pair(method: str = "paper", episodes: int = 4, split: str = "nominal") -> Pair:
-    (found,) = [known for known in classical_methods() if known.name == method]
-    return Pair(found, development_set().splits[split], episodes)
+def part(method: str = "paper", episodes: int = 4, split: str = "nominal") -> Part:
+    (known,) = [known for known in classical_methods() if known.name == method]
+    return Part(known, development_set().splits[split], episodes)
 
 
-def run_and_keep(wanted: Pair, folder: Path) -> Metrics | Failure:
-    (result,) = pairs.run_pairs([wanted], folder, 1, lambda _: None)
-    return result
+def run_and_keep(wanted: Part, folder: Path) -> Metrics | Failure:
+    return cache.run_parts([wanted], folder, 1)[0]
 
 
-def test_pairs_are_kept_and_read_again(tmp_path: Path):
-    measured = run_and_keep(pair(), tmp_path)
-    kept = read_kept(pair(), tmp_path)
-    assert isinstance(measured, dict) and kept is not None
-    assert set(kept) == set(measured) and LEFT in kept
-    assert all(np.array_equal(kept[name], measured[name]) for name in kept)
+# Parts that run together
 
 
-# Pairs that run together
-
-
-def pairs_of(method: str, *splits: str, episodes: int = 4) -> list[Pair]:
-    return [pair(method, episodes, split) for split in splits]
+def parts_on(method: str, *splits: str, episodes: int = 4) -> list[Part]:
+    return [part(method, episodes, split) for split in splits]
 
 
 def assert_same(found: list[Metrics | Failure], expected: list[Metrics]) -> None:
@@ -90,29 +78,42 @@ def assert_same(found: list[Metrics | Failure], expected: list[Metrics]) -> None
 @pytest.mark.parametrize("method", ["paper", "privileged"])
 def test_splits_together_are_each_by_itself_bit_for_bit(method: str):
     known = {one.name: one for one in [*classical_methods(), privileged_method()]}[method]
-    several = [replace(one, method=known) for one in pairs_of("paper", "nominal", "drive", "payload")]
-    several[1] = replace(several[1], episodes=3)
-    assert_same([*pairs.measure_together(several)], [measure(one) for one in several])
+    several = [replace(one, method=known) for one in parts_on("paper", "nominal", "drive", "payload")]
+    several[1] = replace(several[1], count=3)
+    assert_same([*cache.measure_together(several)], [measure(one) for one in several])
 
 
 def test_splits_and_training_seeds_together_are_each_by_itself():
     (method,) = learned_methods(shipped_policies()[:2])
-    several = [replace(one, method=method) for one in pairs_of("paper", "randomized", "friction", episodes=2)]
+    several = [replace(one, method=method) for one in parts_on("paper", "randomized", "friction", episodes=2)]
     assert len(method.sources) == 2 and method.batches(4) == [range(2)]
-    assert_same([*pairs.measure_together(several)], [measure(one) for one in several])
+    assert_same([*cache.measure_together(several)], [measure(one) for one in several])
 
 
 def test_what_runs_together_is_of_one_method_with_the_same_settings_and_few():
     splits = ("nominal", "sensing", "drive", "structural")
-    mixed = [*pairs_of("paper", *splits), *pairs_of("zvd", *splits)]
-    mixed.append(replace(mixed[0], nudged=True))
-    tasks = pairs._tasks(mixed, list(range(len(mixed))))
-    assert sorted(map(tuple, tasks)) == [(0, 2), (1,), (3,), (4, 6), (5,), (7,), (8,)]
-    assert pairs._tasks(mixed, [2, 6]) == [[2], [6]]
-    large = pairs_of("paper", "nominal", "drive", "payload", episodes=250)
-    assert pairs._tasks(large, [0, 1, 2]) == [[0, 1], [2]]
-    added = [replace(one, method=replace(one.method, kind="added")) for one in pairs_of("paper", "nominal", "drive")]
-    assert pairs._tasks(added, [0, 1]) == [[0], [1]]
+    mixed = [*parts_on("paper", *splits), *parts_on("zvd", *splits)]
+    tasks = cache._tasks(mixed, list(range(len(mixed))))
+    assert sorted(map(tuple, tasks)) == [(0, 2), (1,), (3,), (4, 6), (5,), (7,)]
+    assert cache._tasks(mixed, [2, 6]) == [[2], [6]]
+    large = parts_on("paper", "nominal", "drive", "payload", episodes=250)
+    assert cache._tasks(large, [0, 1, 2]) == [[0, 1], [2]]
+    added = [replace(one, method=replace(one.method, kind="added")) for one in parts_on("paper", "nominal", "drive")]
+    assert cache._tasks(added, [0, 1]) == [[0], [1]]
+
+
+def test_parts_of_many_scenarios_are_the_batch_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    whole = part(episodes=11)
+    together = measure(whole)
+    monkeypatch.setattr(cache, "EPISODES", 4)
+    cut = parts_of(whole.method, whole.split, 11)
+    assert [(one.first, one.count) for one in cut] == [(0, 4), (4, 4), (8, 3)]
+    results = cache.run_parts(cut, tmp_path, 1)
+    for name, table in together.items():
+        assert np.array_equal(
+            np.concatenate([result[name] for result in results if isinstance(result, dict)], 1), table
+        )
+    assert cache.kept_count(cut, tmp_path) == 3
 
 
 class Picky(PaperController):
@@ -127,84 +128,45 @@ class Picky(PaperController):
 
 
 def test_what_fails_on_a_split_does_so_there_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    several = pairs_of("paper", "nominal", "drive", "payload")
+    several = parts_on("paper", "nominal", "drive", "payload")
     expected = [measure(one) for one in several]
     env = BeltArmVectorEnv(1)
     first = env.reset(options={"move": dict(zip(MOVE_FIELDS, several[1].split.moves[0], strict=True))})[0]
     monkeypatch.setattr(Picky, "start", first[0, index("start")])
     monkeypatch.setitem(CONTROLLERS, "paper", Picky)
-    done: list[Pair] = []
-    nominal, drive, payload = pairs.run_pairs(several, tmp_path, 1, done.append)
+    done: list[tuple[int, int]] = []
+    nominal, drive, payload = cache.run_parts(several, tmp_path, 1, lambda *news: done.append(news))
     assert isinstance(drive, Failure) and drive.split == "drive" and "ValueError: not this arm" in drive.message
     assert_same([nominal, payload], [expected[0], expected[2]])
-    assert done == several
+    assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert [read_kept(one, tmp_path) is not None for one in several] == [True, False, True]
 
 
-def test_sensitivity_is_measured_where_it_is_asked_for(tmp_path: Path):
-    """A pair that was kept without it is run again."""
-    plain = run_and_keep(pair(), tmp_path)
-    assert isinstance(plain, dict) and pairs.SENSITIVE not in plain
-    nudged = replace(pair(), nudged=True)
-    assert read_kept(nudged, tmp_path) is None
-    measured = run_and_keep(nudged, tmp_path)
-    assert isinstance(measured, dict) and measured[pairs.SENSITIVE].tolist() == [[0.0] * 4]
-    kept = read_kept(nudged, tmp_path)
-    assert kept is not None and set(kept) == set(measured)
-
-
-def test_an_episode_counts_as_another_one_from_a_hundredth_of_its_cost_on():
-    costs = np.array([100.0, 100.0, 100.0, 300.0])
-    assert pairs._moved(costs, np.array([100.9, 101.1, 98.9, 300.0])).tolist() == [0, 1, 1, 0]
-
-
-def test_the_nudge_reaches_the_motor_within_its_limits():
-    """Towards zero where the torque has its limit; later torques are the controller's own."""
-
-    class Gives:
-        def __init__(self, torque: float) -> None:
-            self.torque = torque
-
-        def predict(self, observation, state=0, episode_start=None, deterministic=True):
-            state = (state or 0) + 1
-            return np.full((len(observation), 1), self.torque * state, np.float32), state
-
-    for torque, sign in ((1.0, -1), (0.5, -1), (0.0, 1), (-0.5, 1), (-1.0, 1)):
-        controller = pairs.Nudged(Gives(torque))
-        first, memory = controller.predict(np.zeros((2, size()), np.float32))
-        assert (0.3 * (first - torque)).ravel() == pytest.approx(sign * pairs.NUDGE, rel=1e-6)
-        second, _ = controller.predict(np.zeros((2, size()), np.float32), memory)
-        assert second.ravel().tolist() == [2 * torque, 2 * torque]
-    run = rollout(pairs.Nudged(PaperController()), 2, seed=1)
-    own = rollout(PaperController(), 2, seed=1)
-    assert np.abs(run.torque[0] - own.torque[0]) == pytest.approx(pairs.NUDGE, rel=1e-6)
-
-
 def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    one = pair("zvd")
+    one = part("zvd")
     others = [
-        pair("zv"),
-        pair("zvd", 5),
-        pair("zvd", split="payload"),
+        part("zv"),
+        part("zvd", 5),
+        part("zvd", split="payload"),
         replace(one, split=replace(one.split, digest="other")),
         replace(one, split=replace(one.split, of="test")),
         replace(one, method=replace(one.method, identity="other gains")),
     ]
     files = {found.file(tmp_path) for found in [one, *others]}
     assert len(files) == 1 + len(others)
-    assert one.file(tmp_path) == pair("zvd").file(tmp_path)
+    assert one.file(tmp_path) == part("zvd").file(tmp_path)
     others_of_code = {"sources_digest": lambda *_: "other code", "version": lambda _: "other version"}
     for name, value in {**others_of_code, "sha256_of": lambda _: "other kept gains"}.items():
         with monkeypatch.context() as patched:
-            pairs._code.cache_clear()
-            patched.setattr(pairs, name, value)
+            cache._code.cache_clear()
+            patched.setattr(cache, name, value)
             files.add(one.file(tmp_path))
-    pairs._code.cache_clear()
+    cache._code.cache_clear()
     assert len(files) == 4 + len(others)
 
 
-def test_pairs_of_a_method_of_unknown_identity_are_not_kept(tmp_path: Path):
-    unknown = replace(pair(), method=replace(pair().method, identity=None))
+def test_parts_of_a_method_of_unknown_identity_are_not_kept(tmp_path: Path):
+    unknown = replace(part(), method=replace(part().method, identity=None))
     assert isinstance(run_and_keep(unknown, tmp_path), dict)
     assert read_kept(unknown, tmp_path) is None
     assert list(tmp_path.iterdir()) == []
@@ -218,48 +180,67 @@ def test_gains_are_part_of_the_identity(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize("damage", [b"", b"half", None])
-def test_damaged_pairs_are_run_again(damage: bytes | None, tmp_path: Path):
-    measured = run_and_keep(pair(), tmp_path)
-    path = pair().file(tmp_path)
+def test_damaged_parts_are_run_again(damage: bytes | None, tmp_path: Path):
+    measured = run_and_keep(part(), tmp_path)
+    path = part().file(tmp_path)
     path.write_bytes(path.read_bytes()[:-200] if damage is None else damage)
-    assert read_kept(pair(), tmp_path) is None
-    (again,) = pairs.run_pairs([pair()], tmp_path, 1, lambda _: None)
+    assert read_kept(part(), tmp_path) is None
+    again = run_and_keep(part(), tmp_path)
     assert isinstance(measured, dict) and isinstance(again, dict)
     assert np.array_equal(again["cost"], measured["cost"])
 
 
-def test_pairs_with_any_changed_bit_are_run_again(tmp_path: Path):
+def test_parts_with_any_changed_bit_are_run_again(tmp_path: Path):
     """In the archive's directory, where its reader raises what it likes, as in the numbers."""
-    measured = run_and_keep(pair(), tmp_path)
-    path = pair().file(tmp_path)
+    measured = run_and_keep(part(), tmp_path)
+    path = part().file(tmp_path)
     sound = path.read_bytes()
     directory = sound.index(b"PK\1\2")
     for place in (*range(directory, len(sound), 7), *range(0, directory, 997)):
         data = bytearray(sound)
         data[place] ^= 1 << place % 8
         path.write_bytes(data)
-        assert read_kept(pair(), tmp_path) is None and not path.exists()
-    again = run_and_keep(pair(), tmp_path)
+        assert read_kept(part(), tmp_path) is None and not path.exists()
+    again = run_and_keep(part(), tmp_path)
     assert isinstance(measured, dict) and isinstance(again, dict)
     assert np.array_equal(again["cost"], measured["cost"])
 
 
 def test_numbers_that_were_changed_by_hand_are_not_used(tmp_path: Path):
-    measured = run_and_keep(pair(), tmp_path)
+    measured = run_and_keep(part(), tmp_path)
     assert isinstance(measured, dict)
-    np.savez(pair().file(tmp_path), allow_pickle=False, **{**measured, "cost": 0.5 * measured["cost"]})
-    assert read_kept(pair(), tmp_path) is None
+    np.savez(part().file(tmp_path), allow_pickle=False, **{**measured, "cost": 0.5 * measured["cost"]})
+    assert read_kept(part(), tmp_path) is None
 
 
-def test_outdated_pairs_are_taken_away(tmp_path: Path):
-    old = replace(pair(), method=replace(pair().method, identity="before"))
+def test_outdated_parts_are_taken_away(tmp_path: Path):
+    old = replace(part(), method=replace(part().method, identity="before"))
     run_and_keep(old, tmp_path)
-    run_and_keep(pair(episodes=5), tmp_path)
-    fresh = replace(pair(), split=fresh_set(0).splits["nominal"])
+    run_and_keep(part(episodes=5), tmp_path)
+    fresh = replace(part(), split=fresh_set(0).splits["nominal"])
     run_and_keep(fresh, tmp_path)
-    run_and_keep(pair(), tmp_path)
-    names = sorted(path.name for path in (tmp_path / "pairs").iterdir())
-    assert names == sorted(found.file(tmp_path).name for found in (pair(), pair(episodes=5), fresh))
+    run_and_keep(part(), tmp_path)
+    names = sorted(path.name for path in (tmp_path / "parts").iterdir())
+    assert names == sorted(found.file(tmp_path).name for found in (part(), part(episodes=5), fresh))
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    several, ran = [part(split=name) for name in ("nominal", "sensing", "structural")], list[str]()
+
+    def counted(of: Part) -> Metrics:
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        ran.append(of.split.name)
+        return measure(of)
+
+    monkeypatch.setattr(cache, "measure", counted)
+    with pytest.raises(KeyboardInterrupt, match="2 of 3 parts"):
+        cache.run_parts(several, tmp_path, 1)
+    first = ran.copy()
+    ran.clear()
+    done: list[tuple[int, int]] = []
+    cache.run_parts(several, tmp_path, 1, lambda *news: done.append(news))
+    assert len(first) == 2 and [*first, *ran] != [*ran, *first] and len(ran) == 1 and done == [(2, 3), (3, 3)]
 
 
 @pytest.mark.slow
@@ -270,19 +251,19 @@ def test_an_interrupted_run_says_what_is_kept_and_goes_on(tmp_path: Path):
     command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--jobs", "2"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 300
-    while not list(tmp_path.glob("out/pairs/[!.]*")) and time.monotonic() < deadline:
+    while not list(tmp_path.glob("out/parts/[!.]*")) and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/pairs/[!.]*")}
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/parts/[!.]*")}
     assert 1 <= len(kept) < 16
     assert [line for line in errors.splitlines() if "compiling" not in line] == errors.splitlines()[-1:]
-    assert f"interrupted: {len(kept)} of 16 pairs of method and split are kept in out; the same" in errors
+    assert f"interrupted: {len(kept)} of 16 parts are kept in out; the same" in errors
     code, errors = stopped(compare.main, (*arguments, "--jobs", "1"), tmp_path)
     assert code == 0, errors
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    assert len(list(tmp_path.glob("out/pairs/[!.]*"))) == 16
+    assert len(list(tmp_path.glob("out/parts/[!.]*"))) == 16
 
 
 TWO = ("--splits", "nominal", "ideal")
@@ -306,10 +287,12 @@ def test_new_weights_and_fresh_runs_are_run(
     (tmp_path / "mine.py").write_text(MINE)
     chosen = ("--add", "mine.py:Mine", "--methods", "paper", "Mine", "--splits", "nominal", "--episodes", "4")
     found: list[Comparison] = []
-    monkeypatch.setattr(compare, "publish", lambda comparison, *_, **__: found.append(comparison) or comparison)
+    monkeypatch.setattr(compare, "publish", lambda comparison, *_: found.append(comparison) or ({}, []))
+    monkeypatch.setattr(compare, "page", lambda *_: "")
+    monkeypatch.setattr(compare, "print_results", lambda *_, **__: None)
 
     def compared(weight: float, *options: str) -> tuple[float, int, str]:
-        """Cost of the controller, how many pairs were not run, and what was printed."""
+        """Cost of the controller, how many parts were not run, and what was printed."""
         save_file({"weight": np.array(weight)}, tmp_path / "weights.safetensors")
         code, errors = stopped(compare.main, (*chosen, "--jobs", "1", "--out", "out", *options), tmp_path)
         assert code == 0, errors
@@ -327,103 +310,6 @@ def test_new_weights_and_fresh_runs_are_run(
         cost, kept, output = compared(0.0)
         assert (cost, kept) == (first, 1)
         assert f"Results of Mine will not be used again: {tmp_path} is too large" in output
-
-
-# Computing time
-
-
-class Clock:
-    """Stand-in for what measures times: says which it is told to, and remembers of whom it was asked."""
-
-    def __init__(self, **times: tuple[float, float]) -> None:
-        self.times, self.asked = times, []
-
-    def __call__(self, method: Method) -> tuple[float, float]:
-        self.asked.append(method.name)
-        return self.times[method.name]
-
-
-@pytest.mark.slow
-def test_computing_time_makes_commands_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    """As if the arms' drives were that much slower, and said so; a method that is too slow fails, and no other."""
-    monkeypatch.setattr(timing, "_time", Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0)))
-    chosen = ("--methods", "paper", "rigid", "--splits", "nominal", "drive", "--episodes", "4", "--jobs", "1")
-    code, errors = stopped(compare.main, (*chosen, "--computing-time", "--out", "late"), tmp_path)
-    assert code == 1
-    lines = errors.strip().splitlines()
-    assert [line.split(":")[1] for line in lines] == [" rigid failed on drive"]
-    assert "with 900 us of computing time, commands would be up to" in lines[0] and "can be 4500 us late" in lines[0]
-    results = read_results(tmp_path / "late" / "results.json")
-    rows = {(row["method"], row["split"]): row for row in results["rows"]}
-    assert results["provenance"]["computing_time"] is True
-    assert {key: row["added_latency_us"] for key, row in rows.items()} == {
-        ("paper", "nominal"): pytest.approx(300),
-        ("rigid", "nominal"): pytest.approx(900),
-        ("paper", "drive"): pytest.approx(300),
-    }
-    split = choose_set().splits["nominal"]
-    options = split.arguments(slice(4))["options"]
-    options["params"]["command_latency"] = options["params"]["command_latency"] + 3e-4
-    by_hand = rollout(CONTROLLERS["paper"](), 4, seed=split.seed, options=options)
-    kept = measure(Pair(pair().method, split.later(3e-4), 4))
-    assert np.array_equal(kept["cost"][0], by_hand.cost)
-    assert not np.array_equal(kept["cost"], measure(Pair(pair().method, split, 4))["cost"])
-    assert rows["paper", "nominal"]["metrics"]["cost"]["iqm"] == pytest.approx(np.sort(by_hand.cost)[1:3].mean())
-    for name in ("summary.md", "report.html"):
-        text = (tmp_path / "late" / name).read_text()
-        assert TIMED_NOTE in text and "latency that it was given (µs)" in text
-    assert TIMED_NOTE in tables(results) and TIMED_NOTE in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_computing_times_are_measured_once_and_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    clock = Clock(paper=(50.0, 300.0), rigid=(50.0, 900.0))
-    monkeypatch.setattr(timing, "_time", clock)
-    chosen = ("--methods", "paper", "rigid", "--splits", "nominal", "--episodes", "4", "--jobs", "1")
-
-    def pairs_after(*options: str) -> set[str]:
-        code, errors = stopped(compare.main, (*chosen, *options), tmp_path)
-        assert code == 0, errors
-        return {path.name for path in (tmp_path / "one" / "pairs").iterdir()}
-
-    first = pairs_after("--computing-time", "--out", "one")
-    clock.times["paper"] = (60.0, 400.0)  # the machine is busier now, and kept results are of before
-    assert pairs_after("--computing-time", "--out", "one") == first
-    assert clock.asked == ["paper", "rigid"]
-    assert "computing time counts, this run is without it" in mistake(compare.main, (*chosen, "--out", "one"), tmp_path)
-    (tmp_path / "one" / "results.json").unlink()  # whoever removes it as told has the pairs of both side by side
-    assert pairs_after("--out", "one") > first and len(pairs_after("--out", "one")) == 4
-    assert "computing time does not count, this run is with it" in mistake(
-        compare.main, (*chosen, "--computing-time", "--out", "one"), tmp_path
-    )
-    (tmp_path / "one" / "results.json").unlink()
-    clock.asked.clear()
-    later = pairs_after("--computing-time", "--fresh", "--out", "one")
-    assert clock.asked == ["paper", "rigid"] and len(later) == 4
-    assert len(later - first) == 3, "of the old times, the results of paper are gone"
-
-
-def test_computing_times_of_a_damaged_file_or_other_code_are_measured_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    clock = Clock(paper=(50.0, 300.0))
-    monkeypatch.setattr(timing, "_time", clock)
-    method = pair().method
-    file = tmp_path / timing.FILE
-    for count, content in enumerate((None, "{", "[]", '{"paper": {"key": "x"}}', None), 1):
-        if content is not None:
-            file.write_text(content)
-        elif count > 1:
-            method = replace(method, identity="other gains")
-        assert timing.measured_once([method], tmp_path) == {"paper": (50.0, 300.0)}
-        assert len(clock.asked) == count
-    timing.measured_once([method], tmp_path)
-    assert len(clock.asked) == 5
-    timing.measured_once([replace(method, identity=None)], tmp_path)
-    assert len(clock.asked) == 6
 
 
 # What goes wrong
@@ -469,9 +355,9 @@ def test_controllers_that_fail_on_the_way_do_not_stop_the_others(tmp_path: Path)
     results = read_results(tmp_path / "out" / "results.json")
     assert [row["method"] for row in results["rows"]] == ["paper", "Alone"]
     assert [failure["method"] for failure in results["failures"]] == ["Fails", "Nan", "Alone"]
-    assert "- Fails on nominal: RuntimeError" in (tmp_path / "out" / "summary.md").read_text()
+    assert "- Fails on nominal: RuntimeError" in (tmp_path / "out" / "page.md").read_text()
     assert "<b>Alone</b> on nominal: on scenario" in (tmp_path / "out" / "report.html").read_text()
-    assert not list(tmp_path.glob("out/pairs/*Fails*"))  # tried again next time
+    assert not list(tmp_path.glob("out/parts/*Fails*"))  # tried again next time
     assert {*results["failures"][0]} == {"method", "split", "message"}
 
 
@@ -501,13 +387,13 @@ class AtOnce(Sound):
 
 @pytest.mark.parametrize("many", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_controllers_that_end_their_process_do_not_end_the_comparison(many: bool, tmp_path: Path):
-    """Also where many scenarios are run in shards, and where importing the controller is enough."""
+    """Also where many scenarios are run in parts, and where importing the controller is enough."""
     names = ("Exits", "AtOnce") if many else ("Sound", "Exits", "AtOnce")
-    (tmp_path / "mine.py").write_text(ENDING.replace("== 7", "in (7, 167)"))  # 501 scenarios are three batches of 167
+    (tmp_path / "mine.py").write_text(ENDING.replace("== 7", "in (7, 100)"))  # 600 scenarios are parts of 500 and 100
     (tmp_path / "import_ends.py").write_text(ENDING.replace("Sound", "Imported"))
     added = [word for name in names for word in ("--add", f"mine.py:{name}")]
     added += [] if many else ["--add", "import_ends.py:Imported"]
-    episodes = ("--episodes", "501", "--scenario-seed", "1") if many else ("--episodes", "7")
+    episodes = ("--episodes", "600", "--scenario-seed", "1") if many else ("--episodes", "7")
     chosen = ("--methods", "paper", *names, *([] if many else ["Imported"]), "--splits", "nominal", "--out", "out")
     code, errors = stopped(compare.main, (*added, *chosen, *episodes, "--jobs", "1"), tmp_path)
     assert code == 1, errors
@@ -542,16 +428,6 @@ def test_an_added_controller_has_a_limit_of_time(tmp_path: Path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_failure_is_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """On the terminal, where output and errors come together."""
-    (tmp_path / "mine.py").write_text(FAILING)
-    options = ("--add", "mine.py:Fails", "--methods", "paper", "--splits", "nominal", "--episodes", "7", "--jobs", "1")
-    code, errors = stopped(compare.main, (*options, "--out", "out"), tmp_path)
-    assert code == 1
-    assert (errors + capsys.readouterr().out).count("no such number of arms") == 1
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_a_failure_can_be_shown_with_its_whole_traceback(tmp_path: Path):
     """Also where it is the only method's, and nothing is left to compare."""
     (tmp_path / "mine.py").write_text(FAILING)
@@ -570,30 +446,19 @@ def end_process() -> None:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_what_is_made_side_by_side_fails_as_a_whole(jobs: int):
-    made = publish._side_by_side({"b": partial(int, "2"), "a": partial(int, "1")}, jobs)
+    made = publish.side_by_side({"b": partial(int, "2"), "a": partial(int, "1")}, jobs)
     assert list(made.items()) == [("b", 2), ("a", 1)]
     with pytest.raises(ValueError, match="invalid literal"):
-        publish._side_by_side({"a": partial(int, "1"), "b": partial(int, "one")}, jobs)
+        publish.side_by_side({"a": partial(int, "1"), "b": partial(int, "one")}, jobs)
 
 
 @pytest.mark.slow
 def test_a_process_that_ends_while_it_draws_is_explained():
     with pytest.raises(OSError, match=r"broke off.*what is done is kept: try again with --jobs 1"):
-        publish._side_by_side({"a": partial(int, "1"), "b": end_process}, 2)
+        publish.side_by_side({"a": partial(int, "1"), "b": end_process}, 2)
 
 
 # Which methods
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_all_methods_run_on_a_split_by_default_but_those_that_are_dominated(tmp_path: Path):
-    arguments = ("--splits", "structural", "--episodes", "4", "--jobs", "1", "--out", "out")
-    code, errors = stopped(compare.main, arguments, tmp_path)
-    assert code == 0, errors
-    rows = read_results(tmp_path / "out" / "results.json")["rows"]
-    shipped = {path.parent.name for path in shipped_policies()}
-    assert {row["method"] for row in rows} == {*CONTROLLERS, *shipped, "privileged"} - {*DOMINATED}
 
 
 def test_dominated_methods_run_where_they_are_named():
@@ -623,33 +488,15 @@ def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
 
 
 def test_policies_are_grouped_by_method(tmp_path: Path):
-    folders = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
+    folders: list[Path | str] = [bundle(tmp_path / "a"), bundle(tmp_path / "b", base="preview"), bundle(tmp_path / "c")]
+    folders += [f"tried={folder}" for folder in folders[::2]]
     found = learned_methods(folders)
     assert [(method.name, method.base, len(method.sources)) for method in found] == [
         ("my-ppo", "paper", 2),
         ("my-ppo-preview", "preview", 1),
+        ("tried", "paper", 2),
     ]
     assert found[0].training == {"simulator_steps": [20, 20], "wall_clock_s": [0.0, 0.0]}
-
-
-def test_policies_of_other_sensors_are_refused(tmp_path: Path):
-    with pytest.raises(ValueError, match="needs sensors='tip'; the comparison gives all methods the encoder alone"):
-        learned_methods([bundle(tmp_path / "a", sensors="tip")])
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_policies_of_ones_own_stand_beside_the_shipped_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """By a name of their own, or that of their algorithm; also where --methods does not name them."""
-    for name in ("mine", "other"):
-        bundle(tmp_path / name)
-    policies = ("--policy", "mine", "--policy", "tried=other", "--policy", "tried=mine")
-    chosen = (*policies, "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--methods", "paper", "ppo")
-    code, errors = stopped(compare.main, chosen, tmp_path)
-    assert code == 0, errors
-    rows = read_results(tmp_path / "results" / "compare" / "results.json")["rows"]
-    shipped = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
-    assert {row["method"]: row["seeds"] for row in rows} == {"paper": 1, "ppo": shipped, "my-ppo": 1, "tried": 2}
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -681,91 +528,74 @@ def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
     assert f"results of the scenarios 'seed 3' ({label.sha256[:12]}), this run is of" in mistake(
         compare.main, arguments, tmp_path
     )
-    assert all(path.name.startswith("seed-3.nominal.") for path in (tmp_path / "out" / "pairs").iterdir())
+    assert all(path.name.startswith("seed-3.nominal.") for path in (tmp_path / "out" / "parts").iterdir())
 
 
-def recipes() -> list[str]:
-    """Commands of the documentation that compare a method of one's own, in blocks of code or in backticks."""
+def test_recipes_do_not_lead_onto_the_test_set():
+    """Commands of the documentation that compare a method of one's own: only a submission names the test set."""
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     pages += [*(ROOT / "docs").glob("tutorials/*.py"), *(ROOT / "docs").glob("examples/*.py")]
     texts = [page.read_text(encoding="utf-8").replace("\\\n", "") for page in pages]
     command = r"^[# ]*`?((?:make compare|\S*python eval/compare\.py)\b.*--(?:add|policy) .*)"
-    return [found for text in texts for found in re.findall(command, text, re.M)]
-
-
-def test_recipes_do_not_lead_onto_the_test_set():
-    """Only a submission names it, and that is said."""
-    found = recipes()
-    assert len(found) >= 9
-    assert [line for line in found if "--scenarios development" not in line and "--scenarios test" not in line] == []
-    assert len([line for line in found if "--scenarios test" in line]) == 1
+    recipes = [line for text in texts for line in re.findall(command, text, re.M)]
+    assert len(recipes) >= 9
+    assert all("--scenarios development" in line or "--scenarios test" in line for line in recipes)
+    assert len([line for line in recipes if "--scenarios test" in line]) == 1
 
 
 # Mistakes
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "named"),
     [
-        (("--policy", "nowhere"), "no policy bundle at nowhere"),
-        (
-            ("--policy", "runs/model.zip"),
-            "runs/model.zip is an archive of Stable-Baselines3, and loading one can",
-        ),
-        (("--policy", "paper=agents"), "no policy bundle at agents"),
-        (("--episodes", "2"), "--episodes must lie within 4 and 500, got 2"),
-        (("--episodes", "501"), "--episodes must lie within 4 and 500, got 501"),
-        (("--jobs", "0"), "--jobs must lie within 1 and 256, got 0"),
-        (("--out", "/dev/null/x"), "cannot write to /dev/null/x"),
-        (("--methods", "papr"), "unknown method 'papr'; did you mean paper? known: paper, rigid,"),
-        (("--methods", "foo"), "unknown method 'foo'; known: paper, rigid,"),
-        (
-            ("--splits", "frictoin"),
-            "unknown split 'frictoin'; did you mean friction? known: nominal, ideal, randomized,",
-        ),
-        (("--methods", "privileged"), "--methods names privileged alone"),
-        (("--add", "nowhere.py:Mine"), "there is no file"),
-        (("--add", "paper.py:paper"), "two methods are called 'paper': give yours another name"),
-        (("--policy", "student=mine"), "'student' is the name of a shipped method: give your policy another, as NAME="),
-        (("--time-limit", "0"), "--time-limit must lie within 1 and 604800, got 0"),
-        (("--time-limit", "nan"), "--time-limit must lie within 1 and 604800, got nan"),
-        (("--scenario-seed", "-1"), "--scenario-seed must lie within 0 and"),
-        (("--scenario-seed", "1", "--scenarios", "development"), "leave out --scenarios development"),
-        (("--out", "old", "--methods", "paper"), f"results of edition 2, version {VERSION + 1} of the scenarios"),
-        (("--out", "first", "--methods", "paper"), "results of edition 1, version 1 of the scenarios, this checkout"),
-        (
-            ("--out", "fresh", "--methods", "paper"),
-            "results of the scenarios 'seed 1' (0000), this run is of",
-        ),
-        (
-            ("--out", "unlike", "--methods", "paper"),
-            "results of the scenarios 'development' (0000), this run is of",
-        ),
-        (("--out", "damaged", "--methods", "paper"), "damaged/results.json cannot be read"),
+        (("--policy", "nowhere"), "nowhere"),
+        (("--policy", "runs/model.zip"), "runs/model.zip"),
+        (("--episodes", "2"), "--episodes"),
+        (("--episodes", "0"), "--episodes"),
+        (("--episodes", "501"), "--scenario-seed"),
+        (("--episodes", "100001", "--scenario-seed", "1"), "--episodes"),
+        (("--jobs", "0"), "--jobs"),
+        (("--out", "/dev/null/x"), "/dev/null/x"),
+        (("--methods", "papr"), "did you mean paper?"),
+        (("--methods", "foo"), "unknown method 'foo'"),
+        (("--splits", "frictoin"), "did you mean friction?"),
+        (("--methods", "privileged"), "--methods"),
+        (("--add", "nowhere.py:Mine"), "nowhere.py"),
+        (("--add", "paper.py:paper"), "'paper'"),
+        (("--policy", "student=mine"), "'student'"),
+        (("--time-limit", "0"), "--time-limit"),
+        (("--time-limit", "nan"), "--time-limit"),
+        (("--scenario-seed", "-1"), "--scenario-seed"),
+        (("--scenario-seed", "1", "--scenarios", "development"), "--scenarios development"),
+        (("--out", "old", "--methods", "paper"), f"version {VERSION + 1}"),
+        (("--out", "first", "--methods", "paper"), "edition 1"),
+        (("--out", "fresh", "--methods", "paper"), "'seed 1'"),
+        (("--out", "unlike", "--methods", "paper"), "'development'"),
+        (("--out", "damaged", "--methods", "paper"), "damaged/results.json"),
     ],
 )
-def test_mistakes_are_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path):
+def test_mistakes_are_one_line(arguments: tuple[str, ...], named: str, tmp_path: Path):
     shutil.copytree(POLICIES / "student" / "seed0", tmp_path / "mine")
-    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
     (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
     now = {"edition": EDITION, "version": VERSION}
-    others = {
+    contents = {
         "old": {"edition": EDITION, "version": VERSION + 1},
         "first": {"version": 1},
         "fresh": {**now, "scenario_set": {"name": "seed 1", "sha256": "0000"}},
         "unlike": {**now, "scenario_set": {"name": "development", "sha256": "0000"}},
     }
-    for name, text in {**{name: json.dumps(content) for name, content in others.items()}, "damaged": "{"}.items():
+    for name, text in {**{name: json.dumps(content) for name, content in contents.items()}, "damaged": "{"}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(text)
-    assert message in mistake(compare.main, arguments, tmp_path)
+    assert named in mistake(compare.main, arguments, tmp_path)
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     def full(path: Path, write: object) -> None:
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(pairs, "write_arrays", full)
+    monkeypatch.setattr(cache, "write_arrays", full)
     arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["compare.py", *arguments])
     with pytest.raises(SystemExit) as stopped:

@@ -1,4 +1,4 @@
-"""Checks that a user's own controller keeps the protocol on which the comparison relies.
+"""Checks that a user's own controller keeps the protocol on which the comparison relies, and time per action.
 
 A controller is made without arguments and called as Stable-Baselines3 calls a policy, see
 `beltarm_env.rollout.Controller`.
@@ -6,26 +6,33 @@ A controller is made without arguments and called as Stable-Baselines3 calls a p
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff
 from baselines.tools.command import this_python
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
+from beltarm_env.arrays import Flags, Singles
+from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
 from eval.comparison.failures import Failure, place, run_controller, trace
 from eval.comparison.methods import Method
-from eval.comparison.timing import PERIOD_US, action_times, drive
 
-Singles = NDArray[np.float32]
-Flags = NDArray[np.bool_]
+ActionTimes = tuple[float, float]
+"""Median and 99th percentile of the time per action for one arm [us]."""
+PERIOD_US = 1e6 * CONTROL_PERIOD
+_TIMED_ACTIONS = 300
+_REPETITIONS = 5
 
 _SEED, _ARMS = PROTOCOL_CHECK
 _STEPS = 600
@@ -34,7 +41,7 @@ _CLOSE = 1e-5  # of the torque limit: what a batch's size may change in a networ
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of one check."""
+    """Result of a check."""
 
     check: str
     passed: bool
@@ -70,13 +77,11 @@ class _Strict:
 
     def _check(self, action: object) -> None:
         if not isinstance(action, np.ndarray) or action.shape != (_ARMS, 1) or action.dtype != np.float32:
-            what = (
-                f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-            )
-            raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {what}")
+            got = f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
+            raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {got}")
         if not np.isfinite(action).all():
-            found = action.ravel().tolist()
-            raise ValueError(f"in sample {self._sample} it returns {found}: torques must be finite")
+            torques = action.ravel().tolist()
+            raise ValueError(f"in sample {self._sample} it returns {torques}: torques must be finite")
 
 
 def record(controller: Controller) -> Session:
@@ -219,9 +224,10 @@ def isolated_findings(spec: str, time_limit: float) -> list[Finding]:
 
 
 def failures(methods: Iterable[Method]) -> dict[str, Failure]:
-    """Check the added ones of some methods; by name the first failure of each that cannot be run as the others are."""
-    found = {one.name: run_controller(one, "", partial(_first_failure, one)) for one in methods if one.kind == "added"}
-    return {name: failure for name, failure in found.items() if failure is not None}
+    """Check a user's controllers among some methods; by name the first failure of each that does not pass."""
+    added = [method for method in methods if method.kind == "added"]
+    results = {method.name: run_controller(method, "", partial(_first_failure, method)) for method in added}
+    return {name: failure for name, failure in results.items() if failure is not None}
 
 
 def _first_failure(method: Method) -> Failure | None:
@@ -233,3 +239,97 @@ def _first_failure(method: Method) -> Failure | None:
                 method.name, "", f"{words}; see `{this_python()} eval/check_controller.py {spec}`", finding.trace
             )
     return None
+
+
+# Time per action
+
+
+def drive(
+    controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any
+) -> Iterator[tuple[Singles, Flags, Singles]]:
+    """Drive some arms for at most an episode; an arm that leaves its workspace begins a new one, as in `rollout`.
+
+    Args:
+        controller: What to run.
+        num_arms: Number of arms, run side by side.
+        steps: Number of samples.
+        seed: Arm i is seeded with `seed + i`.
+        **settings: Arguments of `BeltArmVectorEnv`.
+
+    Yields:
+        In each sample, before the arms move: observations, which arms begin an episode, actions.
+    """
+    env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
+    observation, _ = env.reset(seed=seed)
+    memory: Any = None
+    start = np.ones(num_arms, np.bool_)
+    for _ in range(steps):
+        action, memory = controller.predict(observation, memory, start)
+        yield observation, start, action
+        observation, _, start, truncated, _ = env.step(action)
+        if start.any() and not truncated.any():
+            observation, _ = env.reset(options={"reset_mask": start})
+
+
+class _Timed:
+    """Controller whose calls are timed."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.seconds: list[float] = []
+
+    def predict(self, *arguments: Any, **named: Any) -> Any:
+        """Call the controller; see `Controller`."""
+        began = time.perf_counter()
+        result = self._controller.predict(*arguments, **named)
+        self.seconds.append(time.perf_counter() - began)
+        return result
+
+
+def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> ActionTimes:
+    """Time the actions of a controller for one nominal arm."""
+    timed = _Timed(controller)
+    for _ in drive(timed, 1, _TIMED_ACTIONS, seed, sensors=sensors):
+        pass
+    median, slow = np.percentile(1e6 * np.array(timed.seconds), [50, 99])
+    return float(median), float(slow)
+
+
+def measured_times(methods: Iterable[Method]) -> dict[str, ActionTimes | Failure]:
+    """Measure the times of some methods, by name; a failure where a controller fails on one arm."""
+    return {method.name: run_controller(method, "", partial(_time, method), "one arm") for method in methods}
+
+
+def _time(method: Method) -> ActionTimes:
+    return action_times(method.controller(0, [ArmParams()]), method.sensors)
+
+
+@dataclass(frozen=True)
+class Times:
+    """Wall-clock of a controller."""
+
+    first: float  # an episode's first action of one arm, with the plan for its move [us]
+    median: float  # per later action of one arm [us]
+    slow: float  # 99th percentile of the same [us]
+    batched: float  # per action in a batch, median over an episode [us]
+    episode: float  # a whole episode of the batch, environment included [s]
+
+
+def measure_times(controller: Controller, batch: int, seed: int) -> Times:
+    """Time a controller on one arm of the training ranges, and on a batch of them, seeded from `seed` on.
+
+    Of one arm the same episode is run several times, and the shortest time of each action counts: what else the machine
+    does is left out.
+    """
+    alone = np.min([_timed(controller, 1, seed)[0] for _ in range(_REPETITIONS)], axis=0)
+    together, took = _timed(controller, batch, seed)
+    median, slow = np.percentile(alone[1:], [50, 99])
+    return Times(float(alone[0]), float(median), float(slow), float(np.median(together)) / batch, took)
+
+
+def _timed(controller: Controller, arms: int, seed: int) -> tuple[NDArray[np.float64], float]:
+    """Time of each action of an episode [us], shape (EPISODE_STEPS,), and of the episode [s]."""
+    timed, began = _Timed(controller), time.perf_counter()
+    for _ in drive(timed, arms, EPISODE_STEPS, seed, randomization="train"):
+        pass
+    return 1e6 * np.array(timed.seconds), time.perf_counter() - began

@@ -1,0 +1,238 @@
+"""Cache of a comparison: parts that are kept on disk, and the processes that run the others.
+
+A part is a method on some scenarios in a row of a split. It is kept as
+`parts/SET.SPLIT.METHOD.FIRST-COUNT.KEY.npz`, with a key of everything that its numbers depend on: edition and
+scenarios, the method's gains, policies or sources, the code of plant and controllers, and the versions of the packages
+below them. A run that was interrupted, or that asks for more, goes on from the parts that are kept. Each file ends in
+its SHA-256: one that is damaged, or was changed by hand, is run again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import re
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import agents
+import baselines
+import beltarm_env
+from baselines.engines import parallel
+from baselines.engines.carrying import Carried
+from baselines.optimal import kept as kept_gains
+from baselines.tools.files import read_arrays, sha256_of, write_arrays
+from beltarm_env.metrics import METRICS
+from beltarm_env.rollout import rollout
+from beltarm_env.sources import sources_digest
+from eval.comparison.failures import Failure, attempt, explained, run_controller
+from eval.comparison.methods import LARGEST_BATCH, Method
+from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
+
+Metrics = dict[str, NDArray[np.float64]]
+"""Of a method on a split: for each metric a table of shape (seeds, episodes)."""
+LEFT = "left_workspace"
+"""Beside the metrics: 1 where the arm left the workspace."""
+TABLES = (*METRICS, LEFT)
+"""Names of the tables that are kept."""
+FOLDER = "parts"
+_PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
+"""Packages whose version the numbers may depend on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A method on the first `count` scenarios of `split`."""
+
+    method: Method
+    split: Split
+    count: int
+    first: int = 0  # number that the split's first scenario has in its set
+
+    def file(self, folder: Path) -> Path:
+        """File of its results, named by a key of everything that they depend on."""
+        key = key_of(self.method, EDITION, VERSION, self.split.of, self.split.digest, self.count)
+        return folder / FOLDER / f"{self.stem}.{key}.npz"
+
+    @property
+    def stem(self) -> str:
+        """Beginning of the file's name, before the key."""
+        method = re.sub(r"[^\w-]", "_", self.method.name)
+        return f"{self.split.of.replace(' ', '-')}.{self.split.name}.{method}.{self.first}-{self.count}"
+
+
+def parts_of(method: Method, split: Split, episodes: int) -> list[Part]:
+    """Cut the first scenarios of a split into parts of at most `EPISODES`."""
+    if episodes <= EPISODES:
+        return [Part(method, split, episodes)]
+    return [Part(method, cut, len(cut.table), first) for first, cut in split.cut(EPISODES, episodes)]
+
+
+def key_of(method: Method, *others: str | int) -> str:
+    """Hash of everything that a method depends on, and of `others`."""
+    content = [*others, method.name, method.kind, method.identity, _code()]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+
+
+@cache
+def _code() -> list[str]:
+    """SHA-256 of the code of plant, controllers and policies and of kept gains; versions of the packages below it."""
+    sources = sources_digest(*(Path(package.__path__[0]) for package in (beltarm_env, baselines, agents)))
+    kept = sha256_of(kept_gains.FILE) if kept_gains.FILE.exists() else ""
+    return [sources, kept, platform.python_version(), *(f"{name} {version(name)}" for name in _PACKAGES)]
+
+
+def measure(part: Part) -> Metrics:
+    """Run all controllers of a method on the scenarios of a part."""
+    (metrics,) = measure_together([part])
+    return metrics
+
+
+def measure_together(parts: Sequence[Part]) -> list[Metrics]:
+    """Run all controllers of a method on parts whose splits run beside one another, as `measure` does on each."""
+    method, counts = parts[0].method, [part.count for part in parts]
+    scenarios, count = side_by_side([(part.split, slice(part.count)) for part in parts]), sum(counts)
+    metrics = {name: np.empty((len(method.sources), count)) for name in TABLES}
+    for seeds in method.batches(count):
+        rows = np.tile(np.arange(count), len(seeds))
+        controller = method.controllers(seeds, scenarios.arms(count))
+        run = rollout(controller, len(rows), sensors=method.sensors, **scenarios.arguments(rows))
+        for name, values in {**run.metrics(), LEFT: 1.0 - run.finished}.items():
+            metrics[name][seeds] = values.reshape(len(seeds), count)
+    ends = np.cumsum(counts)[:-1]
+    pieces = {name: np.split(table, ends, axis=1) for name, table in metrics.items()}
+    return [{name: piece[k].copy() for name, piece in pieces.items()} for k in range(len(parts))]
+
+
+def read_kept(part: Part, folder: Path) -> Metrics | None:
+    """Read the results of a part; None if there are none, or damaged ones, which are removed."""
+    if part.method.identity is None:
+        return None
+    path = part.file(folder)
+    try:
+        metrics = read_arrays(path, TABLES)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        metrics = {}
+    shape = (len(part.method.sources), part.count)
+    if metrics and all(table.shape == shape for table in metrics.values()):
+        return metrics
+    path.unlink(missing_ok=True)
+    return None
+
+
+def keep(part: Part, folder: Path, metrics: Metrics) -> None:
+    """Keep the results of a part in place of those of other code, gains or policies; not if its identity is unknown.
+
+    Raises:
+        OSError: If they cannot be written.
+    """
+    if part.method.identity is None:
+        return
+    current = part.file(folder)
+    write_arrays(current, metrics)
+    for path in current.parent.glob(f"{part.stem}.*.npz"):
+        if path != current:
+            path.unlink(missing_ok=True)
+
+
+def run_parts(
+    parts: Sequence[Part],
+    folder: Path,
+    jobs: int | None,
+    done: Callable[[int, int], object] = lambda *_: None,
+    engine: parallel.Engine = parallel.LOCAL,
+) -> list[Metrics | Failure]:
+    """Return the results of all parts, in their order: kept ones are read, the others run, and kept by this process.
+
+    Args:
+        parts: What to run.
+        folder: Where to keep it.
+        jobs: Number of processes, by default one per core.
+        done: Called with the number of parts that are there, and of all.
+        engine: What runs the parts.
+
+    Raises:
+        OSError: If a result cannot be written, or a part broke off its process again and again.
+        KeyboardInterrupt: On Ctrl-C, with a message about the parts that are kept.
+    """
+    results: dict[int, Metrics | Failure] = {
+        k: kept for k, part in enumerate(parts) if (kept := read_kept(part, folder)) is not None
+    }
+    done(len(results), len(parts))
+    tasks = _tasks(parts, [k for k in range(len(parts)) if k not in results])
+    sent = _sent_along((parts[task[0]].method for task in tasks), engine)
+    left = {
+        str(number): partial(_run_task, [parts[k] for k in task], sent[parts[task[0]].method.name])
+        for number, task in enumerate(tasks)
+    }
+    try:
+        with closing(parallel.run_side_by_side(left, jobs, engine=engine)) as fresh:
+            for number, measured in fresh:
+                if isinstance(measured, parallel.Failure):
+                    raise explained(measured, jobs)
+                for k, result in zip(tasks[int(number)], measured, strict=True):
+                    if not isinstance(result, Failure):
+                        keep(parts[k], folder, result)
+                    results[k] = result
+                    done(len(results), len(parts))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted: {kept_count(parts, folder)} of {len(parts)} parts are kept in {folder}; the same command "
+            "continues from there"
+        ) from None
+    return [results[k] for k in range(len(parts))]
+
+
+def kept_count(parts: Sequence[Part], folder: Path) -> int:
+    """Return the number of parts that have a file."""
+    return sum(part.file(folder).exists() for part in parts)
+
+
+def _tasks(parts: Sequence[Part], left: list[int]) -> list[list[int]]:
+    """Group the parts that are left into tasks: few arms of a method, on splits that run beside one another.
+
+    Those with most runs come first, so that none is left over at the end.
+    """
+    tasks: list[list[int]] = []
+    for k in left:
+        task = next((task for task in tasks if _fits([parts[other] for other in task], parts[k])), None)
+        if task is None:
+            tasks.append([k])
+        else:
+            task.append(k)
+    return sorted(tasks, key=lambda task: -sum(_runs(parts[k]) for k in task))
+
+
+def _runs(part: Part) -> int:
+    return len(part.method.sources) * part.count
+
+
+def _fits(task: list[Part], part: Part) -> bool:
+    """Whether a part runs in a batch with others. A user's controller runs alone: its failure affects nothing else."""
+    alike = part.method == task[0].method and part.split.runs_beside(task[0].split)
+    return alike and part.method.kind != "added" and sum(map(_runs, [*task, part])) <= LARGEST_BATCH
+
+
+def _sent_along(methods: Iterable[Method], engine: parallel.Engine) -> dict[str, dict[str, Carried]]:
+    """Belongings of methods, by name, that tasks take with them to other machines."""
+    by_name = {method.name: method for method in methods}
+    return {name: {} if engine.name == "local" else method.belongings() for name, method in by_name.items()}
+
+
+def _run_task(parts: list[Part], belongings: dict[str, Carried], _: parallel.Channel) -> list[Metrics | Failure]:
+    there = [replace(part, method=part.method.at(belongings)) for part in parts]
+    if len(there) > 1:
+        together = attempt(there[0].method.name, "", partial(measure_together, there))
+        if not isinstance(together, Failure):
+            return list(together)
+    return [run_controller(part.method, part.split.name, partial(measure, part)) for part in there]

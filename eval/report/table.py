@@ -1,0 +1,330 @@
+"""Tables of a comparison: the content of a results.json, put into one structure, and rendered for each medium.
+
+`Results` makes the tables that page, report, README and terminal show alike. Markdown and the terminal have their
+renderers here, HTML has it in `parts.html`.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, nan
+from types import SimpleNamespace
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table as TerminalTable
+
+from beltarm_env.metrics import NOT_ARRIVED, TORQUES, heading
+from eval.comparison.check import PERIOD_US
+from eval.comparison.methods import EFFORT, shipped_policies
+from eval.comparison.results import PAIRED_METRICS
+from eval.comparison.sets import SetLabel
+from eval.comparison.splits import SPLITS, main_split
+from eval.report.text import cell, markdown_table, number, numbers, rounded
+
+_MARKDOWN = {"best": "**{}**", "tie": "<ins>{}</ins>"}
+_TERMINAL = {"best": ("*", "bold"), "tie": ("=", "underline")}
+_NAME_WIDTH, _HEAD_WIDTH = 24, 7  # columns of a terminal: a long name is cut, and no number
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Cell of a table."""
+
+    text: str
+    interval: str = ""
+    details: tuple[str, ...] = ()  # more lines of small print
+    value: float | None = None  # by which a page sorts; None is last
+    mark: str = ""  # "best" or "tie", or "late" beyond the control period
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Row of a table: a method and its cells."""
+
+    method: str
+    kind: str
+    seeds: int
+    cells: list[Cell]
+
+    @property
+    def ranked(self) -> bool:
+        """Whether it is compared with others."""
+        return self.kind != "privileged"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Table of methods; those that are not ranked are at the bottom."""
+
+    title: str
+    columns: list[str]
+    rows: list[Row]
+
+    @property
+    def ranked(self) -> list[Row]:
+        """Methods that are compared with others."""
+        return [row for row in self.rows if row.ranked]
+
+    @property
+    def unranked(self) -> list[Row]:
+        """Methods that see what no other does."""
+        return [row for row in self.rows if not row.ranked]
+
+
+def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False) -> str:
+    """Render a table as Markdown.
+
+    Args:
+        table: What to show; details of its cells are left out.
+        intervals: Whether each cell has its interval.
+        seeds: Whether the number of training seeds stands beside a learned method's name.
+    """
+    rows = []
+    for row in table.rows:
+        count = f" ({row.seeds} seed{'s' * (row.seeds > 1)})" if seeds and row.kind == "learned" else ""
+        texts = [_MARKDOWN.get(cell.mark, "{}").format(cell.text) for cell in row.cells]
+        if intervals:
+            texts = [f"{text} {cell.interval}".rstrip() for text, cell in zip(texts, row.cells, strict=True)]
+        rows.append([text if row.ranked else f"*{text}*" for text in (row.method + count, *texts)])
+    return markdown_table(["method", *table.columns], rows)
+
+
+def to_terminal(table: Table, *, intervals: bool = False) -> TerminalTable:
+    """Render a table for the terminal: a star marks the best of a column, an equals sign a tie."""
+    shown = TerminalTable(
+        title=table.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+    )
+    shown.add_column("method", no_wrap=True, max_width=_NAME_WIDTH)
+    for column in table.columns:
+        head = "\n".join(textwrap.wrap(column, _HEAD_WIDTH, break_long_words=False))
+        shown.add_column(head, justify="right", no_wrap=True)
+    for row in table.rows:
+        cells = [_terminal_cell(cell, intervals) for cell in row.cells]
+        shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")
+    return shown
+
+
+def _terminal_cell(cell: Cell, intervals: bool) -> str:
+    sign, style = _TERMINAL.get(cell.mark, (" ", ""))
+    text = f"{escape(cell.text)}{sign}"
+    text = f"[{style}]{text}[/{style}]" if style else text
+    return f"{text}\n{escape(cell.interval)} " if intervals and cell.interval else text
+
+
+def parts_of(table: Table, columns: int) -> list[Table]:
+    """Cut a table into tables of at most so many columns."""
+
+    def part(first: int) -> Table:
+        chosen = slice(first, first + columns)
+        rows = [Row(row.method, row.kind, row.seeds, row.cells[chosen]) for row in table.rows]
+        return Table(table.title, table.columns[chosen], rows)
+
+    return [part(first) for first in range(0, len(table.columns), columns)]
+
+
+# Content
+
+Record = dict[str, Any]
+"""Row of a results.json: a method on a split."""
+Show = Callable[[Record], Cell]
+WORST = "worst 5\u00a0%"
+FAILED = Cell("failed")
+
+
+class Results:
+    """Content of a results.json; methods come in the order of their cost on the main split, unranked ones last."""
+
+    def __init__(self, content: dict[str, Any]) -> None:
+        self.content = content
+        self.records: dict[tuple[str, str], Record] = {(row["method"], row["split"]): row for row in content["rows"]}
+        self.splits = list(dict.fromkeys(row["split"] for row in content["rows"]))
+        self.main = main_split(self.splits)
+        self.episodes: int = max(row["episodes"] for row in content["rows"])
+
+    @cached_property
+    def methods(self) -> list[Record]:
+        """A record of every method, that of the main split if there is one."""
+        first = {row["method"]: row for row in reversed(self.content["rows"])}
+        chosen: list[Record] = [self.records.get((name, self.main)) or row for name, row in first.items()]
+        return sorted(chosen, key=self._place)
+
+    def _place(self, row: Record) -> tuple[bool, float, str]:
+        cost = estimate(row, "cost").iqm if row["split"] == self.main else inf
+        return row["kind"] == "privileged", cost, row["method"]
+
+    def on(self, split: str) -> list[Record]:
+        """Records of a split."""
+        return [record for row in self.methods if (record := self.records.get((row["method"], split)))]
+
+    def of_kind(self, *kinds: str) -> list[str]:
+        """Names of the methods of some kinds that ran on the main split, the lowest cost first."""
+        return [row["method"] for row in self.on(self.main) if row["kind"] in kinds]
+
+    def best_classical(self, split: str) -> str | None:
+        """Classical method of the lowest cost on a split."""
+        classical = [row for row in self.on(split) if row["kind"] == "classical"]
+        return min(classical, key=lambda row: estimate(row, "cost").iqm)["method"] if classical else None
+
+    def against(self, word: str, split: str) -> dict[str, dict[str, Any]]:
+        """Paired comparisons of a split by method; `word` is one of `eval.comparison.schema.AGAINST`."""
+        pairs = {p["method"]: p for p in self.content["paired"] if (p["against"], p["split"]) == (word, split)}
+        return {row["method"]: pairs[row["method"]] for row in self.on(split) if row["method"] in pairs}
+
+    @property
+    def label(self) -> SetLabel:
+        """Set of scenarios."""
+        return SetLabel(**self.content["scenario_set"])
+
+    @property
+    def note(self) -> str:
+        """Sentences about what the numbers are worth."""
+        shipped = {folder.parent.name for folder in shipped_policies()}
+        own = [
+            row["method"]
+            for row in self.methods
+            if row["kind"] == "added"
+            or (row["kind"] == "learned" and row["method"].removesuffix("+guard") not in shipped)
+        ]
+        return self.label.note_with(own)
+
+    def seed_note(self, methods: Iterable[str]) -> str:
+        """Sentence that names the training seeds that represent learned methods; empty without any of several seeds."""
+        several = [row for row in self.methods if row["method"] in set(methods) and row["seeds"] > 1]
+        if not several:
+            return ""
+        named = "; ".join(f"{row['method']} by seed {row['median_seed']} of 0 to {row['seeds'] - 1}" for row in several)
+        return f"A learned method is shown by the training seed of median cost on {self.main}: {named}."
+
+    # Tables
+
+    def main_table(self) -> Table:
+        """Cost on the main split by every average, failures beside it, and the error of the arm's end."""
+        shows: dict[str, Show] = {
+            "cost": _estimate("cost"),
+            "mean": lambda row: _number("cost", row.get("cost_mean")),
+            WORST: lambda row: _number("cost", row.get("cost_worst")),
+            "fail": lambda row: _share(_unsettled(row)),
+            "left": lambda row: Cell(str(row["failures"]["left_workspace"]), value=row["failures"]["left_workspace"]),
+            "not arrived": lambda row: _share(estimate(row, NOT_ARRIVED).iqm),
+        }
+        shows |= {heading(name): _estimate(name) for name in PAIRED_METRICS if name != "cost"}
+        about = f"{self.main}: {SPLITS[self.main].description}; {self.episodes} scenarios"
+        return self._table(about, {title: (self.main, show) for title, show in shows.items()})
+
+    def across_splits(self, metric: str) -> Table:
+        """One metric on all splits; details of the cost are its mean and tail, and failures."""
+        show = _estimate(metric)
+        shown = (lambda row: replace(show(row), details=_tail(row))) if metric == "cost" else show
+        return self._table(f"{heading(metric)} on every split", {split: (split, shown) for split in self.splits})
+
+    def of_split(self, split: str, metrics: Sequence[str]) -> Table:
+        """Some metrics on one split."""
+        return self._table(split, {heading(metric): (split, _estimate(metric)) for metric in metrics})
+
+    def tails(self) -> Table:
+        """Mean of the cost, mean of its worst 5 %, and failures, on all splits."""
+        shown: Show = lambda row: Cell("; ".join(_tail(row)))  # noqa: E731
+        return self._table("mean and tail of the cost", {split: (split, shown) for split in self.splits})
+
+    def torques(self) -> Table:
+        """Torques on the main split."""
+        return replace(self.of_split(self.main, TORQUES), title=f"Torques on {self.main}")
+
+    def effort(self) -> Table:
+        """Samples and time of tuning or training, of its search, and time per action."""
+        columns = ["samples per seed (million)", "seconds per seed", "trials", "refused", "base's samples (million)"]
+        columns += ["per action (µs)", "99\u00a0% (µs)"]
+        return Table("What each method takes", columns, [self._row(row, _effort(row)) for row in self.methods])
+
+    def _table(self, title: str, columns: dict[str, tuple[str, Show]]) -> Table:
+        rows = []
+        for row in self.methods:
+            records = [(show, self.records.get((row["method"], split))) for split, show in columns.values()]
+            rows.append(self._row(row, [show(record) if record else FAILED for show, record in records]))
+        return Table(title, list(columns), rows)
+
+    @staticmethod
+    def _row(row: Record, cells: list[Cell]) -> Row:
+        return Row(row["method"], row["kind"], row["seeds"], cells)
+
+
+def estimate(row: Record, metric: str) -> SimpleNamespace:
+    """Estimate of a metric: `iqm`, `low` and `high`, not numbers where there is none."""
+    return SimpleNamespace(**row["metrics"].get(metric, {"iqm": nan, "low": nan, "high": nan}))
+
+
+def difference(pair: dict[str, Any], metric: str) -> SimpleNamespace | None:
+    """Paired difference in a metric with its test; None where nothing is compared."""
+    return SimpleNamespace(**pair["metrics"][metric]) if metric in pair["metrics"] else None
+
+
+def result_of(pair: SimpleNamespace) -> str:
+    """Result of a paired comparison, with a star if the difference is not shown after Holm's correction."""
+    return pair.verdict + ("*" if pair.verdict in ("better", "worse") and pair.p_holm >= 0.05 else "")
+
+
+def difference_texts(pair: dict[str, Any]) -> list[str]:
+    """Paired comparison in words: for each metric the difference and the probability of improvement."""
+    texts = []
+    for metric in PAIRED_METRICS:
+        compared = difference(pair, metric)
+        if compared is None:
+            texts += ["not compared", "–"]
+            continue
+        wins = f"{compared.win_rate:.0%} [{compared.win_rate_low:.0%}, {compared.win_rate_high:.0%}]"
+        texts += [f"{result_of(compared)}: {cell(metric, compared)}", wins]
+    return texts
+
+
+def _estimate(metric: str) -> Show:
+    """Cells of a metric: its estimate with the interval, and a mark where it is the best or a tie."""
+
+    def show(row: Record) -> Cell:
+        if metric not in row["metrics"]:
+            return Cell("–")
+        value = estimate(row, metric)
+        point, low, high = numbers(metric, value)
+        return Cell(point, f"[{low}, {high}]", (), value.iqm, row.get("marks", {}).get(metric, ""))
+
+    return show
+
+
+def _number(metric: str, value: float | None) -> Cell:
+    return Cell("–") if value is None else Cell(rounded(metric, value), value=value)
+
+
+def _share(value: float) -> Cell:
+    return Cell(f"{value:.0%}" if value == value else "–", value=value if value == value else None)
+
+
+def _unsettled(row: Record) -> float:
+    return row["failures"]["not_settled"] / row["failures"]["runs"]
+
+
+def _tail(row: Record) -> tuple[str, ...]:
+    """Mean and worst 5 % of the cost, and how many runs failed, if any."""
+    left, away = row["failures"]["left_workspace"], estimate(row, NOT_ARRIVED).iqm
+    averages = [number(row.get(key, nan), 0) for key in ("cost_mean", "cost_worst")]
+    counts = [f"{_unsettled(row):.0%} fail"] if _unsettled(row) else []
+    counts += [f"{left} left"] if left else []
+    counts += [f"{away:.0%} not arrived"] if away > 0 else []
+    return (" / ".join(averages), *([", ".join(counts)] if counts else []))
+
+
+def _effort(row: Record) -> list[Cell]:
+    training = row["training"]
+    steps, seconds, trials, refused, of_base = (max(training.get(name, [0])) for name in EFFORT)
+    amounts = [(steps / 1e6, 1), (seconds, 0), (trials, 0), (refused, 0), (of_base / 1e6, 1)]
+    cells = [Cell(number(value, digits) if value else "–", value=value) for value, digits in amounts]
+    return [*cells, *(_time(row["action_us"][key]) for key in ("p50", "p99"))]
+
+
+def _time(time: float) -> Cell:
+    late = time > PERIOD_US
+    share = f"{'late: ' if late else ''}{time / PERIOD_US:.0%} of the period"
+    return Cell(f"{time:.0f}", "", (share,), time, "late" if late else "")

@@ -1,0 +1,424 @@
+"""Tail risk: what happens once in a thousand moves.
+
+The best controllers and policies on 25000 scenarios that were drawn afresh. A learned method has several policies. Each
+scenario is played by one of them, scenario i by policy i modulo their number: so the scenarios of a method are
+independent of one another, as the intervals take them to be. What is done is kept in results/compare, as the parts of
+a comparison are, and an interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from scipy.stats import binomtest, ks_2samp, quantile_test
+
+from baselines.tools.progress import progress_count
+from beltarm_env.arm import params_columns
+from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED, OF_ARRIVED, TORQUE_QUALITY, heading
+from beltarm_env.metrics import METRICS as KNOWN
+from beltarm_env.task.moves import MOVE_FIELDS
+from eval.comparison.cache import LEFT, Part, parts_of, run_parts
+from eval.comparison.failures import Failure
+from eval.comparison.methods import Method
+from eval.comparison.provenance import ROOT
+from eval.comparison.run import choose_methods
+from eval.comparison.scenarios import require_same_physics
+from eval.comparison.sets import SetLabel, development_set, fresh_scenarios
+from eval.comparison.splits import EPISODES, SPLITS, Split
+from eval.comparison.statistics import CONFIDENCE, holm, interquartile_mean
+from eval.report.style import COLOURS, mark_one_two_five
+from eval.report.text import degrees, markdown_table, number, rounded
+from eval.studies._frame import Pictures, StudyOptions
+
+Floats = NDArray[np.float64]
+Interval = tuple[float, float, float]
+"""An estimate and the ends of its 95 % interval; an end that too few values show is not a number."""
+SEED, SPLIT = 1, "randomized"
+METHODS = ("paper", "preview", "adaptive", "ppo", "student")
+DISTRIBUTIONS = ("cost", "tip_rms_mm", "tip_max_mm", "residual_pp_mm", "settling_s")
+"""Metrics with a table of their own."""
+MEASURED = (*DISTRIBUTIONS, *TORQUE_QUALITY)
+DRAWN = ("cost", "tip_max_mm")
+SHARES = (0.5, 0.9, 0.99, 0.999)
+"""Of the percentiles that are shown."""
+OF_DIFFERENCE = (0.001, 0.01, 0.5, 0.99, 0.999)
+"""Of those of the difference between two methods."""
+WORST = 0.001
+"""Share of all scenarios that counts as the tail."""
+CASES = 5
+"""Worst scenarios that are named."""
+QUICK = {"episodes": 60}
+_KEPT = Path("results/compare")  # where `eval/compare.py` keeps its parts too
+_POINTS = 200  # of a drawn distribution
+_USUAL = 10_000  # scenarios that say how arms are distributed
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (20, 1_000_000), "jobs": (1, 256)}
+
+    episodes: int = 25_000
+    """Number of scenarios."""
+    jobs: int = 2
+    """Number of processes."""
+
+
+# Estimates
+
+
+def percentile(values: Floats, share: float) -> Interval:
+    """Smallest value that at least this share of all values does not exceed, with its interval.
+
+    The ends of the interval are two other values, whose places in the order follow from the binomial distribution,
+    whatever the values' own distribution is (W. J. Conover, Practical Nonparametric Statistics, 1999, section 3.2).
+    """
+    point = float(np.quantile(values, share, method="inverted_cdf"))
+    ends = quantile_test(values, p=share).confidence_interval(CONFIDENCE)
+    return point, float(ends.low), float(ends.high)
+
+
+def share_of(happened: NDArray[np.bool_]) -> Interval:
+    """Share of scenarios in which something happened, with its exact interval (Clopper and Pearson)."""
+    count, total = int(happened.sum()), len(happened)
+    ends = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+    return count / total, float(ends.low), float(ends.high)
+
+
+def tail_size(count: int) -> int:
+    """Number of values that count as the tail of `count`."""
+    return max(1, round(WORST * count))
+
+
+def tail_of(values: Floats) -> dict[str, Any]:
+    """Mean with its standard error, IQM, percentiles, and mean of the tail; nothing of fewer than two values."""
+    if len(values) < 2:
+        nothing = dict.fromkeys(("mean", "error", "iqm", "worst_mean", "worst"), math.nan)
+        return nothing | {"percentiles": [(math.nan, math.nan, math.nan)] * len(SHARES)}
+    ordered = np.sort(values)
+    return {
+        "mean": values.mean(),
+        "error": _standard_error(values),
+        "iqm": interquartile_mean(values),
+        "percentiles": [percentile(ordered, share) for share in SHARES],
+        "worst_mean": ordered[-tail_size(len(values)) :].mean(),
+        "worst": ordered[-1],
+    }
+
+
+def _standard_error(values: Floats) -> float:
+    return float(values.std(ddof=1) / math.sqrt(len(values)))
+
+
+def paired_with(values: Floats, others: Floats) -> dict[str, Any]:
+    """Compare the values of two methods on the same scenarios, shape (n,) both."""
+    difference = np.sort(values - others)
+    return {
+        "dearer": share_of(difference > 0),
+        "mean": difference.mean(),
+        "error": _standard_error(difference),
+        "percentiles": [percentile(difference, share) for share in OF_DIFFERENCE],
+        "most": difference[-1],
+    }
+
+
+def distinguishing_parameters(tail: Mapping[str, Floats], usual: Mapping[str, Floats]) -> list[dict[str, Any]]:
+    """Parameters whose distribution in the tail differs from that of all scenarios (KS test, Holm), farthest first.
+
+    Args:
+        tail: Values of each parameter in the scenarios of the tail.
+        usual: The same in scenarios as they come.
+    """
+    tests: dict[str, Any] = {name: ks_2samp(values, usual[name], method="asymp") for name, values in tail.items()}
+    adjusted = holm([float(test.pvalue) for test in tests.values()])
+    shown = [name for name, p in zip(tests, adjusted, strict=True) if p < 1 - CONFIDENCE]
+    return [
+        {
+            "name": name,
+            "distance": tests[name].statistic,
+            "median": np.median(tail[name]),
+            "usual": np.median(usual[name]),
+        }
+        for name in sorted(shown, key=lambda name: -tests[name].statistic)
+    ]
+
+
+def exceedance(values: Floats) -> dict[str, Floats]:
+    """Values from the least to the largest, and the share of all that reaches each; equally spread in its logarithm."""
+    ordered = np.sort(values)
+    ranks = np.unique(np.geomspace(1, len(values), _POINTS).round().astype(np.intp))[::-1]
+    return {"values": ordered[-ranks], "shares": ranks / len(values)}
+
+
+# Measuring
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Tails of all methods."""
+    require_same_physics(development_set().only([SPLIT]))
+    split = fresh_scenarios(SEED, SPLIT, range(options.episodes))
+    methods = sorted(choose_methods(METHODS), key=lambda method: METHODS.index(method.name))
+    values = played(methods, split, options.jobs)
+    classical = [method.name for method in methods if method.kind == "classical"]
+    best = min(classical, key=lambda method: interquartile_mean(values[method]["cost"]))
+    usual = _parameters(split.part(slice(_USUAL)))
+    return {
+        "scenario_seed": SEED,
+        "episodes": options.episodes,
+        "split": SPLIT,
+        "best": best,
+        "methods": {
+            method.name: {
+                "kind": method.kind,
+                "sources": [source.removeprefix(f"{ROOT}/") for source in method.sources],
+                **_outcome(values[method.name], split, len(method.sources), usual),
+                "against": paired_with(values[method.name]["cost"], values[best]["cost"]),
+            }
+            for method in methods
+        },
+    }
+
+
+def played(methods: Sequence[Method], split: Split, jobs: int | None, folder: Path = _KEPT) -> dict[str, Any]:
+    """Values of each method and metric, shape (n,); the policies of a learned method take turns.
+
+    Raises:
+        ValueError: If a method fails.
+    """
+    count, parts = len(split.table), dict[tuple[str, int], list[Part]]()
+    for method in methods:
+        turns = len(method.sources)
+        for policy, source in enumerate(method.sources):
+            alone = replace(method, name=f"{method.name}-{policy}", sources=(source,)) if turns > 1 else method
+            own = split.part(slice(policy, None, turns))
+            parts[method.name, policy] = parts_of(alone, own, len(own.table))
+    with progress_count("parts", Console()) as done:
+        results = iter(run_parts([part for of in parts.values() for part in of], folder, jobs, done))
+    values = {method.name: {name: np.empty(count) for name in (*KNOWN, LEFT)} for method in methods}
+    for (method, policy), of_policy in parts.items():
+        turns = sum(name == method for name, _ in parts)
+        for part in of_policy:
+            result = next(results)
+            if isinstance(result, Failure):
+                raise ValueError(f"{method} failed: {result.message}")
+            first = turns * part.first + policy
+            for name, table in result.items():
+                values[method][name][first : first + turns * part.count : turns] = table[0]
+    return values
+
+
+def _outcome(values: dict[str, Floats], split: Split, policies: int, usual: Mapping[str, Floats]) -> dict[str, Any]:
+    cost, away = values["cost"], values[NOT_ARRIVED] > 0
+    order = np.argsort(-cost, kind="stable")
+    return {
+        "tails": {name: tail_of(values[name][~away] if name in OF_ARRIVED else values[name]) for name in MEASURED},
+        "few": tail_of(cost[:EPISODES]),
+        "policies": [tail_of(cost[policy::policies]) for policy in range(policies)] if policies > 1 else [],
+        "left": share_of(values[LEFT] > 0),
+        "not_arrived": share_of(away),
+        "not_settled": share_of(values["failure_share"] > 0),
+        "curves": {name: exceedance(values[name]) for name in DRAWN},
+        "worst": [
+            {
+                "scenario": k,
+                "policy": k % policies,
+                "cost": cost[k],
+                "tip_max_mm": values["tip_max_mm"][k],
+                **dict(zip(MOVE_FIELDS, split.moves[k], strict=True)),
+            }
+            for k in order[:CASES].tolist()
+        ],
+        "distinguishing": distinguishing_parameters(_parameters(split.part(order[: tail_size(len(cost))])), usual),
+    }
+
+
+def _parameters(split: Split) -> dict[str, Floats]:
+    """Constants, move and delay of scenarios, by name; shape (n,) each."""
+    moves = dict(zip(MOVE_FIELDS, split.moves.T, strict=True))
+    length = {"length of the move": np.abs(moves["goal"] - moves["start"])}
+    return {**params_columns(split.table), **moves, **length, "delay": split.delays}
+
+
+# Page
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables, and numbers of the template."""
+    methods: dict[str, Any] = data["methods"]
+    tail = f"worst {100 * WORST:g} %"
+    shares = [f"{100 * share:g} %" for share in SHARES]
+    learned = [name for name, of in methods.items() if of["kind"] == "learned"]
+    challenger = min(learned, key=lambda name: methods[name]["tails"]["cost"]["iqm"])
+    rare = [methods[name]["tails"]["cost"]["percentiles"][-1] for name in (challenger, data["best"])]
+    return {
+        "note": SetLabel(f"seed {data['scenario_seed']}", "").note,
+        "few": EPISODES,
+        "description": SPLITS[data["split"]].description,
+        "arrival_mm": 1000 * ARRIVAL_BOUND,
+        "challenger": challenger,
+        "dearer": _percent(methods[challenger]["against"]["dearer"]),
+        "rare": [_interval("cost", value) for value in rare],
+        "apart": _apart(rare),
+        "worst": [rounded("cost", methods[name]["tails"]["cost"]["worst"]) for name in (challenger, data["best"])],
+        "distributions": [
+            (heading(metric), _table(["mean", "IQM", "median", *shares[1:], tail, "worst"], methods, _of(metric)))
+            for metric in DISTRIBUTIONS
+        ],
+        "first": _table(
+            [f"{share}, {which}" for which in (f"first {EPISODES}", "all") for share in (*shares[-2:], "worst")],
+            methods,
+            lambda of: [text for values in (of["few"], of["tails"]["cost"]) for text in _rare(values)],
+        ),
+        "failures": _table(
+            ["left the workspace (%)", "did not arrive (%)", "never settled (%)"],
+            methods,
+            lambda of: [_percent(of[name]) for name in ("left", "not_arrived", "not_settled")],
+        ),
+        "against": _table(
+            ["costs more (%)", "mean difference", *(f"{100 * share:g} %" for share in OF_DIFFERENCE), "most"],
+            {name: of for name, of in methods.items() if name != data["best"]},
+            lambda of: _differences(of["against"]),
+        ),
+        "policies": _table(
+            ["mean cost", *shares[1:], "worst"],
+            {f"{name}, {k}": policy for name, of in methods.items() for k, policy in enumerate(of["policies"])},
+            lambda of: [
+                _mean(of),
+                *(_interval("cost", v) for v in of["percentiles"][1:]),
+                rounded("cost", of["worst"]),
+            ],
+        ),
+        "torques": _table(
+            [f"{heading(name)}, {which}" for name in TORQUE_QUALITY for which in ("mean", shares[-1])],
+            methods,
+            _torques,
+        ),
+        "tail_size": tail_size(data["episodes"]),
+        "distinguishing": _distinguishing(methods),
+        "cases": _cases(methods),
+        "commands": [_watching(data, of) for of in methods.values()],
+    }
+
+
+def _table(titles: Sequence[str], methods: Mapping[str, Any], cells: Any) -> str:
+    return markdown_table(["method", *titles], [[f"`{name}`", *cells(of)] for name, of in methods.items()])
+
+
+def _value(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _interval(metric: str, interval: Sequence[float | None]) -> str:
+    point, low, high = (rounded(metric, _value(end)) for end in interval)
+    return f"{point} [{low}, {high}]"
+
+
+def _percent(interval: Sequence[float]) -> str:
+    point, low, high = (f"{100 * end:.3g}" for end in interval)
+    return f"{point} [{low}, {high}]"
+
+
+def _apart(intervals: Sequence[Sequence[float | None]]) -> bool:
+    (_, low, high), (_, other_low, other_high) = (list(map(_value, interval)) for interval in intervals)
+    return high < other_low or other_high < low
+
+
+def _of(metric: str) -> Any:
+    digits = KNOWN[metric].digits
+
+    def cells(of: dict[str, Any]) -> list[str]:
+        tail = of["tails"][metric]
+        return [
+            _mean(tail, digits),
+            number(_value(tail["iqm"]), digits + 1),
+            *(_interval(metric, value) for value in tail["percentiles"]),
+            *(rounded(metric, _value(tail[name])) for name in ("worst_mean", "worst")),
+        ]
+
+    return cells
+
+
+def _rare(tail: dict[str, Any]) -> list[str]:
+    return [*(_interval("cost", value) for value in tail["percentiles"][-2:]), rounded("cost", tail["worst"])]
+
+
+def _torques(of: dict[str, Any]) -> list[str]:
+    pairs = [(name, of["tails"][name]) for name in TORQUE_QUALITY]
+    return [rounded(name, _value(v)) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
+
+
+def _differences(against: dict[str, Any]) -> list[str]:
+    ends = (_interval("cost", value) for value in against["percentiles"])
+    return [_percent(against["dearer"]), _mean(against), *ends, rounded("cost", against["most"])]
+
+
+def _mean(of: dict[str, Any], digits: int = 0) -> str:
+    return f"{number(_value(of['mean']), digits + 1)} ± {number(_value(of['error']), digits + 2)}"
+
+
+def _distinguishing(methods: Mapping[str, Any], most: int = 3) -> str:
+    rows = [
+        [f"`{name}`", entry["name"], f"{entry['median']:.3g}", f"{entry['usual']:.3g}", f"{entry['distance']:.2f}"]
+        for name, of in methods.items()
+        for entry in of["distinguishing"][:most]
+    ]
+    return markdown_table(["method", "parameter", "median in the tail", "median of all", "distance"], rows, "llrrr")
+
+
+def _cases(methods: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            f"`{name}`",
+            str(case["scenario"]),
+            str(case["policy"]) if of["policies"] else "",
+            *(rounded(metric, case[metric]) for metric in DRAWN),
+            f"{degrees(case['start'])} to {degrees(case['goal'])}",
+        ]
+        for name, of in methods.items()
+        for case in of["worst"]
+    ]
+    return markdown_table(["method", "scenario", "training seed", *map(heading, DRAWN), "move"], rows, "lrrrrl")
+
+
+def _watching(data: dict[str, Any], of: dict[str, Any]) -> str:
+    """Command that shows the worst scenario of a method."""
+    worst = of["worst"][0]
+    option = "policy" if of["kind"] == "learned" else "controller"
+    where = f"--scenario-seed {data['scenario_seed']} --split {data['split']} --scenario {worst['scenario']}"
+    return f"python eval/watch.py {where} --{option} {of['sources'][worst['policy']]}"
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """Share of scenarios that reach a cost, and a tip error."""
+    return {"tails.png": lambda: _draw(data["methods"])}
+
+
+def _draw(methods: Mapping[str, Any]) -> Figure:
+    figure, axes = plt.subplots(1, len(DRAWN), figsize=(10.5, 4.8), sharey=True, layout="constrained")
+    for axis, metric in zip(axes, DRAWN, strict=True):
+        for (name, of), colour in zip(methods.items(), COLOURS, strict=False):
+            values, shares = (np.array(of["curves"][metric][key]) for key in ("values", "shares"))
+            axis.plot(values, 100 * shares, color=colour, lw=1.8, label=name)
+            axis.plot(values[-1:], 100 * shares[-1:], "o", color=colour, ms=4)
+        axis.axhline(100 / EPISODES, color="0.45", lw=0.9, ls=(0, (4, 3)))
+        axis.set(xscale="log", yscale="log", xlabel=heading(metric))
+        mark_one_two_five(axis.xaxis)
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.grid(color="0.9", lw=0.6)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("share of scenarios that reach it (%)")
+    at = {"xycoords": ("axes fraction", "data"), "xytext": (4, 3), "textcoords": "offset points", "fontsize": 9}
+    axes[0].annotate(f"one in {EPISODES}", (0.0, 100 / EPISODES), color="0.35", **at)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, loc="outside lower center", ncols=len(labels))
+    return figure
