@@ -27,8 +27,8 @@ sys.path[:0] = [str(ROOT), str(DOCS)]
 from beltarm_env import BeltArmEnv, __version__
 from beltarm_env.metrics import METRICS, heading
 from eval.comparison.splits import EPISODES, SPLITS
-from eval.report.text import markdown_table
 from eval.exports.hub import CITATION, bibtex
+from eval.report.text import markdown_table
 
 REPOSITORY = (
     tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"].get("urls", {}).get("Source")

@@ -1,1 +1,0 @@
-"""Checks of the plant against independent solutions; `eval/convergence.py` and `eval/crosscheck.py` are commands."""
