@@ -23,11 +23,10 @@ from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
-from eval.deploy.building import SANITISED
-from eval.deploy.controllers import controller_of, loop_of
-from eval.deploy.in_the_loop import InTheLoop, counts_of
-from eval.deploy.loop import Device, begin, commanded, empty_device, observe
-from eval.deploy.package import write
+from eval.exports.compilers import SANITISED
+from eval.exports.in_the_loop import InTheLoop, counts_of
+from eval.exports.kernels import Device, begin, commanded, empty_device, observe
+from eval.exports.program import controller_of, loop_of, write_program
 
 FAULTS = (
     *("none", "stuck", "other way round", "lost", "late", "jump", "spike", "flipped bit", "ends of the range"),
@@ -67,7 +66,7 @@ def compare(source: str, guard: bool, split: Split, rng: np.random.Generator, fo
     limit, slew = loop.params.torque_limit, loop.design.guard.slew if guard else np.inf
     encoders = FaultyEncoders(counts_of(seen, quantum), rng)
     controller, devices = controller_of(source, guard), [empty_device() for _ in range(ARMS)]
-    write(folder, loop)
+    write_program(folder, loop)
     program = InTheLoop(folder, loop.name, split.moves[:ARMS], limit, compiler(), per_turn, (*SANITISED, "-O1"))
     state, last = None, np.zeros(ARMS)
     with program:
