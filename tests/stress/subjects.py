@@ -89,7 +89,7 @@ def _comparison(folder: Path) -> dict[str, Any]:
         results["provenance"].pop(name)
     for row in results["rows"]:
         row.pop("action_us")
-    kept = {path.name: path.read_bytes() for path in (*folder.glob("pairs/*.npz"), folder / "episodes.csv")}
+    kept = {path.name: path.read_bytes() for path in (*folder.glob("parts/*.npz"), folder / "episodes.csv")}
     return {"results.json": results, **kept}
 
 
