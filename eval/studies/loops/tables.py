@@ -47,9 +47,7 @@ def tables(data: Data) -> dict[str, Any]:
         "changes": _changes(data),
         "limits": _limits(data),
         "prices": _prices(ranked),
-        "worth": _worth(data),
-        "times": _times(data, ranked),
-        "tuning": _tuning(data["gains"]),
+        "ranked": ranked,
         "gap": _gap(data),
         "sections": {name: (_gains(data["gains"][name]), _shown(row["loop"])) for name, row in ranked.items()},
         "unpriced": [name for name, row in ranked.items() if data["gains"][name]["tuning"] and not row["price"]],
@@ -176,39 +174,6 @@ def _prices(ranked: Data) -> str:
             rows.append([name, *costs[:2], ratio, *costs[2:], left, price["where"]])
     titles = ["controller", "cost with", "without", "price", "mean with", "without", "modulus, delay without", "where"]
     return markdown_table(titles, rows, "lrrrrrrl") if rows else ""
-
-
-def _worth(data: Data) -> str:
-    """What identification is worth: mean costs, and arms on which it costs more; empty if it was not run."""
-    rows = []
-    for row in data["worth"]:
-        means = [f"{row['own']:.0f}", f"{row['other']:.0f}"]
-        rows.append([row["title"], *means, f"{row['worse']} of {data['arms']}", f"×{row['worst']:.2f}"])
-    return markdown_table(["beside", "mean cost", "of the other", "worse", "worst arm"], rows) if rows else ""
-
-
-def _times(data: Data, ranked: Data) -> str:
-    """Wall-clock per action."""
-    batch = data["batch"]
-    titles = ["controller", "first action, with its plan (µs)", "later ones, p50 (µs)", "p99 (µs)"]
-    titles += [f"per action, batch of {batch} (µs)", f"episode of {batch} arms (s)"]
-    digits = {"first": 0, "median": 0, "slow": 0, "batched": 2, "episode": 1}
-    rows = [[name, *(number(row["times"][key], n) for key, n in digits.items())] for name, row in ranked.items()]
-    return markdown_table(titles, rows)
-
-
-def _tuning(entries: Data) -> str:
-    """Effort of each search for gains."""
-    rows = []
-    for name, entry in entries.items():
-        if tuning := entry["tuning"]:
-            effort = [number(tuning["steps"] / 1e6, 1), str(tuning["trials"]), str(tuning["refused"])]
-            costs = [f"{tuning['cost_untuned']:.0f}", f"{tuning['cost']:.0f}"]
-            rows.append([name, *effort, number(tuning["seconds"] / 60, 1), *costs, tuning["commit"]])
-        else:
-            rows.append([name, *["–"] * 7])
-    titles = ["controller", "samples (million)", "trials", "refused", "minutes", "cost before", "after", "commit"]
-    return markdown_table(titles, rows, "lrrrrrrl")
 
 
 def _found_nothing(tuning: Data) -> bool:

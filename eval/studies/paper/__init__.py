@@ -26,17 +26,7 @@ from eval.studies.paper.linear import ServoGains, linear_numbers, without_and_wi
 from eval.studies.paper.pictures import pictures
 from eval.studies.paper.responses import SIGNALS, Response, response
 from eval.studies.paper.ringing import END_WINDOW, PHASES, REDUCED, REMOVED, Suppression, ringing_of, suppression
-from eval.studies.paper.runs import (
-    BOTH_ARMS,
-    FRICTION,
-    MAIN,
-    STANDARD,
-    TO_0,
-    VIEWS,
-    check_move,
-    is_allowed,
-    run_moves,
-)
+from eval.studies.paper.runs import BOTH_ARMS, FRICTION, MAIN, STANDARD, TO_0, VIEWS, check_move, is_allowed, run_moves
 from eval.studies.paper.tables import tables
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]

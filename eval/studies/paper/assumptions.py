@@ -96,11 +96,7 @@ _OF_ARM_AND_SERVO: tuple[tuple[str, str, dict[str, dict[str, Any]]], ...] = (
             "friction not compensated": _settings(friction_sign="none"),
         },
     ),
-    (
-        "torsional velocity",
-        "simulated from encoder data",
-        {"torsion measured exactly": _settings(true_torsion=True)},
-    ),
+    ("torsional velocity", "simulated from encoder data", {"torsion measured exactly": _settings(true_torsion=True)}),
     (
         "encoder",
         f"{ENCODER_COUNTS} counts per revolution",

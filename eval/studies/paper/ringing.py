@@ -24,11 +24,7 @@ Answer = Literal["yes", "in part", "no", "not comparable"]
 
 END_WINDOW = 0.3
 """Length of the last phase [s]: what still rings at the end of the recording."""
-PHASES = {
-    "cruise": "during the cruise",
-    "stop": "after the stop",
-    "end": f"in the last {END_WINDOW:g} s",
-}
+PHASES = {"cruise": "during the cruise", "stop": "after the stop", "end": f"in the last {END_WINDOW:g} s"}
 REDUCED = 0.8
 """Ratio to the ringing without vibration feedback below which it counts as reduced; above the inverse, as increased."""
 REMOVED = 0.1

@@ -51,11 +51,7 @@ MEASURED = "as analysed, torsion measured"
 FULL, FULL_ANALYSED = "full arm, with friction", "full arm, as analysed"
 MAIN = {FRICTION: SIMULATED, AS_ANALYSED: ANALYSED}
 """The two sets of conditions around which everything else is varied."""
-BOTH_ARMS = {
-    **MAIN,
-    FULL: replace(SIMULATED, model="lagrangian"),
-    FULL_ANALYSED: replace(ANALYSED, model="lagrangian"),
-}
+BOTH_ARMS = {**MAIN, FULL: replace(SIMULATED, model="lagrangian"), FULL_ANALYSED: replace(ANALYSED, model="lagrangian")}
 """Conditions of the random moves."""
 VIEWS = {**MAIN, MEASURED: replace(ANALYSED, true_torsion=True), **BOTH_ARMS}
 """Conditions of the standard move and of the one to 0 degrees."""

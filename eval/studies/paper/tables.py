@@ -30,10 +30,7 @@ def tables(data: Data) -> Data:
         "tried": {row["label"]: row["views"] for row in data["alternatives"]},
         "chosen": {row["assumption"]: row["chosen"] for row in data["alternatives"]},
         "ringing": _ringing(data),
-        "poles": _poles(data),
-        "full_arm": _full_arm(data),
-        "best_gains": _best_gains(data["linear"]["best"]),
-        "frequencies": _frequencies(data["linear"]["over_frequency"]),
+        "pole_pairs": pole_pairs,
         "assumptions": _assumptions(data, scenes),
         "random": _random(data),
         "drives": {_title(row): _drives(data, row) for row in data["drives"]},
@@ -105,50 +102,9 @@ def _motion(run: Data) -> list[str]:
     ]
 
 
-def _poles_of(pairs: list[list[float]]) -> str:
+def pole_pairs(pairs: list[list[float]]) -> str:
+    """Poles of the data as text."""
     return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
-
-
-def _poles(data: Data) -> str:
-    """Poles of the loop and of its variants at both angles."""
-    k4, linear = f"K4 = {data['gains']['k4']:g}", data["linear"]
-    loops = {
-        "off": "K4 = 0",
-        "on": k4,
-        "printed": f"{k4}, sign in (6e) as printed",
-        "damped": f"{k4}, belt damping ζ = {linear['belt_damping']:g}",
-        "held": f"{k4}, torque held over 1.5 ms",
-        "drive": f"{k4}, as the drive runs it",
-    }
-    rows = [
-        [angle, title, _poles_of(linear["poles"][name][k])]
-        for k, angle in enumerate(("0°", "90°"))
-        for name, title in loops.items()
-    ]
-    return markdown_table(["θ₁", "loop", "poles (1/s), damping ratio of each pair"], rows, "lll")
-
-
-def _full_arm(data: Data) -> str:
-    """Damping of the loop on the full arm, as analysed: torsional velocity measured, and simulated by the drive."""
-    rows = [
-        [degrees(row["angle"]), *(number(value, 3) for value in row["dampings"]), _poles_of(row["pairs"])]
-        for row in data["linear"]["full"]
-    ]
-    k4 = f"K4 = {data['gains']['k4']:g}, torsion"
-    titles = ["θ₁", "damping with K4 = 0", f"{k4} measured", f"{k4} simulated", "the latter's pairs (1/s)"]
-    return markdown_table(titles, rows, "lrrrl")
-
-
-def _best_gains(best: list[Data]) -> str:
-    """K4 of the largest dominant damping at three inertias."""
-    rows = [[row["arm"], f"{row['m2']:g}", f"{round(row['k4'], 2):g}", number(row["damping"], 3)] for row in best]
-    return markdown_table(["arm", "M2 (kg m²)", "best K4 (N m s/rad)", "dominant damping"], rows)
-
-
-def _frequencies(pairs: list[list[float]]) -> str:
-    """Dominant damping at 90 degrees over omega_n, Fig. 6(b)."""
-    rows = [[f"{frequency:g}", number(damping, 3)] for frequency, damping in pairs]
-    return markdown_table(["ω_n (rad/s)", "dominant damping at 90°"], rows, "rr")
 
 
 def _assumptions(data: Data, scenes: Data) -> str:
