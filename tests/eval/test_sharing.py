@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bundles import SPEC, Exploit, edit, halves, new_weights
 from commands import mistake, stopped
 from jsonschema import Draft202012Validator
-from test_bad_policies import SPEC, Exploit, edit, new_weights
-from test_card import halves
 
 import eval.hub
 from agents.policy.bundle import CARD, FELT_POLICIES, MANIFEST, POLICIES, load_controller, read_spec, save_bundle

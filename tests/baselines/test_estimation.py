@@ -1,40 +1,150 @@
-"""Accelerometer in the filters: its measurement equation, what it tells of the arm, and `eval/sensors.py`."""
+"""Observers against the truth: the Kalman filter of the encoder, and the one that feels with an accelerometer."""
 
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from commands import mistake
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from pages import MISTAKES, tables_of
 
-from agents.policy.bundle import FELT_POLICIES, read_spec
-from baselines import CONTROLLERS
 from baselines.estimation import believed_arm as arm_of
 from baselines.estimation.felt import SPREAD, unfiltered
 from baselines.estimation.felt_observer import felt_gains, felt_slopes, steady_felt_gain
-from baselines.estimation.observer import QUANTUM, Noise, kalman_gains
+from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
+from baselines.optimal.mpc import MpcController
+from baselines.reading import read
 from baselines.registry import FELT
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, design_model
+from beltarm_env import (
+    CONTROL_PERIOD,
+    ArmParams,
+    BeltArmVectorEnv,
+    design_model,
+)
 from beltarm_env.arm import COLUMN
 from beltarm_env.observation import decode
-from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BIAS, RANGE
-from eval import sensors
-from eval.comparison.methods import learned_methods, shipped_policies
 from eval.comparison.sets import development_set
-from eval.sensing.page import draw
-from eval.sensing.study import NAMES, TIERS, Found, Tier, measure
+from eval.sensing.study import Found, Tier, measure
 
 Floats = NDArray[np.float64]
+GEAR = 88.0
 SEED = 5_210_000  # of the gains' search
 STEPS = 1200
+
+
+def single_arm(**settings: Any) -> BeltArmVectorEnv:
+    return BeltArmVectorEnv(1, autoreset_mode="Disabled", **settings)
+
+
+class TestObserver:
+    def test_covariance_is_that_of_simulated_errors(self):
+        # The linear arm driven by the noise that the filter is designed for, at 45 degrees.
+        noise, k = Noise(1e-2, 30.0, 0.2), 22
+        tables = [part[k] for part in linear_arm(ArmParams())]
+        gain = kalman_gains(ArmParams(), noise)[k]
+        transition = np.eye(5)
+        transition[:4, :4], transition[:4, 4] = tables[0], tables[1]
+        rng, count = np.random.default_rng(0), 4000
+        error, squares = np.zeros((count, 5)), []
+        for step in range(1500):
+            error = error @ transition.T
+            error[:, :4] += rng.normal(0, noise.torque, (count, 1)) * tables[1]
+            error[:, :4] += rng.normal(0, noise.acceleration, (count, 1)) * tables[2]
+            error[:, 4] += rng.normal(0, noise.disturbance * CONTROL_PERIOD**0.5, count)
+            innovation = error[:, 0] + rng.normal(0, QUANTUM / 12**0.5, count)
+            error -= innovation[:, None] * gain
+            if step > 1400:
+                squares.append(np.mean(error**2, axis=0))
+        spread = np.sqrt(np.mean(squares, axis=0))
+        worse = [np.sqrt(self.spread_of(gain * f, transition, tables, noise)) for f in (0.9, 1.0, 1.1)]
+        np.testing.assert_allclose(spread, worse[1], rtol=0.05)
+        assert (worse[1] < worse[0]).all() and (worse[1] < worse[2]).all(), "the Kalman gain is the best"
+
+    @staticmethod
+    def spread_of(gain: Floats, transition: Floats, tables: list[Floats], noise: Noise) -> Floats:
+        """Steady-state variance of the estimate's errors under a gain, by iterating its Lyapunov equation."""
+        drive = np.zeros((5, 5))
+        drive[:4, :4] = noise.torque**2 * np.outer(tables[1], tables[1])
+        drive[:4, :4] += noise.acceleration**2 * np.outer(tables[2], tables[2])
+        drive[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
+        kept = np.eye(5) - np.outer(gain, [1, 0, 0, 0, 0])
+        covariance = np.zeros((5, 5))
+        for _ in range(6000):
+            covariance = kept @ (transition @ covariance @ transition.T + drive) @ kept.T
+            covariance += QUANTUM**2 / 12 * np.outer(gain, gain)
+        return np.diag(covariance)
+
+    def test_knows_the_torsion_behind_a_stuck_motor(self):
+        env = single_arm(encoder_counts=4000)
+        observer, estimate = StickSlipObserver(ArmParams()), None
+        observations, _ = env.reset(seed=3)
+        begins = np.array([True])
+        rings = []
+        for k in range(700):
+            estimate = observer.update(estimate, read(observations, ArmParams()), begins)
+            begins = np.array([False])
+            if k > 400:
+                assert env.state[0, 1] == 0.0, "stuck"
+                rings.append((env.state[0, 2], estimate.state[0, 2]))
+            torque = 0.12 if k < 150 else 0.0
+            observations, *_ = env.step(np.array([[torque / 0.3]], np.float32))
+        true, believed = np.array(rings).T
+        assert np.ptp(true) > 0.01, "rings"
+        assert np.abs(true - believed).max() < 0.03 * np.ptp(true)
+
+    @staticmethod
+    def observed(params: ArmParams, start: list[float], noise: Noise, command: Any, steps: int) -> list[Floats]:
+        """True states, their estimates, and those for when a command acts: shapes (steps, 4)."""
+        env = single_arm(encoder_counts=10_000_000)
+        observations, _ = env.reset(options={"params": asdict(params), "state": start})
+        observer, estimate, rows = StickSlipObserver(params, noise), None, []
+        for k in range(steps):
+            estimate = observer.update(estimate, read(observations, params), np.array([k == 0]))
+            rows.append((env.state[0], estimate.state[0], estimate.ahead[0]))
+            observations, *_ = env.step(np.array([[command(k) / 0.3]], np.float32))
+        return [np.array(part) for part in zip(*rows, strict=True)]
+
+    def test_finds_the_torsion_of_the_design_model_behind_its_drive(self):
+        noise = Noise(torque=1e-4, acceleration=100.0, disturbance=1e-4)
+        start = [GEAR * 0.8, 0.0, 0.03, 0.0]  # the observer begins without torsion
+        true, actual, _ = self.observed(design_model(), start, noise, lambda k: 0.12 * math.sin(0.02 * k), 900)
+        errors = np.abs(actual - true)
+        assert errors[0, 2] == pytest.approx(0.03)
+        assert errors[600:, 2].max() < 3e-4
+
+    @pytest.mark.parametrize("latency", [0.0, 0.75, 1.0, 2.9])
+    def test_state_ahead_is_the_one_that_comes(self, latency: float):
+        params = replace(design_model(), command_latency=latency * CONTROL_PERIOD)
+        start = [GEAR * 0.8, 0.0, 0.0, 0.0]
+        true, actual, ahead = self.observed(params, start, Noise(), lambda k: 0.15 if k < 60 else -0.15, 150)
+        assert (np.abs(actual - true).max(axis=0) < [1e-4, 0.02, 1e-5, 2e-3]).all()
+        late = latency + params.current_loop_time_constant / CONTROL_PERIOD
+        whole, part = int(late), late - int(late)
+        for first in (20, 80):  # where the command has not changed for a while
+            later = true[first + whole : first + whole + 30], true[first + whole + 1 : first + whole + 31]
+            expected = later[0] + part * (later[1] - later[0])
+            errors = np.abs(ahead[first : first + 30] - expected).max(axis=0)
+            assert (errors < [1e-3, 0.02, 1e-5, 2e-3]).all()
+
+
+def test_estimated_torsion_follows_the_true_one_on_the_nominal_arm():
+    env = BeltArmVectorEnv(8, autoreset_mode="Disabled")
+    seen, _ = env.reset(seed=SEED)
+    controller, memory = MpcController(params=ArmParams()), None
+    errors, true = [], []
+    for _ in range(400):
+        action, memory = controller.predict(seen, memory)
+        true.append(env.state[:, 2:])
+        errors.append(memory.estimate.state[:, 2:] - env.state[:, 2:])
+        seen, *_ = env.step(action)
+    assert (np.std(errors, axis=(0, 1)) < 0.1 * np.std(true, axis=(0, 1))).all()
 
 
 @cache
@@ -73,8 +183,8 @@ class TestMeasurementEquation:
         turned = np.stack(
             [(mean * along).sum(-1), mean[..., 1] * along[..., 0] - mean[..., 0] * along[..., 1]], axis=-1
         )
-        told = np.array([unfiltered(now, before)[0].T for before, now in pairwise(felt)])
-        errors = told - turned
+        reported = np.array([unfiltered(now, before)[0].T for before, now in pairwise(felt)])
+        errors = reported - turned
         assert np.abs(turned[..., 1]).max() > 30 * SPREAD and np.abs(turned[..., 0]).max() > 10 * SPREAD
         assert np.abs(errors.mean(0)).max() < BIAS
         assert errors.std(0) == pytest.approx(SPREAD, rel=0.08)
@@ -108,13 +218,13 @@ class TestGains:
         """A Kalman filter of [z[k]; z[k-1]], run until it is steady, has uncorrelated noise and no such formula."""
         k, spread = 20, (SPREAD, 3 * SPREAD)
         arm, slopes = self.arm(k)
-        one, process = np.eye(5), np.zeros((5, 5))
-        one[:4, :4], one[:4, 4] = arm.transition, arm.by_torque
+        single, process = np.eye(5), np.zeros((5, 5))
+        single[:4, :4], single[:4, 4] = arm.transition, arm.by_torque
         for by_noise, deviation in ((arm.by_torque, 5e-3), (arm.by_acceleration, 0.3)):
             process[:4, :4] += deviation**2 * np.outer(by_noise, by_noise)
         process[4, 4] = 1e-6 * CONTROL_PERIOD
         transition, both = np.zeros((10, 10)), np.zeros((10, 10))
-        transition[:5, :5], transition[5:, :5], both[:5, :5] = one, np.eye(5), process
+        transition[:5, :5], transition[5:, :5], both[:5, :5] = single, np.eye(5), process
         seen = np.zeros((3, 10))
         seen[0, 0], seen[1:, :4], seen[1:, 5:9] = 1.0, slopes, -slopes
         measured = np.diag([QUANTUM**2 / 12, *np.square(spread)])
@@ -123,14 +233,14 @@ class TestGains:
             before = transition @ after @ transition.T + both
             gain = before @ seen.T @ np.linalg.inv(seen @ before @ seen.T + measured)
             after = before - gain @ seen @ before
-        found = steady_felt_gain(arm, slopes, self.noise, 1.0, spread)
-        np.testing.assert_allclose(found / np.abs(found).max(0), gain[:5] / np.abs(found).max(0), atol=1e-5)
+        actual = steady_felt_gain(arm, slopes, self.noise, 1.0, spread)
+        np.testing.assert_allclose(actual / np.abs(actual).max(0), gain[:5] / np.abs(actual).max(0), atol=1e-5)
 
     def test_an_accelerometer_that_tells_nothing_leaves_those_of_the_encoder(self):
         arm, slopes = self.arm(11)
-        found = steady_felt_gain(arm, slopes, self.noise, 1.0, (1e6, 1e6))
-        np.testing.assert_allclose(found[:, 0], kalman_gains(design_model(), self.noise)[11], rtol=1e-5)
-        assert np.abs(found[:, 1:]).max() < 1e-6
+        actual = steady_felt_gain(arm, slopes, self.noise, 1.0, (1e6, 1e6))
+        np.testing.assert_allclose(actual[:, 0], kalman_gains(design_model(), self.noise)[11], rtol=1e-5)
+        assert np.abs(actual[:, 1:]).max() < 1e-6
 
     def test_a_motor_that_sticks_stays_where_it_is(self):
         slides, sticks = felt_gains(design_model(), self.noise)
@@ -160,13 +270,13 @@ class TestKnowledge:
 
     @pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
     def test_a_filter_that_feels_knows_the_torsion_better(self, name: str, most: float):
-        found = both(name)
-        assert found["accelerometer"].torsion < most * found["encoder"].torsion
+        actual = both(name)
+        assert actual["accelerometer"].torsion < most * actual["encoder"].torsion
 
     @pytest.mark.parametrize("name", FELT)
     def test_and_the_arm_vibrates_less(self, name: str):
-        found = both(name)
-        without, felt = (found[tier].metrics for tier in ("encoder", "accelerometer"))
+        actual = both(name)
+        without, felt = (actual[tier].metrics for tier in ("encoder", "accelerometer"))
         assert np.median(felt["cost"] - without["cost"]) < 0
         assert felt["residual_pp_mm"].mean() < 0.9 * without["residual_pp_mm"].mean()
 
@@ -176,68 +286,3 @@ def both(name: str) -> dict[Tier, Found]:
     split = development_set().splits["randomized"]
     tiers: tuple[Tier, Tier] = ("encoder", "accelerometer")
     return {tier: measure(name, tier, split, 16) for tier in tiers}
-
-
-class TestControllers:
-    @pytest.mark.parametrize("name", FELT)
-    def test_one_arm_alone_moves_as_in_a_batch(self, name: str):
-        arguments: dict[str, Any] = {"seed": SEED, "sensors": "accelerometer", "randomization": "train"}
-        batch, alone = rollout(FELT[name](), 3, **arguments), rollout(FELT[name](), 1, **arguments)
-        np.testing.assert_array_equal(batch.torque[:, :1], alone.torque)
-
-    @pytest.mark.parametrize("name", FELT)
-    def test_a_new_episode_begins_without_memory_of_the_last(self, name: str):
-        env = BeltArmVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, sensors="accelerometer")
-        controller, torques = FELT[name](), []
-        memory: Any = None
-        for _ in range(2):
-            observation, _ = env.reset(seed=SEED)
-            start, done = np.ones(2, np.bool_), []
-            for _ in range(80):
-                action, memory = controller.predict(observation, memory, start)
-                observation, start = env.step(action)[0], np.zeros(2, np.bool_)
-                done.append(action)
-            torques.append(np.array(done))
-        np.testing.assert_array_equal(*torques)
-
-    @pytest.mark.parametrize("name", FELT)
-    def test_without_the_sensor_there_is_a_remedy(self, name: str):
-        with pytest.raises(ValueError, match="use an environment with sensors='accelerometer'"):
-            rollout(FELT[name](), 1, seed=1)
-
-    def test_they_are_not_ranked_with_the_others(self):
-        assert set(FELT) <= set(CONTROLLERS)
-        assert all(CONTROLLERS[name]().sensors == "encoder" for name in FELT)
-        assert all(FELT[name]().gains == CONTROLLERS[name]().gains for name in FELT)
-
-    def test_the_student_that_has_it_is_not_ranked_either(self):
-        (folder,) = FELT_POLICIES.glob("*/*")
-        assert read_spec(folder)[0].sensors == "accelerometer" and folder not in shipped_policies()
-        with pytest.raises(ValueError, match="the comparison gives all methods the encoder alone"):
-            learned_methods([folder])
-
-
-@pytest.mark.parametrize("splits", [1, 9])
-def test_names_are_beside_the_costs(splits: int):
-    names = list(development_set().splits)[:splits]
-    found = Found({"cost": np.full(4, 200.0)}, 0, 1e-3)
-    figure = draw({(name, split, tier): found for name in NAMES for split in names for tier in TIERS})
-    figure.draw_without_rendering()
-    (axis,), (legend,) = figure.axes, figure.legends
-    assert len(legend.get_texts()) == 2 * len(NAMES)
-    assert not legend.get_window_extent().overlaps(axis.get_window_extent())
-    plt.close(figure)
-
-
-@pytest.mark.slow
-def test_the_command_writes_the_page(tmp_path: Path):
-    tables = tables_of(sensors.main, ("nominal", "randomized"), "cost.png", tmp_path)
-    assert [len(table.splitlines()) for table in tables] == [*(2 + 2 for _ in NAMES), 2 + 2 * len(NAMES)]
-    run = measure("preview", "accelerometer", development_set().splits["nominal"], 4)
-    assert f"→ {np.sort(run.metrics['cost'])[1:3].mean():.0f} |" in tables[1].splitlines()[2]
-
-
-@pytest.mark.parametrize(("arguments", "message"), MISTAKES)
-def test_bad_options(arguments: tuple[str, ...], message: str, tmp_path: Path):
-    line = mistake(sensors.main, arguments, tmp_path)
-    assert line.startswith("eval/sensors.py: ") and message in line
