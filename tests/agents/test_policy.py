@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,8 +18,7 @@ from hypothesis import strategies as st
 from networks import SHAPES, episodes, lively
 from torch import nn
 
-from agents.policy import network
-from agents.policy.actor import Actor, ActorShape, actor_of, standardised
+from agents.policy.actor import Actor, ActorShape, actor_of
 from agents.policy.bundle import (
     FELT_POLICIES,
     POLICIES,
@@ -89,12 +86,6 @@ def test_weights_are_the_arrays_of_the_layers_and_no_others():
             Weights(shape, wrong)
 
 
-def test_inputs_are_standardised_and_cut_at_five_deviations():
-    inputs = torch.tensor([[1.0, -1.0, 40.0], [3.0, 0.0, -40.0]])
-    actual = standardised(inputs, torch.tensor([1.0, 1.0, 0.0]), torch.tensor([0.5, 4.0, 2.0]))
-    assert actual.tolist() == [[0.0, -0.5, 5.0], [4.0, -0.25, -5.0]]
-
-
 @pytest.mark.parametrize("gru", [0, 2])
 @pytest.mark.parametrize("hidden", [(), (4, 2)])
 def test_outputs_are_those_of_the_layers_one_after_the_other(hidden: tuple[int, ...], gru: int):
@@ -114,56 +105,18 @@ def test_outputs_are_those_of_the_layers_one_after_the_other(hidden: tuple[int, 
     np.testing.assert_allclose(actor(seen).numpy(), z, atol=1e-5)
 
 
-def of_ppo(*widths: int) -> Any:
-    """Policy of a library, as far as its actor goes."""
-    layers = [part for pair in pairwise(widths) for part in (nn.Linear(*pair), nn.Tanh())]
-    extractor = SimpleNamespace(policy_net=nn.Sequential(*layers))
-    return SimpleNamespace(mlp_extractor=extractor, action_net=nn.Linear(widths[-1], 1))
-
-
-def of_sac(*widths: int) -> Any:
-    policy = of_ppo(*widths)
-    return SimpleNamespace(actor=SimpleNamespace(latent_pi=policy.mlp_extractor.policy_net, mu=policy.action_net))
-
-
-@pytest.mark.parametrize("of", [of_ppo, of_sac])
-def test_weights_are_the_librarys(of: Any):
-    policy = of(INPUTS, 4, 2)
-    layers = (
-        [*policy.mlp_extractor.policy_net, policy.action_net]
-        if of is of_ppo
-        else [*policy.actor.latent_pi, policy.actor.mu]
-    )
-    actual = [layer for layer in actor_of(policy, ActorShape(INPUTS, (4, 2))).layers if isinstance(layer, nn.Linear)]
-    for ours, theirs in zip(actual, [layer for layer in layers if isinstance(layer, nn.Linear)], strict=True):
-        assert torch.equal(ours.weight, theirs.weight) and torch.equal(ours.bias, theirs.bias)
-        assert ours.weight.data_ptr() != theirs.weight.data_ptr() and not ours.weight.requires_grad
-
-
-def test_weights_of_an_lstm_are_the_librarys():
-    policy = of_ppo(5, 4)
-    policy.lstm_actor = nn.LSTM(INPUTS, 5)
-    actor = actor_of(policy, ActorShape(INPUTS, (4,), lstm=5))
-    assert actor.lstm is not None
-    for name, value in policy.lstm_actor.state_dict().items():
-        assert torch.equal(actor.lstm.state_dict()[name], value)
-    with pytest.raises(ValueError, match="does not have the layers"):
-        actor_of(policy, ActorShape(5, (4,)))
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [
-        ActorShape(INPUTS, (4,)),
-        ActorShape(INPUTS, (4, 2, 2)),
-        ActorShape(INPUTS, (2, 4)),
-        ActorShape(INPUTS + 1, (4, 2)),
-        ActorShape(INPUTS, (4, 2), lstm=INPUTS),
-    ],
-)
-def test_layers_that_the_policy_does_not_have(shape: ActorShape):
-    with pytest.raises(ValueError, match="does not have the layers"):
-        actor_of(of_ppo(INPUTS, 4, 2), shape)
+def test_layers_that_a_librarys_policy_does_not_have():
+    body = nn.Sequential(nn.Linear(INPUTS, 4), nn.Tanh(), nn.Linear(4, 2), nn.Tanh())
+    policy: Any = SimpleNamespace(mlp_extractor=SimpleNamespace(policy_net=body), action_net=nn.Linear(2, 1))
+    actor = actor_of(policy, ActorShape(INPUTS, (4, 2)))
+    addresses = {parameter.data_ptr() for parameter in body.parameters()}
+    assert not any(value.requires_grad or value.data_ptr() in addresses for value in actor.parameters()), "a copy"
+    for hidden in ((4,), (4, 2, 2), (2, 4)):
+        with pytest.raises(ValueError, match="does not have the layers"):
+            actor_of(policy, ActorShape(INPUTS, hidden))
+    for other in (ActorShape(INPUTS + 1, (4, 2)), ActorShape(INPUTS, (4, 2), lstm=INPUTS)):
+        with pytest.raises(ValueError, match="does not have the layers"):
+            actor_of(policy, other)
 
 
 def answers(policy: NetworkPolicy, seen: Singles) -> Singles:
@@ -220,15 +173,6 @@ def test_weights_are_copied():
     for tensor in actor.state_dict().values():
         tensor.add_(1.0)
     np.testing.assert_array_equal(answers(policy, seen), before)
-
-
-@given(st.floats(-30, 30))
-def test_functions_of_one_number(x: float):
-    assert network._tanh(x) == pytest.approx(math.tanh(x), abs=3e-7, rel=3e-6)
-    assert network._tanh(-x) == -network._tanh(x)
-    assert network._sigmoid(x) == pytest.approx(1 / (1 + math.exp(-x)), abs=3e-7)
-    assert network._activated(x, network._ELU) == pytest.approx(x if x > 0 else math.expm1(x), abs=3e-6)
-    assert network._activated(x, network._RELU) == max(x, 0.0)
 
 
 PLAIN = """

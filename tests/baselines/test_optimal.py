@@ -158,15 +158,6 @@ class TestFeedbackGains:
         assert np.abs(closed_poles(loop_at(law, k))).max() < 1
 
 
-class TestLqg:
-    def test_smoothing_quietens_arms_that_differ(self):
-        smooth, sharp = (
-            rollout(LqgController(LqgGains(spread=s, first_spread=f)), 64, seed=SEED, randomization="ideal")
-            for f, s in ((0.3, 0.8), (0.02, 0.02))
-        )
-        assert np.median(smooth.metrics()["tip_acc_rms"]) < 0.9 * np.median(sharp.metrics()["tip_acc_rms"])
-
-
 def random_problem(generator: np.random.Generator, steps: int, limit: float):
     """A problem over random dynamics and weights."""
     problem = empty_problem(steps)
