@@ -195,7 +195,7 @@ class TestFit:
 
     @staticmethod
     def fitted(advice: Advice, **options: Any) -> Student:
-        config = tiny(Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
+        config = tiny("student", Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
         learner = Student(config)
         learner.advice = [advice]
         learner._fit(lambda _: None)
@@ -256,7 +256,7 @@ def test_all_that_varies_is_told():
 
 
 def test_a_round_is_told_the_very_arms_that_are_moved(tmp_path: Path):
-    learner = Rma(tiny(tmp_path))
+    learner = Rma(tiny("rma", tmp_path))
     actual: list[Any] = []
     reported = learner._ask
 
@@ -300,7 +300,7 @@ def test_a_policy_is_told_the_arm_of_its_row():
 @pytest.mark.slow
 def test_a_memory_learns_what_it_can_see(tmp_path: Path):
     """Of two numbers, one is in the first hold of an episode; the other cannot be known, and is guessed as its mean."""
-    learner = Rma(tiny(tmp_path, rounds=3, epochs=150, batch_size=32, latent=2, learning_rate=0.02, gru_width=8))
+    learner = Rma(tiny("rma", tmp_path, rounds=3, epochs=150, batch_size=32, latent=2, learning_rate=0.02, gru_width=8))
     random = torch.Generator().manual_seed(4)
     z = 2 * torch.rand(256, 2, generator=random) - 1
     inputs = torch.zeros(8, 256, learner.config.spec().shape().inputs)

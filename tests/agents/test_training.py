@@ -395,6 +395,7 @@ def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
         np.testing.assert_allclose(residual, expected, atol=1e-6)
         residuals.append(residual)
         seen, _, begins, _ = env.step(residual)
+        assert isinstance(seen, np.ndarray)
         begins[0] |= step == 10
     assert np.std(residuals) > 1e-3
 

@@ -261,15 +261,15 @@ class TestKnownLoops:
 class TestAgainstLatency:
     """Poles of the loop with more latency, exactly sampled, against the delay margin, for any part of a sample."""
 
-    @pytest.mark.parametrize("k", [0, 20, 45])
-    @pytest.mark.parametrize("arm", ["design model", "stiff", "payload, soft"])
+    @pytest.mark.parametrize(("arm", "k"), [("design model", 0), ("stiff", 20), ("payload, soft", 45)])
     @pytest.mark.parametrize("name", TUNABLE)
     def test_a_loop_bears_its_delay_margin_and_no_more(self, name: str, arm: str, k: int):
-        actual = margins(loop_at(untuned(name), k, CORNERS[arm]))
+        controller = untuned(name)
+        actual = margins(loop_at(controller, k, CORNERS[arm]))
         assert actual.stable
         for share in (0.0, 0.3, 0.6, 0.95):
-            assert bears(untuned(name), k, CORNERS[arm], share * float(actual.delay))
-        assert not bears(untuned(name), k, CORNERS[arm], 1.05 * float(actual.delay))
+            assert bears(controller, k, CORNERS[arm], share * float(actual.delay))
+        assert not bears(controller, k, CORNERS[arm], 1.05 * float(actual.delay))
 
 
 def test_many_loops_at_once_have_the_margins_of_each():

@@ -94,7 +94,7 @@ class TestPaper:
             action, memory = controller.predict(seen, memory)
             torsions.append((env.state[:, 2], memory[:, TORSION]))
             seen, *_ = env.step(action)
-        true, simulated = np.moveaxis(torsions, 1, 0)
+        true, simulated = np.moveaxis(np.array(torsions), 1, 0)
         assert np.std(true - simulated) < 0.3 * np.std(true)
 
 

@@ -6,7 +6,6 @@ import errno
 import io
 import math
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -26,11 +25,7 @@ from baselines.tools.files import read_sealed, require_writable, write_atomicall
 from baselines.tools.progress import progress_count, progress_over, progress_rows
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, in_a_line, list_of, mapping_of, object_of, parse
 from eval.comparison import scenarios
-from eval.comparison.methods import classical_methods
-from eval.comparison.pairs import Pair, read_kept
 from eval.comparison.schema import read_results
-from eval.comparison.splits import draw_arms
-from eval.leaderboard.archive import read_archive
 
 ROOT = Path(__file__).parents[2]
 
@@ -106,17 +101,10 @@ class TestWriting:
         assert sorted(os.listdir(tmp_path)) == ["file", "results"]
 
 
-def kept_pair() -> Pair:
-    (method,) = [known for known in classical_methods() if known.name == "paper"]
-    return Pair(method, draw_arms("nominal", "seed 0", range(2)), 2)
-
-
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "results": ("results.json", read_results),
     "scenarios": ("scenarios.json", scenarios.load),
     "gains": ("gains.json", lambda path: tuned("zv", TUNABLE["zv"].gains, path)),
-    "pair": ("", lambda path: read_kept(kept_pair(), path.parent)),
-    "archive": ("mine.zip", read_archive),
     "sealed": ("any", read_sealed),
 }
 
@@ -126,15 +114,11 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 def test_what_is_no_regular_file_is_refused(reader: str, kind: str, tmp_path: Path):
     """A pipe would be waited for, and a device has no end."""
     name, read = READERS[reader]
-    path = tmp_path / name if name else kept_pair().file(tmp_path)
-    path.parent.mkdir(exist_ok=True)
+    path = tmp_path / name
     if kind == "pipe":
         os.mkfifo(path)
     else:
         path.symlink_to("/dev/zero")
-    if reader == "pair":
-        assert read(path) is None, "it is run again"
-        return
     with pytest.raises((OSError, ValueError), match="is no regular file"):
         read(path)
 
@@ -151,15 +135,13 @@ class TestJson:
         actual = parse(f'{{"a": [{number!r}]}}'.encode())
         assert actual == {"a": [number]} and type(actual["a"][0]) is type(number)
 
-    @pytest.mark.parametrize(
-        "text", [str(2**63), str(-(2**63)), "1e309", "-1e309", "NaN", "Infinity", "-Infinity", "", "{", "[1] 2"]
-    )
-    def test_numbers_that_are_not_finite_or_too_large_and_what_is_no_json(self, text: str):
-        with pytest.raises(ValueError, match=re.escape(text[:20])):
-            parse(f"[{text}]".encode() if text[-1:].isalnum() and text[:1] != "[" else text.encode())
+    @pytest.mark.parametrize("text", [str(2**63), str(-(2**63)), "1e309", "-1e309", "NaN", "Infinity", "-Infinity"])
+    def test_numbers_that_are_not_finite_or_too_large(self, text: str):
+        with pytest.raises(ValueError, match=text[:20]):
+            parse(f"[{text}]".encode())
 
-    @pytest.mark.parametrize("data", [b"\xff", b'"\\ud800"'])
-    def test_what_is_no_text(self, data: bytes):
+    @pytest.mark.parametrize("data", [b"", b"{", b"\xff", b'"\\ud800"', b"[1] 2"])
+    def test_what_is_no_json(self, data: bytes):
         with pytest.raises(ValueError):
             parse(data)
 
