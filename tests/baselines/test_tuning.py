@@ -448,8 +448,8 @@ def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
     ):
         with pytest.raises(SystemExit, match="2"):
             tune(*words, "--resume")
-        (line,) = capsys.readouterr().err.strip().splitlines()
-        assert all(word in line for word in named)
+        errors = capsys.readouterr().err
+        assert all(word in errors for word in named)
 
 
 @pytest.mark.parametrize(
