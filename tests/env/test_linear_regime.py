@@ -11,20 +11,16 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
+from driven_arms import GEAR, apply
 from numpy.typing import NDArray
-from properties import examples
 from scipy.linalg import expm
 
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, state_space
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
 
 Floats = NDArray[np.float64]
 Params = dict[str, float]
 Feedback = Callable[[int, Floats], float]  # sample and state to torque [N m]
 
-GEAR = 88.0
 DEG_45, DEG_90 = math.pi / 4, math.pi / 2
 FINE = 20  # integration steps per sample: the error of one step per sample, 5e-5 over an episode, over 20^4
 LINEAR = {"coulomb_friction": 0.0, "arm_inertia_swing": 0.0}
@@ -77,13 +73,11 @@ def simulate(
     env = BeltArmEnv()
     env.reset(seed=0, options={"params": params, "state": start, **options})
     env.set_integration_steps(substeps)
-    limit = env.params.torque_limit
     states, torques = [env.state], []
     for k in range(steps):
         torques.append(torque(k, states[-1]))
-        assert abs(torques[-1]) <= limit, "cut at the limit: not linear"
-        terminated = env.step(np.array([torques[-1] / limit]))[2]
-        assert not terminated, "the arm left the workspace: no test of anything"
+        assert abs(torques[-1]) <= env.params.torque_limit, "cut at the limit: not linear"
+        apply(env, torques[-1])
         states.append(env.state)
     return np.array(states), np.array(torques)
 
@@ -103,40 +97,13 @@ def peak(states: Floats) -> Floats:
 
 class TestAgainstTheMatrixExponential:
     @each_plant
-    @pytest.mark.parametrize("joint", [0.0, DEG_45, DEG_90])
-    def test_state_space_is_the_equations_of_motion(self, params: Params, joint: float):
-        arm = ArmParams(**params | {"arm_inertia_swing": 0.06, "payload_mass": 0.2})
-        for matrix, derived in zip(state_space(arm, joint)[:2], matrices(arm, joint), strict=True):
-            np.testing.assert_allclose(matrix, derived, rtol=1e-12, atol=1e-12)
-
-    @each_plant
-    @pytest.mark.parametrize("seed", range(3))
-    def test_random_torques_back_and_forth(self, params: Params, seed: int):
-        torques = np.random.default_rng(seed).uniform(-0.2, 0.2, EPISODE_STEPS)
+    def test_random_torques_back_and_forth(self, params: Params):
+        torques = np.random.default_rng(0).uniform(-0.2, 0.2, EPISODE_STEPS)
         start = at_45_degrees(params, 0.03)
         states, _ = simulate(params, start, replay(torques))
         exact = exactly(*matrices(ArmParams(**params)), start, torques)
         assert np.count_nonzero(np.diff(np.sign(exact[:, 1]))) > 20, "reversals"
         assert np.all(peak(states - exact) < 1e-9 * peak(exact - start))
-
-    @each_plant
-    def test_error_is_the_one_of_rk4(self, params: Params):
-        # A step of RK4 is the exponential's series up to the fourth power; what it leaves out, M^5 / 120 and smaller,
-        # travels on with the arm. No reversals of the motor here: they are located with an error of their own.
-        arm = ArmParams(**params)
-        a, b = matrices(arm)
-        cruise = 0.8 * arm.gear_ratio
-        torques = arm.motor_viscous_friction * cruise + np.random.default_rng(0).uniform(-0.08, 0.08, EPISODE_STEPS)
-        start = np.array([0.0, cruise, 0.05, 0.8])
-        states, _ = simulate(params, start, replay(torques), substeps=1)
-        exact = exactly(a, b, start, torques)
-        assert exact[:, 1].min() > 0
-        left_out = np.linalg.matrix_power(held(a, b), 5)[:4] / 120
-        onward = expm(CONTROL_PERIOD * a)
-        predicted = np.zeros_like(exact)
-        for k, torque in enumerate(torques):
-            predicted[k + 1] = onward @ predicted[k] - left_out @ np.append(exact[k], torque)
-        assert np.all(peak(states - exact - predicted) < 0.05 * peak(predicted))
 
     @pytest.mark.parametrize("arm_inertia", [0.01, 0.07])
     def test_lag_and_loss_of_undamped_ringing(self, arm_inertia: float):
@@ -148,20 +115,6 @@ class TestAgainstTheMatrixExponential:
         error = (states[-1, 2] - 1j * states[-1, 3] / mode) / (0.05 * np.exp(1j * z * EPISODE_STEPS))
         assert -np.angle(error) == pytest.approx(EPISODE_STEPS * z**5 / 120, rel=0.01)
         assert 1 - abs(error) == pytest.approx(EPISODE_STEPS * z**6 / 144, rel=0.01)
-
-    # M2' = 0 at both ends of the workspace: there the first term that linearisation leaves out is of third order.
-    @pytest.mark.parametrize(("joint", "order"), [(0.0, 3), (DEG_45, 2), (DEG_90, 3)])
-    @pytest.mark.parametrize("payload_mass", [0.0, 0.2])
-    def test_small_motions_with_varying_inertia(self, joint: float, order: int, payload_mass: float):
-        params = {"coulomb_friction": 0.0, "payload_mass": payload_mass}
-        rest, deflection = np.array([GEAR * joint, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.02, 0.5])
-        torques = 0.05 * np.sin(0.06 * np.arange(400))
-        linear = exactly(*matrices(ArmParams(**params), joint), deflection, torques)
-        errors = []
-        for amplitude in (0.25, 0.125, 0.0625):
-            states, _ = simulate(params, rest + amplitude * deflection, replay(amplitude * torques), steps=400)
-            errors.append(peak(states - rest - amplitude * linear) / peak(linear))
-        np.testing.assert_allclose(-np.diff(np.log2(errors), axis=0), order, atol=0.1)
 
 
 class TestAgainstPythonControl:
@@ -178,11 +131,6 @@ class TestAgainstPythonControl:
         assert np.all(peak(states - response) < 1e-9 * peak(response - start))
 
     @each_plant
-    def test_step_of_the_reference(self, params: Params):
-        references = np.tile([DEG_45 + 0.2, 0.0, 0.0], (EPISODE_STEPS, 1))
-        self.check_closed_loop(params, at_45_degrees(params, torsion=0.02), references)
-
-    @each_plant
     def test_trapezoidal_move(self, params: Params):
         env = BeltArmEnv()
         move = {"start": 0.2, "goal": 1.3, "duration": 0.8, "ramp_time": 0.2}
@@ -191,7 +139,7 @@ class TestAgainstPythonControl:
         self.check_closed_loop(params, env.state, references, move=move)
 
     # Resonance at 23.15 rad/s, anti-resonance sqrt(K_s / M2) at 21.71 rad/s: 180.9 and 192.9 samples per period.
-    @pytest.mark.parametrize("period", [120, 165, 181, 187, 193, 210, 300])
+    @pytest.mark.parametrize("period", [165, 181, 193])
     def test_sine_at_the_motor(self, period: int):
         params = FOLDED | {"belt_damping_ratio": 0.05}
         angles = 2 * math.pi * np.arange(12 * EPISODE_STEPS).reshape(12, -1) / period
@@ -209,7 +157,7 @@ class TestAgainstTheRiccatiEquation:
 
     Q = np.diag([1 / 10, 1 / 100, 1 / 0.03, 1 / 1]) ** 2  # errors of 10 rad, 100 rad/s, 30 mrad and 1 rad/s
     R = np.array([[1 / 0.05**2]])  # are worth 50 mN m
-    STARTS = np.vstack([np.diag([10.0, 40.0, 0.04, 1.5]), [-8.0, 30.0, 0.03, -1.0]])
+    START = np.array([-8.0, 30.0, 0.03, -1.0])
     NO_NOISE = np.zeros(EPISODE_STEPS)
 
     def check_cost(self, params: Params, start: Floats, scales: Floats, noise: Floats) -> tuple[float, float]:
@@ -230,42 +178,17 @@ class TestAgainstTheRiccatiEquation:
         return price / optimum, to_come / optimum
 
     @each_plant
-    @pytest.mark.parametrize("start", STARTS, ids=["angle", "speed", "torsion", "torsion speed", "all"])
-    def test_cost_of_the_optimal_gain(self, params: Params, start: Floats):
-        price, to_come = self.check_cost(params, start, np.ones(4), self.NO_NOISE)
+    def test_cost_of_the_optimal_gain(self, params: Params):
+        price, to_come = self.check_cost(params, self.START, np.ones(4), self.NO_NOISE)
         assert price < 1e-20
         assert to_come < 1e-6, "converged"
 
-    @pytest.mark.parametrize("share", [0.8, 1.2])
     @pytest.mark.parametrize("entry", range(4))
-    def test_another_gain_costs_more(self, entry: int, share: float):
-        scales = np.where(np.arange(4) == entry, share, 1.0)
-        price, _ = self.check_cost(LINEAR, self.STARTS[-1], scales, self.NO_NOISE)
+    def test_another_gain_costs_more(self, entry: int):
+        scales = np.where(np.arange(4) == entry, 1.2, 1.0)
+        price, _ = self.check_cost(LINEAR, self.START, scales, self.NO_NOISE)
         assert price > 1e-4
 
     def test_noise_costs_more(self):
         noise = np.random.default_rng(0).uniform(-0.1, 0.1, EPISODE_STEPS)
-        assert self.check_cost(LINEAR, self.STARTS[-1], np.ones(4), noise)[0] > 0.1
-
-
-class TestLinearity:
-    torques = arrays(np.float64, 60, elements=st.floats(-0.14, 0.14))
-    weights = st.floats(-1, 1)
-
-    @examples(40)
-    @given(params=st.sampled_from(list(PLANTS.values())), a=torques, b=torques, of_a=weights, of_b=weights)
-    def test_superposition(self, params: Params, a: Floats, b: Floats, of_a: float, of_b: float):
-        rest, wound, moving = at_45_degrees(params), np.array([0.0, 0.0, 0.04, -0.5]), np.array([4.0, 20.0, 0.0, 0.0])
-        to_a, to_b, to_both = (
-            simulate(params, rest + deflection, replay(torques), steps=len(torques))[0] - rest
-            for deflection, torques in [(wound, a), (moving, b), (of_a * wound + of_b * moving, of_a * a + of_b * b)]
-        )
-        assert np.all(peak(to_both - of_a * to_a - of_b * to_b) < 1e-9 * (peak(to_a) + peak(to_b)))
-
-    @examples(40)
-    @given(params=st.sampled_from([*PLANTS.values(), {}]), torques=torques, now=st.integers(1, 59))
-    def test_time_invariance(self, params: Params, torques: Floats, now: int):
-        start = at_45_degrees(params, 0.04, -0.5)
-        states, _ = simulate(params, start, replay(torques), steps=len(torques))
-        from_now, _ = simulate(params, states[now], replay(torques[now:]), steps=len(torques) - now)
-        np.testing.assert_array_equal(from_now, states[now:])
+        assert self.check_cost(LINEAR, self.START, np.ones(4), noise)[0] > 0.1
