@@ -6,7 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from driven_arms import UPPER_ENDS
+from driven_arms import GEAR, UPPER_ENDS
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
@@ -16,13 +19,13 @@ from beltarm_env.kernels.exits import EXIT, EXIT_ROWS, find_exits, store_margin
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics import drive as drives
 from beltarm_env.physics import friction, models
-from beltarm_env.physics.drive import Drive, angles_of, coupling
+from beltarm_env.physics.drive import Drive, angles_of
 from beltarm_env.physics.driven.events import Margin, leaves_mode
 from beltarm_env.physics.driven.step import driven_step, fit_of, needed_rate
 from beltarm_env.physics.driven.torque import Lag, shares_of_two, torques_of_lag, torques_of_two
 from beltarm_env.physics.models import FULL_ARM, LUMPED, Model
 from beltarm_env.physics.state import ArmState
-from eval.verification.drive import belt_spring, ripple
+from beltarm_env.task.ranges import IDEAL_RANGES
 from eval.verification.event_located import EventLocatedArm
 
 PHASES = {"kinematic_error_phase": 0.7, "friction_variation_phase": 1.9, "torque_ripple_phase": 2.5}
@@ -61,58 +64,6 @@ def test_margins(direction: float, margin: float):
         assert friction.exit_margin_rate(40.0, 7.0, direction, side) == pytest.approx((after - before) / 2e-3)
 
 
-@EACH
-def test_friction_varies_over_the_turn_and_falls_with_the_speed(x: ArmState):
-    at = angles_of(x, PLANT, DRIVE)
-    varied = 1 + PARAMS.friction_variation * math.sin(2 * x.motor_angle + 1.9)
-    share = 1 / (1 + (x.motor_speed / PARAMS.stribeck_speed) ** 2)
-    factor = coupling(x, at, PLANT, DRIVE).friction
-    assert factor == pytest.approx(varied * (1 + PARAMS.static_friction_excess * share), rel=1e-12)
-    at_rest = PARAMS.coulomb_friction * varied * (1 + PARAMS.static_friction_excess)
-    assert friction.breakaway_torque(at, PLANT, DRIVE) == pytest.approx(at_rest, rel=1e-12)
-    for direction in (-1.0, 1.0):
-        torque = direction * PARAMS.coulomb_friction
-        assert friction.friction_torque(direction, factor, PLANT, DRIVE) == pytest.approx(torque * factor, rel=1e-12)
-        assert friction.friction_torque(direction, factor, IDEAL, None) == direction * ArmParams().coulomb_friction
-    assert friction.breakaway_torque(angles_of(x, IDEAL, None), IDEAL, None) == ArmParams().coulomb_friction
-
-
-def joint_beyond(angle: float) -> float:
-    """Angle of joint 1 beyond that of the gear ratio [rad]."""
-    return PARAMS.kinematic_error * math.sin(2 * angle + 0.7)
-
-
-@EACH
-def test_transmission_is_the_kinematic_error_and_its_derivatives(x: ArmState):
-    gear, h = drives.transmission(angles_of(x, PLANT, DRIVE), PLANT, DRIVE), 1e-4
-    before, now, after = (joint_beyond(x.motor_angle + d) for d in (-h, 0.0, h))
-    assert gear.error == pytest.approx(now, abs=1e-15)
-    assert gear.ratio == pytest.approx(1 / PARAMS.gear_ratio + (after - before) / (2 * h), rel=1e-6)
-    assert gear.curvature == pytest.approx((after - 2 * now + before) / h**2, abs=1e-9)
-
-
-@EACH
-def test_what_couples_motor_and_arm(x: ArmState):
-    at, h = angles_of(x, PLANT, DRIVE), 1e-6
-    on = coupling(x, at, PLANT, DRIVE, 0.02)
-    torsion, rate = drives.belt_motion(x, PLANT, DRIVE)
-    assert torsion == pytest.approx(x.torsion + joint_beyond(x.motor_angle), abs=1e-15)
-    before, after = (x.torsion + t * x.torsion_speed + joint_beyond(x.motor_angle + t * x.motor_speed) for t in (-h, h))
-    assert rate == on.torsion_speed == pytest.approx((after - before) / (2 * h), abs=1e-9)
-    assert on.belt == pytest.approx(belt_spring(PARAMS, torsion) + PLANT.damping * rate, rel=1e-11)
-    assert on.ripple == pytest.approx(ripple(PARAMS, x.motor_angle), abs=1e-15)
-    assert on.inverse == pytest.approx(50.0, rel=1e-12)
-
-
-def test_an_ideal_drive_couples_by_the_belt_alone():
-    x = STATES[0]
-    on = coupling(x, angles_of(x, IDEAL, None), IDEAL, None, 0.02)
-    assert on[:1] + on[2:] == (0.0, -0.2, 1 / 88, 0.0, 1.0, 1 / 0.02)
-    assert on.belt == pytest.approx(33 * 0.01 - 0.2 * IDEAL.damping)
-    assert drives.belt_motion(x, IDEAL, None) == (0.01, -0.2)
-    assert angles_of(x, IDEAL, None)[2:] == (0.0, 0.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("angle", [0.0, 33.3, 110.0])
 def test_an_arm_at_rest_has_no_torque_in_its_belt(angle: float):
     x = drives.resting(angle, PLANT, DRIVE)
@@ -136,19 +87,30 @@ def test_the_acceleration_per_torque_is_that_of_the_equations_of_motion(model: M
 
 
 @EACH_MODEL
-def test_accelerations_are_those_of_equations_written_otherwise(model: Model):
-    name = "lumped" if model is LUMPED else "lagrangian"
-    for params in (PARAMS, ArmParams()):
-        plant, drive = params.plant(), drives.built_drive(params.row())
-        for x in (ArmState(70.0, 30.0, 0.01, -0.2), ArmState(12.3, -4.0, -0.03, 0.5)):
-            at = angles_of(x, plant, drive)
-            for direction in (-1.0, 1.0):
-                factor = coupling(x, at, plant, drive).friction
-                arm = EventLocatedArm(params, np.array(x), name)
-                (_, _, alpha, phi), _ = arm.rates(0.1, friction.friction_torque(direction, factor, plant, drive))
-                found = models.accelerations_at(x, at, 0.1, direction, plant, model, drive)
-                assert found == pytest.approx((88 * alpha, alpha - phi), rel=1e-9)
-            assert models.accelerations_at(x, at, 0.1, 0.0, plant, model, drive)[0] == 0.0, "it sticks"
+@examples(60)
+@given(
+    st.booleans(),
+    st.fixed_dictionaries({name: st.floats(*pair) for name, pair in IDEAL_RANGES.items()}),
+    st.tuples(st.floats(0, GEAR * 1.5), st.floats(-200, 200), st.floats(-0.1, 0.1), st.floats(-5, 5)),
+    st.floats(-0.3, 0.3),
+    st.sampled_from([-1.0, 0.0, 1.0]),
+)
+def test_equations_are_those_of_the_event_located_solution(
+    model: Model, built: bool, ranges: dict[str, float], state: tuple[float, ...], torque: float, direction: float
+):
+    params = ArmParams(**(UPPER_ENDS | PHASES if built else {}), **ranges)
+    plant, drive = params.plant(), drives.built_drive(params.row())
+    x = ArmState(state[0], direction * abs(state[1]), state[2], state[3])
+    at = angles_of(x, plant, drive)
+    arm = EventLocatedArm(params, np.array(x), "lumped" if model is LUMPED else "lagrangian")
+    level = arm.dry_friction(arm._y)
+    (_, _, alpha, phi), holding = arm.rates(torque, direction * level if direction else None)
+    accelerations = models.accelerations_at(x, at, torque, direction, plant, model, drive)
+    assert accelerations == pytest.approx((GEAR * alpha, alpha - phi), rel=1e-9, abs=1e-8)
+    if direction == 0:
+        pull = models.driving_torque_at(x, at, torque, plant, model, drive)
+        assert pull == pytest.approx(holding, rel=1e-9, abs=1e-12)
+        assert friction.breakaway_torque(at, plant, drive) == pytest.approx(level, rel=1e-12)
 
 
 @EACH_MODEL
@@ -172,14 +134,6 @@ def test_decay_is_an_exponential():
     for ratio in (0.0, 1e-9, 0.3, 1.0, 7.5, 8.0, 20.0, 39.0):
         assert drives.decay(ratio) == pytest.approx(math.exp(-ratio), rel=1e-14 if ratio <= 8 else 1e-9, abs=0)
     assert 0 <= drives.decay(1e9) < 1e-17
-
-
-def test_the_belts_tangent_is_a_derivative():
-    for torsion in (0.0, 0.004, 0.02, -0.03):
-        stiffness, tangent = drives.belt_stiffness(torsion**2 / (torsion**2 + DRIVE.knee), PLANT, DRIVE)
-        assert stiffness * torsion == pytest.approx(belt_spring(PARAMS, torsion))
-        slope = (belt_spring(PARAMS, torsion + 1e-6) - belt_spring(PARAMS, torsion - 1e-6)) / 2e-6
-        assert tangent == pytest.approx(slope, rel=1e-6)
 
 
 @pytest.mark.parametrize("lag", [0.0, 2e-4, 1e-2])
@@ -240,30 +194,33 @@ def exits_of(margins: list[Margin]) -> np.ndarray:
     return work[EXIT * LANES :][: len(margins)]
 
 
-def test_where_margins_fall_below_zero():
-    falling = Margin(1.0, -6.0, 6.0, 0.0, 0.0, 0.0)  # 1 - 6 u + 6 u^2: below zero between 0.211 and 0.789
-    stays = Margin(2.0, -6.0, 6.0, 0.0, 0.0, 0.0)  # lowest 0.5
-    falls = Margin(-0.5, 0.0, 0.0, 0.0, 1.0, 4.0)  # e^(-4 u) - 0.5
-    assert leaves_mode(falling, 1.0)
-    assert leaves_mode(falls, math.exp(-4))
-    expected = [0.5 - math.sqrt(3) / 6, 1.0, math.log(2) / 4]
-    assert exits_of([falling, stays, falls]) == pytest.approx(expected, rel=1e-9)
-    falls_and_rises = Margin(0.0, 1.0, 0.0, 0.0, 2.0, 6.0)  # u + 2 e^(-6 u), lowest 0.58: its tangents stay above zero
-    assert not leaves_mode(falls_and_rises, math.exp(-6))
+def value(m: Margin, u: float) -> float:
+    return m.c0 + u * (m.c1 + u * (m.c2 + u * m.c3)) + m.amplitude * math.exp(-m.exponent * u)
+
+
+def test_a_margin_that_falls_below_zero_within_a_step_is_left():
+    rng, count = np.random.default_rng(1), 0
+    for _ in range(400):
+        c0, c1, c2, amplitude, exponent = rng.normal([0, -1, 2, 1, 3], [1, 2, 1, 0.5, 1.5]).tolist()
+        m = Margin(c0, c1, abs(c2), 0.0, abs(amplitude), abs(exponent))
+        lowest = min(value(m, u) for u in np.linspace(0, 1, 101))
+        if value(m, 0) > 0 > lowest:
+            assert leaves_mode(m, math.exp(-m.exponent))
+            count += 1
+    assert count > 50
+    stays = Margin(0.0, 1.0, 0.0, 0.0, 2.0, 6.0)  # u + 2 e^(-6 u), lowest 0.58: its tangents stay above zero
+    assert not leaves_mode(stays, math.exp(-6))
 
 
 def test_exits_of_many_margins_are_those_that_scipy_finds():
     rng = np.random.default_rng(0)
     margins = [Margin(*map(float, rng.normal(size=5)), exponent=float(rng.uniform(0, 6))) for _ in range(2000)]
 
-    def at(m: Margin, u: float) -> float:
-        return m.c0 + u * (m.c1 + u * (m.c2 + u * m.c3)) + m.amplitude * math.exp(-m.exponent * u)
-
     grid = np.linspace(0, 1, 201)
-    crossing = [m for m in margins if np.sum(np.diff(np.sign([at(m, u) for u in grid]))) == -2 and at(m, 0) > 0]
+    crossing = [m for m in margins if np.sum(np.diff(np.sign([value(m, u) for u in grid]))) == -2 and value(m, 0) > 0]
     crossing = crossing[:LANES]
     assert len(crossing) == LANES
-    expected = [brentq(lambda u, m=m: at(m, u), 0, 1, xtol=1e-14) for m in crossing]
+    expected = [brentq(lambda u, m=m: value(m, u), 0, 1, xtol=1e-14) for m in crossing]
     assert exits_of(crossing) == pytest.approx(expected, abs=1e-12)
 
 

@@ -1,16 +1,25 @@
 """Linear models of the arm, with and without its drive, against SciPy, python-control and the arm itself."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import control
 import numpy as np
 import pytest
-from driven_arms import GEAR, MODELS, UPPER_ENDS
+from driven_arms import GEAR, MODELS, UPPER_ENDS, apply, arm_env, at_rest
 from scipy.linalg import expm
 
-from beltarm_env import CONTROL_PERIOD, ArmParams, sampled_state_space, state_derivative, state_space
+from beltarm_env import (
+    CONTROL_PERIOD,
+    EPISODE_STEPS,
+    ArmParams,
+    BeltArmEnv,
+    sampled_state_space,
+    state_derivative,
+    state_space,
+)
 from beltarm_env.arm import params_table
 from beltarm_env.physics.linear import sample_models
 from beltarm_env.simulation import ArmSimulation
@@ -189,9 +198,9 @@ class TestStateDerivative:
 
     def test_friction_holds_a_motor_at_rest_and_opposes_one_that_turns(self):
         params = ArmParams()
-        at_rest, slack = np.zeros(4), 0.5 * params.coulomb_friction
-        assert state_derivative(at_rest, slack, params).tolist() == [0, 0, 0, 0]
-        assert state_derivative(at_rest, 3 * slack, params)[1] == pytest.approx(slack / params.motor_inertia)
+        resting, slack = np.zeros(4), 0.5 * params.coulomb_friction
+        assert state_derivative(resting, slack, params).tolist() == [0, 0, 0, 0]
+        assert state_derivative(resting, 3 * slack, params)[1] == pytest.approx(slack / params.motor_inertia)
         for speed in (-1.0, 1.0):
             braked = -speed * (params.coulomb_friction + params.motor_viscous_friction) / params.motor_inertia
             assert state_derivative([0, speed, 0, 0], 0, params)[1] == pytest.approx(braked, rel=1e-3)
@@ -201,3 +210,107 @@ class TestStateDerivative:
             state_derivative([0, 0, 0], 0, FRICTIONLESS)
         with pytest.raises(ValueError, match=r"model .*'lumped'"):
             state_derivative(np.zeros(4), 0, FRICTIONLESS, "rigid")
+
+
+# The environment in its linear regime: without Coulomb friction and with constant M2 the arm is linear in any motion.
+
+
+LINEAR = {"coulomb_friction": 0.0, "arm_inertia_swing": 0.0}
+FOLDED = LINEAR | {"arm_inertia": 0.07}  # M2 of the nominal arm at 90 degrees
+OTHER = {"gear_ratio": 60.0, "motor_inertia": 8e-5, "motor_viscous_friction": 1e-3, "belt_stiffness": 25.0}
+PLANTS = {
+    "stretched": LINEAR,
+    "folded, undamped": FOLDED | {"belt_damping_ratio": 0.0},
+    "all else changed": FOLDED | OTHER | {"arm_inertia": 0.02, "belt_damping_ratio": 0.05},
+}
+EACH_PLANT = pytest.mark.parametrize("params", PLANTS.values(), ids=PLANTS)
+
+
+def sampled(p: ArmParams) -> Any:
+    """python-control's model of x from sample to sample, from (5a) and (5b) for y = [theta_a, omega_a, phi, phi']."""
+    gear, stiffness = p.gear_ratio, p.belt_stiffness
+    damping = 2 * p.belt_damping_ratio * math.sqrt(stiffness * (p.arm_inertia + p.arm_inertia_swing))
+    belt = np.array([stiffness / gear, damping / gear, -stiffness, -damping])  # tau_b = belt @ y
+    motor = (np.array([0, -p.motor_viscous_friction, 0, 0]) - belt / gear) / p.motor_inertia
+    rates = np.array([[0, 1, 0, 0], motor, [0, 0, 0, 1], belt / p.arm_inertia])
+    x_of_y = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [1 / gear, 0, -1, 0], [0, 1 / gear, 0, -1]])
+    a, b = x_of_y @ rates @ np.linalg.inv(x_of_y), x_of_y @ [[0], [1 / p.motor_inertia], [0], [0]]
+    return control.sample_system(control.ss(a, b, np.eye(4), 0), CONTROL_PERIOD, "zoh")
+
+
+def simulate(
+    params: dict[str, float], start: np.ndarray, torque: Callable[[int, np.ndarray], float], substeps: int = 20
+) -> tuple[np.ndarray, np.ndarray]:
+    """States of the environment, shape (steps + 1, 4), and torques, shape (steps,)."""
+    env = arm_env(params, start)
+    env.set_integration_steps(substeps)
+    states, torques = [env.state], []
+    for k in range(EPISODE_STEPS):
+        torques.append(torque(k, states[-1]))
+        assert abs(torques[-1]) <= env.params.torque_limit, "cut at the limit: not linear"
+        apply(env, torques[-1])
+        states.append(env.state)
+    return np.array(states), np.array(torques)
+
+
+def assert_response(states: np.ndarray, system: Any, inputs: np.ndarray) -> None:
+    """Assert that states are the response of a system to an input."""
+    response = system.forced_response(inputs=np.append(inputs, 0.0), initial_state=states[0]).outputs.T
+    assert np.all(np.abs(states - response).max(axis=0) < 1e-9 * np.abs(response - states[0]).max(axis=0))
+
+
+def at_45_degrees(params: dict[str, float], torsion: float = 0.0) -> np.ndarray:
+    return at_rest(math.pi / 4, torsion, gear=params.get("gear_ratio", GEAR))
+
+
+class TestLinearRegime:
+    @EACH_PLANT
+    def test_random_torques_back_and_forth(self, params: dict[str, float]):
+        torques = np.random.default_rng(0).uniform(-0.2, 0.2, EPISODE_STEPS)
+        states, _ = simulate(params, at_45_degrees(params, 0.03), lambda k, _: float(torques[k]))
+        assert np.count_nonzero(np.diff(np.sign(states[:, 1]))) > 20, "reversals"
+        assert_response(states, sampled(ArmParams(**params)), torques)
+
+    @pytest.mark.parametrize("arm_inertia", [0.01, 0.07])
+    def test_lag_and_loss_of_undamped_ringing(self, arm_inertia: float):
+        # RK4's factor for a mode e^{iz} is e^{iz} (1 - i z^5 / 120 - z^6 / 144) to leading orders.
+        params = LINEAR | {"motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0, "arm_inertia": arm_inertia}
+        states, _ = simulate(params, np.array([0.0, 0.8 * GEAR, 0.05, 0.0]), lambda k, x: 0.0, substeps=1)
+        mode = math.sqrt(33 * (1 / (6.3e-5 * GEAR**2) + 1 / arm_inertia))
+        z = mode * CONTROL_PERIOD
+        error = (states[-1, 2] - 1j * states[-1, 3] / mode) / (0.05 * np.exp(1j * z * EPISODE_STEPS))
+        assert -np.angle(error) == pytest.approx(EPISODE_STEPS * z**5 / 120, rel=0.01)
+        assert 1 - abs(error) == pytest.approx(EPISODE_STEPS * z**6 / 144, rel=0.01)
+
+    @EACH_PLANT
+    def test_the_papers_loop(self, params: dict[str, float]):
+        """Eq. (11) without Coulomb friction, on the true state and with Table 2's gains, is u = r - K x."""
+        arm, env = ArmParams(**params), BeltArmEnv()
+        env.reset(options={"move": {"start": 0.2, "goal": 1.3, "duration": 0.8, "ramp_time": 0.2}})
+        references = np.array([env.reference(k * CONTROL_PERIOD) for k in range(EPISODE_STEPS)])
+        gain = np.array([arm.motor_inertia * 25, arm.motor_inertia * 20 - arm.motor_viscous_friction, 0.0, 0.15])
+        demand = arm.motor_inertia * arm.gear_ratio * references @ [25, 20, 1]
+        start = at_rest(0.2, gear=arm.gear_ratio)
+        states, _ = simulate(params, start, lambda k, x: float(demand[k] - gain @ x))
+        loop = sampled(arm).feedback(control.ss([], [], [], gain[None], CONTROL_PERIOD))
+        assert_response(states, loop, demand)
+
+    @EACH_PLANT
+    def test_cost_of_linear_quadratic_regulation(self, params: dict[str, float]):
+        """Of u = -(scales * K) x + noise: by completing the square, v off -K x costs 1/2 v'(R + b'P b) v."""
+        q = np.diag([1 / 10, 1 / 100, 1 / 0.03, 1 / 1]) ** 2  # errors of 10 rad, 100 rad/s, 30 mrad and 1 rad/s
+        r = np.array([[1 / 0.05**2]])  # are worth 50 mN m
+        model, rest, start = sampled(ArmParams(**params)), at_45_degrees(params), np.array([-8.0, 30.0, 0.03, -1.0])
+        gain, p, _ = control.dlqr(model.A, model.B, q, r)
+        optimum = 0.5 * start @ p @ start
+        for scale, noise, least in ((1.0, 0.0, 0.0), ([1.0, 0.8, 1.0, 1.2], 0.0, 1e-4), (1.0, 0.1, 0.05)):
+            noises = np.random.default_rng(0).uniform(-noise, noise, EPISODE_STEPS)
+            scaled = np.multiply(scale, gain[0])
+            states, u = simulate(params, rest + start, lambda k, x, n=noises, g=scaled: float(n[k] - g @ (x - rest)))
+            x = states - rest
+            to_come = 0.5 * x[-1] @ p @ x[-1]
+            cost = 0.5 * np.einsum("ki,ij,kj", x[:-1], q, x[:-1]) + 0.5 * r.item() * u @ u + to_come
+            v = u + x[:-1] @ gain[0]
+            price = 0.5 * (r + model.B.T @ p @ model.B).item() * v @ v
+            assert cost == pytest.approx(optimum + price, rel=1e-9)
+            assert least <= price / optimum < max(1e3 * least, 1e-20)

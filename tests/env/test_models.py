@@ -7,18 +7,14 @@ import numpy as np
 import pytest
 import sympy
 from driven_arms import GEAR, MODELS, at_rest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from properties import examples
 
 from beltarm_env import ArmParams, state_space
 from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.physics import substeps
-from beltarm_env.physics.models import FULL_ARM, LUMPED, Model, accelerations, driving_torque
-from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.models import FULL_ARM, LUMPED, Model
 from beltarm_env.physics.substeps import fastest_rate, integration_limits
-from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, range_bounds
+from beltarm_env.task.ranges import TRAIN_RANGES, range_bounds
 from eval.verification.event_located import EventLocatedArm
 from eval.verification.symbolic_arm import derive
 
@@ -45,25 +41,6 @@ class TestEquations:
         turning = swing * sympy.sin(2 * phi)
         bias = sympy.Matrix([-turning * omega_phi * (omega_1 - omega_phi), turning * omega_1**2 / 2])
         assert sympy.simplify(equations.bias - bias) == sympy.zeros(2, 1)
-
-    @examples(100)
-    @given(
-        st.fixed_dictionaries({name: st.floats(*pair) for name, pair in IDEAL_RANGES.items()}),
-        st.tuples(st.floats(0, GEAR * 1.5), st.floats(-200, 200), st.floats(-0.1, 0.1), st.floats(-5, 5)),
-        st.floats(-0.3, 0.3),
-        st.sampled_from([-1, 0, 1]),
-    )
-    def test_accelerations(self, ranges: dict[str, float], state: tuple[float, ...], torque: float, direction: int):
-        params = ArmParams(**ranges)
-        x = ArmState(state[0], direction * abs(state[1]), state[2], state[3])
-        rates, friction = EventLocatedArm(params, np.array(x), "lagrangian").rates(
-            torque, direction * params.coulomb_friction if direction else None
-        )
-        motor, torsional = accelerations(x, torque, direction, params.plant(), FULL_ARM)
-        assert motor == pytest.approx(GEAR * rates[2], rel=1e-9, abs=1e-8)
-        assert torsional == pytest.approx(rates[2] - rates[3], rel=1e-9, abs=1e-8)
-        if direction == 0:
-            assert driving_torque(x, torque, params.plant(), FULL_ARM) == pytest.approx(friction, rel=1e-9, abs=1e-12)
 
 
 class TestIntegrationLimits:

@@ -1,18 +1,37 @@
-"""Encoder, index pulse, tachometer and delay: their parts, and what the environment shows of them."""
+"""Encoder, index pulse, tachometer, accelerometer and delay: their parts, and what the environment shows of them."""
 
 import math
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.utils import seeding
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
+from scipy.integrate import quad
 from scipy.interpolate import CubicHermiteSpline
+from scipy.stats import chi2, norm
 
+from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
+from beltarm_env.physics.kinematics import TipMotion
 from beltarm_env.physics.state import ArmState
+from beltarm_env.rollout import rollout
+from beltarm_env.task.accelerometer import (
+    BANDWIDTH,
+    BIAS,
+    NOISE,
+    RANGE,
+    along_and_across,
+    bias_of,
+    low_passed,
+    noise,
+    noise_seed,
+    reading,
+)
+from beltarm_env.task.draws import DRAWS
 from beltarm_env.task.sensors import (
     ENCODER_COUNTS,
     around_half_a_turn,
@@ -26,6 +45,8 @@ Floats = NDArray[np.float64]
 GEAR = 88.0
 RESOLUTION = 2 * math.pi / 4000
 STEPS = 400
+NAMES = ("tip_acceleration_along", "tip_acceleration_across")
+TAU, G = 1 / (2 * math.pi * BANDWIDTH), 9.80665
 MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
 
 
@@ -97,6 +118,86 @@ class TestBetweenSamples:
             assert abs(shown_speed - expected_speed) <= change * CONTROL_PERIOD / 12 + 1e-12
 
 
+# The accelerometer on the arm's end
+
+
+def test_numbers_of_the_data_sheet():
+    assert (RANGE / G, BIAS / G, BANDWIDTH) == (pytest.approx(8), pytest.approx(0.05), 260.0)
+    assert NOISE / G == pytest.approx(400e-6 * math.sqrt(math.pi / 2 * 260))
+    assert 2 * BANDWIDTH < 1 / CONTROL_PERIOD, "no more bandwidth than is sampled"
+
+
+class TestLowPass:
+    @examples(50)
+    @given(st.floats(-100, 100), st.floats(-2, 2), st.floats(-2, 2))
+    def test_is_that_of_a_velocity_linear_in_between(self, filtered: float, before: float, now: float):
+        slope = (now - before) / CONTROL_PERIOD
+        driven, _ = quad(lambda s: math.exp(-(CONTROL_PERIOD - s) / TAU) * slope / TAU, 0, CONTROL_PERIOD)
+        expected = filtered * math.exp(-CONTROL_PERIOD / TAU) + driven
+        assert low_passed(filtered, before, now) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@examples(100)
+@given(st.floats(-1.5, 1.5), st.floats(-0.2, 0.6), st.floats(-100, 100), st.floats(-100, 100))
+def test_axes_are_those_of_the_hand(angle: float, reach: float, x: float, y: float):
+    tip = TipMotion(reach * math.cos(angle), reach * math.sin(angle), 0.0, 0.0)
+    along, across = along_and_across(x, y, tip)
+    if abs(reach) > 1e-6:
+        assert along == pytest.approx(x * math.cos(angle) + y * math.sin(angle), abs=1e-10)
+        assert across == pytest.approx(y * math.cos(angle) - x * math.sin(angle), abs=1e-10)
+    assert math.hypot(along, across) <= math.hypot(x, y) * (1 + 1e-12)
+    folded = along_and_across(x, y, TipMotion(0.0, 0.0, 0.0, 0.0))  # onto joint 1
+    assert np.isfinite(folded).all()
+
+
+@pytest.fixture(scope="module")
+def series() -> Floats:
+    """Noise of shape (seeds, samples, axes)."""
+    seeds = [noise_seed(u) for u in np.random.default_rng(0).random(40)]
+    return np.array([[[noise(seed, float(k), axis) for axis in (0, 1)] for k in range(600)] for seed in seeds])
+
+
+class TestNoise:
+    def test_is_about_standard_normal(self, series: Floats):
+        values = series.ravel()
+        n = len(values)
+        assert abs(values.mean()) < 4 / math.sqrt(n)
+        assert values.std() == pytest.approx(1, abs=4 / math.sqrt(2 * n))
+        for level in (-2.0, -1.0, -0.3, 0.5, 1.5):
+            assert np.mean(values < level) == pytest.approx(norm.cdf(level), abs=0.015)
+        assert 3 < np.abs(values).max() < 3.47
+        sums = np.random.default_rng(1).random((200_000, 4)).sum(axis=1)  # it is distributed as four uniform numbers'
+        edges = np.quantile((sums - 2) / math.sqrt(1 / 3), np.linspace(0, 1, 21)[1:-1])
+        counts, expected = np.bincount(np.searchsorted(edges, values), minlength=20), n / 20
+        assert ((counts - expected) ** 2 / expected).sum() < chi2.ppf(0.9999, 19) + n / 200_000 * 19
+
+    def test_is_white_and_of_its_own_on_each_axis_and_in_each_episode(self, series: Floats):
+        near = np.array([[noise(seed, float(k), 0) for k in range(400)] for seed in (123456.0, 123457.0)])
+        pairs = {
+            "neighbours": (series[:, 1:], series[:, :-1]),
+            "next but one": (series[:, 2:], series[:, :-2]),
+            "axes": (series[..., 0], series[..., 1]),
+            "episodes": (series[1:], series[:-1]),
+            "axes, shifted": (series[:, 1:, 0], series[:, :-1, 1]),
+            "last digit of the seed": tuple(near),
+        }
+        for name, (a, b) in pairs.items():
+            assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / math.sqrt(a.size), name
+
+    @examples(100)
+    @given(st.floats(0, 1, exclude_max=True), st.floats(-1e3, 1e3), st.integers(0, 1202), st.sampled_from([0, 1]))
+    def test_seed_bias_and_reading(self, uniform: float, acceleration: float, sample: int, axis: Any):
+        seed, bias = noise_seed(uniform), bias_of(uniform)
+        assert 0 <= seed < 2**32 and seed == int(seed)
+        assert -BIAS <= bias < BIAS
+        shown = reading(acceleration, bias, seed, float(sample), axis)
+        errors = bias + NOISE * noise(seed, float(sample), axis)
+        assert shown == pytest.approx(min(max(acceleration + errors, -RANGE), RANGE), abs=1e-12)
+
+
+# Through the environment
+
+
 def torque(k: int) -> float:
     """Over its limit: pushes the arm to and fro."""
     return 0.5 * math.sin(0.02 * k) + 0.3 * math.sin(0.11 * k)
@@ -135,12 +236,12 @@ class Record:
         return np.where(times < 0, earlier, spline(times, order))
 
 
-def radial_speed(states: Floats) -> Floats:
-    """Speed of the arm's end along x for states of shape (4, n)."""
+def tip_velocity(states: Floats) -> tuple[Floats, Floats]:
+    """Velocity of the nominal arm's end along x and y for states of shape (4, n)."""
     theta_a, omega_a, theta_s, omega_s = states
     phi, phi_dot = theta_a / GEAR - theta_s, omega_a / GEAR - omega_s
-    reach = 0.5 * np.cos(phi) + 0.1
-    return -0.5 * np.sin(phi) * phi_dot * np.cos(theta_s) - reach * np.sin(theta_s) * omega_s
+    away, around = -0.5 * np.sin(phi) * phi_dot, (0.5 * np.cos(phi) + 0.1) * omega_s
+    return away * np.cos(theta_s) - around * np.sin(theta_s), away * np.sin(theta_s) + around * np.cos(theta_s)
 
 
 MOVING = np.array([GEAR * 0.6, 40.0, 0.02, -0.5])
@@ -173,7 +274,8 @@ class TestThroughTheEnvironment:
     def test_tachometer_at_the_tip(self, delay: float, state: Floats | None):
         record, whole = Record(state, sensors="tip", delay=delay), math.ceil(delay)
         late = record.times[whole:] - CONTROL_PERIOD * delay
-        x_speed = radial_speed(np.stack([record.course(column, late, order) for column in (0, 2) for order in (0, 1)]))
+        states = np.stack([record.course(column, late, order) for column in (0, 2) for order in (0, 1)])
+        x_speed, _ = tip_velocity(states)
         np.testing.assert_allclose(record.seen["tip_speed"][whole:], x_speed, rtol=1e-5, atol=1e-6)
         assert np.abs(x_speed).max() > 0.1
 
@@ -184,3 +286,42 @@ class TestThroughTheEnvironment:
         np.testing.assert_allclose(record.seen["torsion"], torsion + 3e-4 * np.sin(phase), rtol=1e-6, atol=1e-7)
         rate = torsion_speed + 6e-4 * np.cos(phase) * speed
         np.testing.assert_allclose(record.seen["torsion_speed"], rate, rtol=1e-6, atol=1e-6)
+
+
+class TestAccelerometerInTheEnvironment:
+    @pytest.mark.parametrize("delay", [0, 0.4, 1.5, 2])
+    def test_shows_the_low_passed_acceleration_late(self, delay: float):
+        record, whole = Record(MOVING, sensors="accelerometer", delay=delay), math.floor(delay)
+        draw, *biases = seeding.np_random(1)[0].random(DRAWS)[-3:]
+        read = np.maximum(record.times - (delay - whole) * CONTROL_PERIOD, 0.0)
+        states = np.stack([record.course(column, read, order) for column in (0, 2) for order in (0, 1)])
+        velocity, decay = np.stack(tip_velocity(states), axis=1), math.exp(-CONTROL_PERIOD / TAU)
+        filtered = np.zeros_like(velocity)
+        for k in range(STEPS):
+            mean = (velocity[k + 1] - velocity[k]) / CONTROL_PERIOD
+            filtered[k + 1] = mean + (filtered[k] - mean) * decay
+        cosine, sine = np.cos(states[2]), np.sin(states[2])
+        axes = filtered[:, 0] * cosine + filtered[:, 1] * sine, filtered[:, 1] * cosine - filtered[:, 0] * sine
+        for axis, (name, true) in enumerate(zip(NAMES, axes, strict=True)):
+            assert np.abs(true).max() > 5
+            noises = [noise(noise_seed(draw), float(k + 2), axis) for k in range(-whole, STEPS + 1 - whole)]
+            shown = np.concatenate([np.zeros(whole), true[: STEPS + 1 - whole]])
+            expected = np.clip(shown + bias_of(biases[axis]) + NOISE * np.array(noises), -RANGE, RANGE)
+            np.testing.assert_allclose(record.seen[name], expected, rtol=1e-6, atol=1e-5)
+
+    def test_every_episode_has_errors_of_its_own_however_the_arm_is_fixed(self):
+        env, episodes = BeltArmEnv(sensors="accelerometer"), []
+        for seed in (1, None, 1):
+            seen = [env.reset(seed=seed, options={"move": MOVE})[0]]
+            seen += [env.step(np.zeros(1, np.float32))[0] for _ in range(50)]
+            episodes.append(np.array(seen)[:, -2:])
+        assert np.array_equal(episodes[0], episodes[2])
+        assert not np.isclose(episodes[0], episodes[1]).any()
+        drawn = BeltArmEnv(sensors="accelerometer", randomization="train").reset(seed=1)[0]
+        assert np.array_equal(drawn[-2:], episodes[0][0])
+
+    @pytest.mark.parametrize("name", ["paper", "adaptive"])
+    def test_controllers_ignore_it(self, name: str):
+        tiers: Any = ("encoder", "accelerometer")
+        runs = [rollout(CONTROLLERS[name](), 2, seed=1, sensors=tier) for tier in tiers]
+        assert runs[0].torque.tobytes() == runs[1].torque.tobytes()
