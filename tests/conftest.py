@@ -28,7 +28,19 @@ with contextlib.redirect_stderr(io.StringIO()):
 
 LONG = tuple(
     f"test_{name}"
-    for name in ("compare", "export", "pairs", "ray", "recipes", "scripts", "training", "tune", "vector_env", "watch")
+    for name in (
+        "compare",
+        "export",
+        "jit",
+        "pairs",
+        "ray",
+        "recipes",
+        "scripts",
+        "training",
+        "tune",
+        "vector_env",
+        "watch",
+    )
 )
 
 

@@ -11,10 +11,9 @@ import sympy
 from driven_arms import GEAR, LOSSLESS, MODELS, UPPER_ENDS, at_rest, drawn_arms, full_arm_at, push, random_params, stops
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
-from eval.verification.crossing import first_crossing
 from eval.verification.event_located import EventLocatedArm, tip
 from eval.verification.lugre import LuGreArms
-from eval.verification.symbolic_arm import Masses, compiled, derive, masses_of
+from eval.verification.symbolic_arm import compiled, derive, masses_of
 
 CONSERVATIVE = {
     **LOSSLESS,
@@ -56,21 +55,6 @@ class TestEquations:
             terms = arm.equations(np.array([alpha, phi, alpha_rate, phi_rate]))
             np.testing.assert_allclose(arm.mass_matrix(), matrix(alpha, phi, alpha_rate, phi_rate), rtol=1e-11)
             np.testing.assert_allclose([terms.c1, terms.c2], bias(alpha, phi, alpha_rate, phi_rate), atol=1e-10)
-
-    @pytest.mark.parametrize("rest", ["hand", "pulley"])
-    def test_a_rigid_belt_gives_the_inertia_of_the_parameters(self, rest: str):
-        m0, s, l, payload, motor = sympy.symbols("M_0 S l m_p I_1", positive=True)  # noqa: E741
-        if rest == "hand":  # S > 6 M_0
-            masses = Masses(motor, l, 3 * m0 / l**2, (s - 6 * m0) / (4 * l**2) + payload, 0)
-        else:
-            masses = Masses(motor, l, s / (2 * l**2), payload, m0 - s / 6)
-        equations = derive()
-        theta_1, phi = equations.angles
-        turning = sympy.Matrix([1, 1])  # theta_1' = phi'
-        put = dict(zip(equations.masses, masses, strict=True))
-        inertia = (turning.T * equations.mass_matrix * turning)[0].subs(put)
-        assert sympy.simplify(inertia - motor - m0 - (s + 4 * l**2 * payload) * sympy.sin(phi) ** 2) == 0
-        assert theta_1 not in inertia.free_symbols
 
     def test_masses_of_the_parameters(self):
         for swing in (0.02, 0.06, 0.2):
@@ -130,21 +114,6 @@ def lagrange(model: str, params: ArmParams) -> tuple[Callable[..., Any], Callabl
     bias = momentum.jacobian(q) * sympy.Matrix(u) - energy.jacobian(q).T
     arguments = (*q, *u)
     return sympy.lambdify(arguments, momentum.jacobian(u), "numpy"), sympy.lambdify(arguments, list(bias), "numpy")
-
-
-@pytest.mark.parametrize(("depth", "crosses"), [(-1e-9, True), (1e-9, False)])
-def test_where_a_function_falls_below_zero(depth: float, crosses: bool):
-    times = np.linspace(0, 1, 9)
-
-    def crossing(function: Callable[[float], float]) -> float | None:
-        return first_crossing(function, times, [function(t) for t in times.tolist()])
-
-    for lowest in (0.02, 0.31, 0.5, 0.55, 0.97):  # a dip between two looks
-        instant = crossing(lambda t, at=lowest: (t - at) ** 2 + depth)
-        assert instant == (pytest.approx(lowest - math.sqrt(1e-9), abs=1e-9) if crosses else None)
-    assert crossing(lambda t: t) is None
-    assert crossing(lambda t: t * (0.7 - t)) == pytest.approx(0.7, rel=1e-12), "it begins at zero"
-    assert crossing(lambda t: t * (1e-9 - t)) == times[1]
 
 
 class TestMotion:

@@ -80,7 +80,7 @@ LIMITED = np.select([ROWS < 60, ROWS < 120, ROWS < 150], [0.3, -0.3, 0.3 * np.fl
         ({"tip_error": CORNERS}, {"tip_max_mm": 5 * math.sqrt(2)}),  # the distance, not a coordinate
         # An arm arrives if the mean of its error after the move, in each axis, is within a bound.
         ({"tip_error": both(held(0.0105), held(-0.0105))}, {"not_arrived_share": 0}),
-        ({"tip_error": held(0.0107)}, {"not_arrived_share": 1}),
+        ({"tip_error": both(held(0.0107), held(-0.0107))}, {"not_arrived_share": 1}),
         ({"tip_error": ringing(0.03)}, {"not_arrived_share": 0}),
         ({"tip_error": np.where(BEFORE, 0.2, 0.0)}, {"not_arrived_share": 0, "residual_pp_mm": 0}),
         ({"finished": False}, {"not_arrived_share": 1, "settling_s": NEVER, "failure_share": 1}),

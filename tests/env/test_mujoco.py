@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from driven_arms import GEAR, LOSSLESS, UPPER_ENDS, Command, at_rest, full_arm_at, push, random_params, stops, wave
+from driven_arms import GEAR, UPPER_ENDS, Command, at_rest, full_arm_at, push, random_params, stops, wave
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from eval.verification.event_located import EventLocatedArm, tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 
-from beltarm_env.mujoco.drive import EXPRESSIBLE, Actuator  # noqa: E402
+from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
 from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
 
 Floats = NDArray[np.float64]
@@ -108,22 +108,6 @@ class TestModel:
             assert getattr(file, field) == pytest.approx(getattr(loaded, field), rel=1e-9, abs=1e-9), field
         assert (file.opt.timestep, file.opt.integrator) == (loaded.opt.timestep, loaded.opt.integrator)
 
-    def test_steps_of_the_actuator(self):
-        # Latency of 1.5 samples: each command acts from the middle of the next sample on. Means against the integral.
-        params = ArmParams(
-            command_latency=1.5 * CONTROL_PERIOD, current_loop_time_constant=0.001, torque_constant_error=0.1
-        )
-        actuator, torque, commands = Actuator(params), 0.0, [0.0, 0.0, 0.2, -0.1, 0.3]
-        for before, now, command in zip(commands, commands[1:], commands[2:], strict=False):
-            steps = list(actuator.means(command, CONTROL_PERIOD / 3))
-            assert [dt for dt, _, _ in steps] == pytest.approx([CONTROL_PERIOD / 4] * 4, rel=1e-12)
-            for k, (dt, count, mean) in enumerate(steps):
-                target = 1.1 * (before if k < 2 else now)
-                kept = math.exp(-dt / 0.001)
-                expected = target + (torque - target) * (1 - kept) * 0.001 / dt
-                torque = target + (torque - target) * kept
-                assert count == 1 and mean == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
     @pytest.mark.parametrize(
         ("name", "value"),
         [
@@ -157,18 +141,6 @@ class TestModel:
 
 
 class TestMotion:
-    @pytest.mark.parametrize(
-        ("params", "command"),
-        [
-            pytest.param(LOSSLESS, wave(0.06, 3), id="no losses"),
-            pytest.param({"payload_mass": 0.4}, wave(0.015, 4, offset=0.0536), id="the motor never stops"),
-        ],
-    )
-    def test_smooth(self, params: dict[str, float], command: Command):
-        worst, arm = run_both(params, np.array([0.1 * GEAR, 0.6 * GEAR, 0.02, 0.0]), command)
-        assert stops(arm) == 0
-        assert worst < 1e-8
-
     @pytest.mark.parametrize(
         ("params", "command"),
         [

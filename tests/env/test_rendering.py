@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 import warnings
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,10 @@ class TestFrame:
         "params", [PARAMS, ArmParams(hand_length=0.0), ArmParams(link_length=0.4, hand_length=0.3)]
     )
     def test_arm_stays_in_the_frame_and_off_the_magnifier(self, params: ArmParams):
-        for angle, torsion in ((-0.25, 0.0), (0.0, 0.1), (0.4, -0.1), (1.0, 0.1), (1.7, 0.0), (1.82, 0.1)):
+        lowest, *between, highest = np.linspace(-0.25, math.pi / 2 + 0.25, 7)
+        for angle, torsion in ((lowest, 0.0), *product(between, (-0.1, 0.1)), (highest, 0.1)):
+            if angle - torsion > highest:
+                continue
             picture = frame(angle, torsion, reference=min(max(angle, 0.0), math.pi / 2), params=params)
             border = np.ones((480, 640), dtype=bool)
             border[4:-4, 4:-4] = False

@@ -152,14 +152,6 @@ def test_arms_behind_ideal_and_built_drives_in_a_batch_move_as_they_do_alone():
     assert batch.motor_torques.tolist() == [env.motor_torque for env in alone]
 
 
-@examples(30, shrink=False)
-@given(levels=st.lists(st.floats(-3, 3), min_size=5, max_size=40), seed=st.integers(0, 2**31))
-def test_batch_agrees_with_single_arms_for_any_torques(levels: list[float], seed: int):
-    batch = make(2, randomization="train", autoreset_mode="SameStep")
-    actions = [np.array([[-level], [level]], np.float32) for level in np.repeat(levels, 8)]
-    assert_as_alone(batch, [BeltArmEnv(randomization="train")], actions, seed, [1])
-
-
 def test_accessors_agree_with_single_arms():
     envs, singles = make(3, randomization="train"), [BeltArmEnv(randomization="train") for _ in range(3)]
     envs.reset(seed=5)
