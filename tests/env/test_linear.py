@@ -89,7 +89,8 @@ class TestStateSpace:
         assert all(map(np.array_equal, *sampled))
 
     def test_bounds_of_the_joint_angle(self):
-        for angle in (0.0, math.pi / 2, np.float64(0.3), 1, np.int64(0)):
+        right: list[Any] = [0.0, math.pi / 2, np.float64(0.3), 1, np.int64(0)]
+        for angle in right:
             m2 = 0.01 + 0.06 * math.sin(angle) ** 2
             stiffness = -33 * (1 / (6.3e-5 * GEAR**2) + 1 / m2)
             assert state_space(ArmParams(), angle)[0][3, 2] == pytest.approx(stiffness)

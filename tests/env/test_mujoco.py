@@ -154,7 +154,7 @@ class TestMotion:
         assert stops(arm) >= 8
         assert worst < 3e-6
         # With the friction that MuJoCo has by default, the tip is two orders of magnitude further off.
-        usual = {"friction_impedance": 0.9, "friction_rate": 95.0}
+        usual: dict[str, Any] = {"friction_impedance": 0.9, "friction_rate": 95.0}
         assert run_both(params, at_rest(0.785), command, steps=600, **usual)[0] > 1e-4
 
     @pytest.mark.parametrize(("impedance", "rate"), [(0.9, 100.0), (0.9999, 2000.0)])

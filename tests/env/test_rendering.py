@@ -80,7 +80,7 @@ class TestFrame:
         np.testing.assert_array_equal(drawn, frame(1.2, reference=1.22), "trace of another arm")
         twin = copy.deepcopy(second)
         frames = [each.draw(PARAMS, state(0.5), 0.5, 0.1) for each in (second, twin)]
-        np.testing.assert_array_equal(*frames, "a copy has the trace")
+        np.testing.assert_array_equal(frames[0], frames[1], "a copy has the trace")
 
     @pytest.mark.parametrize("change", [{"joint_angle": 0.52}, {"torsion": 0.01}, {"reference": 0.52}])
     def test_shows_every_part_of_the_posture(self, change: dict[str, Any]):

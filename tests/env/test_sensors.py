@@ -228,7 +228,7 @@ class Record:
         np.testing.assert_allclose(self.seen["motor_angle"] / resolution, np.rint(counts), atol=0.3)
         return np.rint(counts)
 
-    def course(self, column: int, times: Floats, order: int = 0) -> Floats:
+    def course(self, column: int, times: NDArray[Any], order: int = 0) -> Floats:
         """Angle or torsion at any time; before the episode the motor moved as fast as at its start."""
         spline = CubicHermiteSpline(self.times, self.states[:, column], self.states[:, column + 1])
         start, speed = self.states[0, column : column + 2]

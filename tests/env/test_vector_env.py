@@ -249,11 +249,12 @@ class TestReset:
         ],
     )
     def test_ranges_are_covered_and_nothing_else_varies(self, randomization: Any, ranges: dict[str, Any] | None):
-        envs, ranges = make(2000, randomization=randomization), randomization if ranges is None else ranges
+        envs = make(2000, randomization=randomization)
+        expected: dict[str, Any] = randomization if ranges is None else ranges
         envs.reset(seed=0)
         for column, name in enumerate(FIELDS):
             drawn = envs.params_table[:, column]
-            low, high = ranges.get(name, (getattr(ArmParams(), name),) * 2)
+            low, high = expected.get(name, (getattr(ArmParams(), name),) * 2)
             assert low <= drawn.min() <= low + 0.02 * (high - low)
             assert high - 0.02 * (high - low) <= drawn.max() <= high
         if randomization == "train":
