@@ -101,7 +101,7 @@ def test_integration_steps(steps: Any):
 @EACH_FIELD
 def test_parameters_that_make_no_arm(name: str):
     low, high, above, _ = bounds_of(name)
-    wrong: Any = (NAN, INF, -INF, np.float32("nan"), low - 1e-9, high + 1, low if above else NAN)
+    wrong: Any = (NAN, INF, -INF, np.float32("nan"), low - 1e-9, 2 * high + 1, low if above else NAN)
     for value in wrong:
         refused(ValueError, (name, repr(value), "finite"), lambda value=value: ArmParams(**{name: value}))
     if not above:
