@@ -54,7 +54,7 @@ def random_actions(steps: int, count: int, seed: int = 0) -> NDArray[np.float32]
 CASES: dict[int, tuple[int, dict[str, Any]]] = {
     1: (1300, {"sensors": "full", "profile": "quintic", "randomization": "off"}),
     5: (1400, {"sensors": "tip", "profile": "scurve", "randomization": "train", "delay": 1}),
-    20: (450, {"randomization": {"payload_mass": (0.1, 0.5)}, "encoder_counts": 1000, "max_episode_steps": 200}),
+    20: (850, {"randomization": {"payload_mass": (0.1, 0.5)}, "encoder_counts": 1000, "max_episode_steps": 400}),
 }
 ASPECTS = ("observations", "rewards", "terminated", "truncated", "infos")
 
@@ -132,7 +132,7 @@ def test_arms_in_any_place_of_a_large_batch_agree_with_single_arms():
     arms = (0, 1, 135, 136, 299)  # a block has 136 lanes
     envs = make(300, randomization="train", autoreset_mode="SameStep")
     singles = [BeltArmEnv(randomization="train") for _ in arms]
-    assert assert_as_alone(envs, singles, random_actions(300, 300), 4, arms) >= 1
+    assert_as_alone(envs, singles, random_actions(300, 300), 4, arms)
 
 
 def test_arms_behind_ideal_and_built_drives_in_a_batch_move_as_they_do_alone():
