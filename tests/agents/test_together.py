@@ -106,8 +106,8 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
     """On a split where delays and encoders are not the usual ones."""
     split, episodes = development_set().splits["sensing"], 3
     several = method("student", 2).with_guard() if guarded else method("student", 2)
-    found = measure(Part(several, split, episodes))
-    assert found["cost"].shape == (2, episodes)
+    actual = measure(Part(several, split, episodes))
+    assert actual["cost"].shape == (2, episodes)
     for seed in range(2):
         alone = rollout(several.controller(seed, []), episodes, **split.arguments(slice(episodes)))
         for name, values in alone.metrics().items():
