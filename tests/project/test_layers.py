@@ -28,16 +28,7 @@ FLOORS = {
         *("iterative yardsticks loops", "registry", "guard tuning"),
     ),
     "agents": ("residual", "policy", "runs", "learners observer"),
-    "eval": (
-        *("comparison", "report"),
-        *(
-            "translation verification drives studies sensing observing guarding tails offline",
-            "deploy",
-            "loops sharing",
-            "reproduction",
-            "learning repetition speed",
-        ),
-    ),
+    "eval": ("comparison reference translation", "report", "exports", "studies", "speed"),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.
 
@@ -87,6 +78,15 @@ def test_folders_of_a_package_import_one_way(package: str):
         for other in imported(path):
             if other.split(".")[0] == package and room(other) not in (room(module), package):
                 assert floor_of[room(other)] < floor_of[room(module)], f"{module} imports {other}"
+
+
+def test_studies_do_not_know_one_another():
+    for module, path in modules("eval"):
+        own = module.split(".")[2:3]
+        if module.startswith("eval.studies.") and not own[0].startswith("_"):
+            others = {other for other in imported(path) if other.startswith("eval.studies.")}
+            strangers = {other for other in others if other.split(".")[2] not in (*own, "_frame")}
+            assert not strangers, f"{module} imports {sorted(strangers)}"
 
 
 def test_no_command_is_imported():
