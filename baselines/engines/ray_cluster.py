@@ -93,7 +93,7 @@ _TRY = "import sys, ray; ray.init(address=sys.argv[1], log_to_driver=False, conf
 def _own_packages() -> Iterator[None]:
     """Have workers find the packages of this checkout, and not the folder of the command.
 
-    Ray would put that folder before all others, and `eval/baselines.py` is not the package `baselines`.
+    Ray would put that folder before all others, and a file there could have the name of a package.
     """
     scripts, paths = os.path.dirname(os.path.realpath(sys.argv[0])), sys.path[:]
     searched = os.environ.get("PYTHONPATH")

@@ -146,7 +146,7 @@ for name in ("paper", "zvd", "flat", "adaptive"):
 # %%
 # ``zvd`` shapes the reference so that vibrations cancel, ``flat`` leads the motor by the torsion
 # that the move needs, and ``adaptive`` finds out which arm it has. :doc:`The methods' pages
-# </methods/index>` explain them.
+# </benchmark/methods/index>` explain them.
 #
 # Into the comparison
 # -------------------

@@ -109,4 +109,4 @@ axes.grid(alpha=0.3)
 # -------------------
 # ``python train/ppo.py --base none --knowledge none`` trains from scratch, can be interrupted and
 # resumed, and writes a policy bundle that the comparison takes with ``--policy``. :doc:`Training
-# </training>` explains it.
+# </science/training>` explains it.

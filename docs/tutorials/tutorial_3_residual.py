@@ -92,7 +92,7 @@ for axes in (error, torque):
 # %%
 # Half a minute takes most of the base's cost away. What is left is the harder part: every
 # improvement of a good controller is a small torque at the right instant, and trial and error finds
-# it slowly. :doc:`What makes learning work </learning>` says why the student has a teacher instead.
+# it slowly. :doc:`What makes learning work </science/learning>` says why the student has a teacher instead.
 #
 # In earnest
 # ----------

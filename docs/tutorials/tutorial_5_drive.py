@@ -119,5 +119,5 @@ for name, controller in controllers.items():
     print(f"{name:10} ideal {costs[name][0]:5.0f}   as it is built {np.median(built.cost):5.0f}")
 
 # %%
-# :doc:`The plant </physics>` has the equations of each effect and where its size is from, and
-# :doc:`the study </drive/summary>` has every controller over every size.
+# :doc:`The plant </science/physics>` has the equations of each effect and where its size is from, and
+# :doc:`the study </results/drive/page>` has every controller over every size.

@@ -251,7 +251,7 @@ def test_a_controller_of_a_file_lives_in_its_folder_and_one_of_a_package_in_the_
     assert custom.home(f"{own}/mine.py:Mine") == own
     assert custom.home("baselines.servo.paper:PaperController") == ROOT / "baselines"
     assert custom.home(f"{ROOT}/baselines/servo/paper.py:PaperController") == ROOT / "baselines"
-    assert custom.home("commands:Path") == ROOT / "tests"
+    assert custom.home("commands:Path") == ROOT / "tests" / "helpers"
 
 
 def test_identity_changes_with_every_file_of_the_folder(own: Path):
