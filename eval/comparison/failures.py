@@ -72,8 +72,8 @@ def place(error: BaseException) -> str:
 
 
 def explained(failure: parallel.Failure, jobs: int | None) -> Exception:
-    """Return the error of a task of a comparison, with a remedy where its process died."""
+    """Return the error of a task, with a remedy where its process died."""
     if isinstance(failure.error, parallel.BrokenOff):
         fewer = max(1, (jobs or parallel.default_jobs()) // 2)
-        return OSError(f"{failure.message}; what is done is kept: try again with --jobs {fewer}")
+        return OSError(f"{failure.message}: try again with --jobs {fewer}")
     return failure.error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -13,6 +13,7 @@ from rich.console import Console
 from baselines.engines.parallel import Channel, Failure, run_side_by_side
 from baselines.tools.progress import progress_count
 from beltarm_env.rollout import Controller
+from eval.comparison.failures import explained
 from eval.comparison.methods import Method, chosen, classical_methods, learned_methods, shipped_policies
 
 Case = TypeVar("Case", bound=tuple[Any, ...])
@@ -71,19 +72,29 @@ def side_by_side(
         Results by case, in the order of the cases.
 
     Raises:
-        OSError: If a process died.
-        ValueError: If a call is refused.
+        Exception: As of `calls_side_by_side`.
     """
-    tasks = {str(k): partial(_call, work, case) for k, case in enumerate(cases)}
+    results = calls_side_by_side(title, {str(k): partial(work, *case) for k, case in enumerate(cases)}, jobs)
+    return dict(zip(cases, results.values(), strict=True))
+
+
+def calls_side_by_side(title: str, calls: Mapping[str, Callable[[], Result]], jobs: int | None) -> dict[str, Result]:
+    """Results of calls that run in processes side by side, by name and in their order; see `side_by_side`.
+
+    Raises:
+        OSError: If a process died.
+        Exception: Whatever a call raises.
+    """
+    tasks = {name: partial(_called, call) for name, call in calls.items()}
     results: dict[str, Result] = {}
     with progress_count(title, Console(stderr=True)) as show, closing(run_side_by_side(tasks, jobs)) as outcomes:
         for name, outcome in outcomes:
             if isinstance(outcome, Failure):
-                raise outcome.error
+                raise explained(outcome, jobs)
             results[name] = outcome
             show(len(results), len(tasks))
-    return {case: results[str(k)] for k, case in enumerate(cases)}
+    return {name: results[name] for name in calls}
 
 
-def _call(work: Callable[..., Result], case: tuple[Any, ...], _: Channel) -> Result:
-    return work(*case)
+def _called(call: Callable[[], Result], _: Channel) -> Result:
+    return call()

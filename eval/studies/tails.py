@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -90,9 +91,8 @@ def percentile(values: Floats, share: float) -> Interval:
 
 def share_of(happened: NDArray[np.bool_]) -> Interval:
     """Share of scenarios in which something happened, with its exact interval (Clopper and Pearson)."""
-    count, total = int(happened.sum()), len(happened)
-    ends = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
-    return count / total, float(ends.low), float(ends.high)
+    ends = binomtest(int(happened.sum()), len(happened)).proportion_ci(CONFIDENCE, method="exact")
+    return float(happened.mean()), float(ends.low), float(ends.high)
 
 
 def tail_size(count: int) -> int:
@@ -133,23 +133,14 @@ def paired_with(values: Floats, others: Floats) -> dict[str, Any]:
 
 
 def distinguishing_parameters(tail: Mapping[str, Floats], usual: Mapping[str, Floats]) -> list[dict[str, Any]]:
-    """Parameters whose distribution in the tail differs from that of all scenarios (KS test, Holm), farthest first.
-
-    Args:
-        tail: Values of each parameter in the scenarios of the tail.
-        usual: The same in scenarios as they come.
-    """
+    """Parameters whose distribution in the tail differs from that of all scenarios (KS test, Holm), farthest first."""
     tests: dict[str, Any] = {name: ks_2samp(values, usual[name], method="asymp") for name, values in tail.items()}
     adjusted = holm([float(test.pvalue) for test in tests.values()])
     shown = [name for name, p in zip(tests, adjusted, strict=True) if p < 1 - CONFIDENCE]
+    distances = {name: tests[name].statistic for name in shown}
     return [
-        {
-            "name": name,
-            "distance": tests[name].statistic,
-            "median": np.median(tail[name]),
-            "usual": np.median(usual[name]),
-        }
-        for name in sorted(shown, key=lambda name: -tests[name].statistic)
+        {"name": name, "distance": distance, "median": np.median(tail[name]), "usual": np.median(usual[name])}
+        for name, distance in sorted(distances.items(), key=lambda entry: -entry[1])
     ]
 
 
@@ -195,25 +186,24 @@ def played(methods: Sequence[Method], split: Split, jobs: int | None, folder: Pa
     Raises:
         ValueError: If a method fails.
     """
-    count, parts = len(split.table), dict[tuple[str, int], list[Part]]()
+    places, parts = list[tuple[str, slice]](), list[Part]()
     for method in methods:
         turns = len(method.sources)
         for policy, source in enumerate(method.sources):
             alone = replace(method, name=f"{method.name}-{policy}", sources=(source,)) if turns > 1 else method
             own = split.part(slice(policy, None, turns))
-            parts[method.name, policy] = parts_of(alone, own, len(own.table))
+            for part in parts_of(alone, own, len(own.table)):
+                first = turns * part.first + policy
+                places.append((method.name, slice(first, first + turns * part.count, turns)))
+                parts.append(part)
     with progress_count("parts", Console()) as done:
-        results = iter(run_parts([part for of in parts.values() for part in of], folder, jobs, done))
-    values = {method.name: {name: np.empty(count) for name in (*KNOWN, LEFT)} for method in methods}
-    for (method, policy), of_policy in parts.items():
-        turns = sum(name == method for name, _ in parts)
-        for part in of_policy:
-            result = next(results)
-            if isinstance(result, Failure):
-                raise ValueError(f"{method} failed: {result.message}")
-            first = turns * part.first + policy
-            for name, table in result.items():
-                values[method][name][first : first + turns * part.count : turns] = table[0]
+        results = run_parts(parts, folder, jobs, done)
+    values = {method.name: {name: np.empty(len(split.table)) for name in (*KNOWN, LEFT)} for method in methods}
+    for (method, place), result in zip(places, results, strict=True):
+        if isinstance(result, Failure):
+            raise ValueError(f"{method} failed: {result.message}")
+        for name, table in result.items():
+            values[method][name][place] = table[0]
     return values
 
 
@@ -254,9 +244,10 @@ def _parameters(split: Split) -> dict[str, Floats]:
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Tables, and numbers of the template."""
-    methods: dict[str, Any] = data["methods"]
+    methods: dict[str, Any] = _with_nan(data["methods"])
     tail = f"worst {100 * WORST:g} %"
     shares = [f"{100 * share:g} %" for share in SHARES]
+    titles = ["mean", "IQM", "median", *shares[1:], tail, "worst"]
     learned = [name for name, of in methods.items() if of["kind"] == "learned"]
     challenger = min(learned, key=lambda name: methods[name]["tails"]["cost"]["iqm"])
     rare = [methods[name]["tails"]["cost"]["percentiles"][-1] for name in (challenger, data["best"])]
@@ -268,16 +259,15 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "challenger": challenger,
         "dearer": _percent(methods[challenger]["against"]["dearer"]),
         "rare": [_interval("cost", value) for value in rare],
-        "apart": _apart(rare),
+        "apart": rare[0][2] < rare[1][1] or rare[1][2] < rare[0][1],
         "worst": [rounded("cost", methods[name]["tails"]["cost"]["worst"]) for name in (challenger, data["best"])],
         "distributions": [
-            (heading(metric), _table(["mean", "IQM", "median", *shares[1:], tail, "worst"], methods, _of(metric)))
-            for metric in DISTRIBUTIONS
+            (heading(metric), _table(titles, methods, partial(_tail, metric=metric))) for metric in DISTRIBUTIONS
         ],
         "first": _table(
             [f"{share}, {which}" for which in (f"first {EPISODES}", "all") for share in (*shares[-2:], "worst")],
             methods,
-            lambda of: [text for values in (of["few"], of["tails"]["cost"]) for text in _rare(values)],
+            lambda of: _percentiles(of["few"], -2) + _percentiles(of["tails"]["cost"], -2),
         ),
         "failures": _table(
             ["left the workspace (%)", "did not arrive (%)", "never settled (%)"],
@@ -292,11 +282,7 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "policies": _table(
             ["mean cost", *shares[1:], "worst"],
             {f"{name}, {k}": policy for name, of in methods.items() for k, policy in enumerate(of["policies"])},
-            lambda of: [
-                _mean(of),
-                *(_interval("cost", v) for v in of["percentiles"][1:]),
-                rounded("cost", of["worst"]),
-            ],
+            lambda of: [_mean(of), *_percentiles(of, 1)],
         ),
         "torques": _table(
             [f"{heading(name)}, {which}" for name in TORQUE_QUALITY for which in ("mean", shares[-1])],
@@ -314,12 +300,17 @@ def _table(titles: Sequence[str], methods: Mapping[str, Any], cells: Any) -> str
     return markdown_table(["method", *titles], [[f"`{name}`", *cells(of)] for name, of in methods.items()])
 
 
-def _value(value: float | None) -> float:
+def _with_nan(value: Any) -> Any:
+    """Data with "not a number" in the places of null."""
+    if isinstance(value, dict):
+        return {key: _with_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(entry) for entry in value]
     return math.nan if value is None else value
 
 
-def _interval(metric: str, interval: Sequence[float | None]) -> str:
-    point, low, high = (rounded(metric, _value(end)) for end in interval)
+def _interval(metric: str, interval: Sequence[float]) -> str:
+    point, low, high = (rounded(metric, end) for end in interval)
     return f"{point} [{low}, {high}]"
 
 
@@ -328,33 +319,22 @@ def _percent(interval: Sequence[float]) -> str:
     return f"{point} [{low}, {high}]"
 
 
-def _apart(intervals: Sequence[Sequence[float | None]]) -> bool:
-    (_, low, high), (_, other_low, other_high) = (list(map(_value, interval)) for interval in intervals)
-    return high < other_low or other_high < low
+def _tail(of: dict[str, Any], metric: str) -> list[str]:
+    """Mean, IQM, percentiles, mean of the tail and largest value of a metric."""
+    tail, digits = of["tails"][metric], KNOWN[metric].digits
+    percentiles = [_interval(metric, value) for value in tail["percentiles"]]
+    ends = [rounded(metric, tail[name]) for name in ("worst_mean", "worst")]
+    return [_mean(tail, digits), number(tail["iqm"], digits + 1), *percentiles, *ends]
 
 
-def _of(metric: str) -> Any:
-    digits = KNOWN[metric].digits
-
-    def cells(of: dict[str, Any]) -> list[str]:
-        tail = of["tails"][metric]
-        return [
-            _mean(tail, digits),
-            number(_value(tail["iqm"]), digits + 1),
-            *(_interval(metric, value) for value in tail["percentiles"]),
-            *(rounded(metric, _value(tail[name])) for name in ("worst_mean", "worst")),
-        ]
-
-    return cells
-
-
-def _rare(tail: dict[str, Any]) -> list[str]:
-    return [*(_interval("cost", value) for value in tail["percentiles"][-2:]), rounded("cost", tail["worst"])]
+def _percentiles(tail: dict[str, Any], first: int) -> list[str]:
+    """Percentiles of the cost from the `first` on, and its largest value."""
+    return [*(_interval("cost", value) for value in tail["percentiles"][first:]), rounded("cost", tail["worst"])]
 
 
 def _torques(of: dict[str, Any]) -> list[str]:
     pairs = [(name, of["tails"][name]) for name in TORQUE_QUALITY]
-    return [rounded(name, _value(v)) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
+    return [rounded(name, v) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
 
 
 def _differences(against: dict[str, Any]) -> list[str]:
@@ -363,7 +343,7 @@ def _differences(against: dict[str, Any]) -> list[str]:
 
 
 def _mean(of: dict[str, Any], digits: int = 0) -> str:
-    return f"{number(_value(of['mean']), digits + 1)} ± {number(_value(of['error']), digits + 2)}"
+    return f"{number(of['mean'], digits + 1)} ± {number(of['error'], digits + 2)}"
 
 
 def _distinguishing(methods: Mapping[str, Any], most: int = 3) -> str:

@@ -16,7 +16,7 @@ from baselines.loops.condition import MarginCondition
 from baselines.tools.command import require_known
 from baselines.tools.progress import progress_over
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.timing import measure_times
+from eval.comparison.check import measure_times
 from eval.studies._frame import StudyOptions
 from eval.studies.loops.changes import CHANGES, LIMITS
 from eval.studies.loops.costs import PRIVILEGED, makers, measure_costs, optimum, price, worth
