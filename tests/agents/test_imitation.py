@@ -1,4 +1,4 @@
-"""Learning from a teacher's advice: it is what would have cost less, and a run can be trusted as any other."""
+"""Learning from a teacher, as `student` and `rma` do: the advice, the fits, what is told of an arm, and the runs."""
 
 from __future__ import annotations
 
@@ -21,22 +21,25 @@ from trainings import StopAfter, weights
 import agents.learners.student
 import agents.runs.monitor
 from agents.learners import teaching
+from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, Told, merged, told_constants
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, ask, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
+from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController, ResidualSettings
 from agents.runs.monitor import News, TrainingMonitor
 from agents.runs.training import train
 from baselines import CONTROLLERS
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
-from beltarm_env import EPISODE_STEPS, design_model
-from beltarm_env.arm import COLUMN, plant_of
+from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv, design_model
+from beltarm_env.arm import COLUMN, FIELDS, plant_of
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
 from eval.report.curves import find_curves
@@ -44,6 +47,8 @@ from eval.report.curves import find_curves
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 5_700_000
 ARMS = 6
+SHAPE = ActorShape(inputs=5, hidden=(7, 6), gru=4, standardised=True)
+LATENT, CONSTANTS = 3, 9
 OPTIONS: dict[str, Any] = {
     **{"arms": 4, "rounds": 2, "remembered": 2, "epochs": 2, "batch_size": 2, "gru_width": 6},
     **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none"},
@@ -53,6 +58,10 @@ TINY = [
     for name, value in OPTIONS.items()
     for word in (f"--{name.replace('_', '-')}", str(value[0] if isinstance(value, tuple) else value))
 ]
+KINDS = {
+    "student": (StudentConfig, Student, OPTIONS),
+    "rma": (RmaConfig, Rma, {**OPTIONS, "rounds": 3, "told": 0.6, "latent": 3}),
+}
 
 
 class Constant:
@@ -119,9 +128,6 @@ class Law:
         return costs
 
 
-# What a student is told
-
-
 def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Recording, monkeypatch: pytest.MonkeyPatch):
     """One torque is changed, everything after it reacts by feedback alone, and the simulated cost changes by -2 h c."""
     monkeypatch.setattr(teaching, "_SOFT", (1e-9, 1e-9))
@@ -133,12 +139,12 @@ def test_advice_is_the_slope_of_the_cost_that_the_student_pays(recording: Record
         small[np.arange(len(samples)), samples] = step = 2e-6
         small[len(samples) + np.arange(len(samples)), samples] = -step
         up, down = law.cost(small).reshape(2, -1)
-        told = -2 * (curvatures * changes)[samples, arm] / law.limit
-        found = (up - down) / (2 * step)
+        reported = -2 * (curvatures * changes)[samples, arm] / law.limit
+        actual = (up - down) / (2 * step)
         moving = np.abs(recording.state[samples - 1, arm, 1]) > 3.0
         assert moving.sum() >= 4
-        scale = np.abs(found[moving]).max()
-        np.testing.assert_allclose(told[moving], found[moving], atol=0.03 * scale)
+        scale = np.abs(actual[moving]).max()
+        np.testing.assert_allclose(reported[moving], actual[moving], atol=0.03 * scale)
 
 
 def test_who_follows_the_advice_pays_less(recording: Recording):
@@ -189,7 +195,7 @@ class TestFit:
 
     @staticmethod
     def fitted(advice: Advice, **options: Any) -> Student:
-        config = tiny(Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
+        config = tiny("student", Path("unused"), **{"rounds": 1, "epochs": 300, "learning_rate": 0.02, **options})
         learner = Student(config)
         learner.advice = [advice]
         learner._fit(lambda _: None)
@@ -213,65 +219,173 @@ class TestFit:
         assert (late[0] - late[1] > 0.6) == remembers and (abs(late[0] - late[1]) < 0.01) != remembers
 
 
+def shaken(network: Any) -> Any:
+    """Network with weights and scales drawn anew."""
+    generator = torch.Generator().manual_seed(3)
+    for parameter in network.parameters():
+        parameter.data = 0.4 * torch.randn(parameter.shape, generator=generator)
+    network.mean = torch.randn(network.mean.shape, generator=generator)
+    network.deviation = 0.5 + torch.rand(network.deviation.shape, generator=generator)
+    return network.requires_grad_(False)
+
+
+def table(arms: int = 400) -> np.ndarray[Any, Any]:
+    env = BeltArmVectorEnv(arms, randomization="train")
+    env.reset(seed=SEED)
+    return env.params_table
+
+
+def test_what_is_told_fills_its_range():
+    reported = told_constants(table())
+    assert reported.min() >= -1 and reported.max() <= 1
+    assert (reported.min(axis=0) < -0.95).all() and (reported.max(axis=0) > 0.95).all()
+    assert np.abs(np.corrcoef(reported.T) - np.eye(reported.shape[1])).max() < 0.25, "nothing is told twice"
+
+
+def test_all_that_varies_is_told():
+    """Every constant of the training ranges, and none of the others, changes what is told; a full turn does not."""
+    rows = table(1)
+    for name in FIELDS:
+        other = rows.copy()
+        column = getattr(COLUMN, name)
+        other[:, column] = 0.9 * other[:, column] + 0.01
+        assert (told_constants(other) != told_constants(rows)).any() == (name in TRAIN_RANGES), name
+        if name.endswith("_phase"):
+            other[:, column] = rows[:, column] + 2 * np.pi
+            np.testing.assert_allclose(told_constants(other), told_constants(rows), atol=1e-6)
+
+
+def test_a_round_is_told_the_very_arms_that_are_moved(tmp_path: Path):
+    learner = Rma(tiny("rma", tmp_path))
+    actual: list[Any] = []
+    reported = learner._ask
+
+    def noted(policy: Any, pause: Any) -> Any:
+        advice, own = reported(policy, pause)
+        actual.extend((policy._constants, told_constants(own.params)))
+        return advice, own
+
+    learner._ask = noted
+    learner._asked(lambda _: None)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_array_equal(*actual)
+
+
+def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
+    informed = shaken(InformedActor(SHAPE, CONSTANTS, LATENT))
+    memory = shaken(Memory(SHAPE, LATENT))
+    memory.mean, memory.deviation = informed.mean[:5], informed.deviation[:5]
+    actor = merged(informed, memory, SHAPE)
+    inputs = 2 * torch.randn(40, 6, 5, generator=torch.Generator().manual_seed(1))
+    guess = memory(inputs)
+    observed = ((inputs - memory.mean) / memory.deviation).clamp(-5, 5)
+    expected = informed.policy(torch.cat([observed, guess], dim=-1))
+    assert expected.std() > 0.1 and guess.std() > 0.1
+    np.testing.assert_allclose(actor(inputs).numpy(), expected.numpy(), atol=2e-5)
+    policy, state, residuals = NetworkPolicy(actor.weights()), None, []
+    for seen in inputs.numpy():
+        residual, state = policy.predict(seen, state)
+        residuals.append(residual)
+    np.testing.assert_allclose(residuals, expected.clamp(-1, 1).numpy(), atol=2e-5)
+
+
+def test_a_policy_is_told_the_arm_of_its_row():
+    informed = shaken(InformedActor(SHAPE, CONSTANTS, LATENT))
+    constants = np.random.default_rng(1).uniform(-1, 1, (6, CONSTANTS)).astype(np.float32)
+    residual, _ = Told(informed, constants).predict(np.zeros((6, 5), np.float32))
+    alone, _ = Told(informed, constants[4:5]).predict(np.zeros((1, 5), np.float32))
+    assert len(np.unique(residual)) == 6 and np.abs(residual).max() <= 1
+    np.testing.assert_allclose(residual[4:5], alone, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_memory_learns_what_it_can_see(tmp_path: Path):
+    """Of two numbers, one is in the first hold of an episode; the other cannot be known, and is guessed as its mean."""
+    learner = Rma(tiny("rma", tmp_path, rounds=3, epochs=150, batch_size=32, latent=2, learning_rate=0.02, gru_width=8))
+    random = torch.Generator().manual_seed(4)
+    z = 2 * torch.rand(256, 2, generator=random) - 1
+    inputs = torch.zeros(8, 256, learner.config.spec().shape().inputs)
+    inputs[0, :, 2] = z[:, 0]
+    learner.rounds, learner._moves = 2, [(inputs.half(), z)]
+    learner._fit_memory(learner._regression.averaged(), lambda _: None)
+    late = learner._memory.averaged()(inputs)[-1]
+    assert (late[:, 0] - z[:, 0]).square().mean() < 0.01
+    assert late[:, 1].std() < 0.15 and abs(float(late[:, 1].mean())) < 0.15
+
+
 # Runs
 
 
-def tiny(out: Path, **options: Any) -> StudentConfig:
-    return StudentConfig(**{"out": out, **OPTIONS, **options})
+def tiny(name: str, out: Path, **options: Any) -> Any:
+    config, _, common = KINDS[name]
+    return config(**{"out": out, **common, **options})
 
 
-def run(config: StudentConfig, stop: StopRequest | None = None) -> TrainingMonitor:
-    return train(config, Student, Channel(stop=stop or StopRequest()))
+def run(config: Any, stop: StopRequest | None = None, report: Any = None) -> TrainingMonitor:
+    channel = Channel(report) if report is not None else Channel(stop=stop or StopRequest())
+    return train(config, KINDS[config.algorithm][1], channel)
 
 
-SEEDS: list[int] = []
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nothing has interrupted; `SEEDS` are those of its trials."""
+@pytest.fixture(scope="module", params=KINDS)
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, list[int]]:
+    """A run that nothing has interrupted: its kind, its folder, and the seeds of its trials."""
+    folder, seeds = tmp_path_factory.mktemp("whole") / "run", []
 
     def noted(controller: Controller, arms: int, *, seed: int, **settings: Any) -> Recording:
-        SEEDS.append(seed)
+        seeds.append(seed)
         return rollout(controller, arms, seed=seed, **settings)
 
-    folder = tmp_path_factory.mktemp("whole") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(agents.learners.student, "rollout", noted)
-        run(tiny(folder))
-    return folder
+        run(tiny(request.param, folder))
+    return request.param, folder, seeds
 
 
-def test_interrupted_and_resumed_is_uninterrupted(whole: Path, tmp_path: Path):
+def test_interrupted_and_resumed_is_uninterrupted(whole: tuple[str, Path, list[int]], tmp_path: Path):
     """Bit for bit: in acting, while the teacher is asked and in a fit, whatever happened to the generators since."""
-    config = tiny(tmp_path)
+    name, folder, _ = whole
+    config = tiny(name, tmp_path)
     first_round = EPISODE_STEPS + config.arms + config.epochs * config.arms // config.batch_size
-    for number, looks in enumerate((700, EPISODE_STEPS + 2, first_round - 1, first_round + 400)):
-        with pytest.raises(Interrupted, match=r"interrupted at \d+ steps, saved in"):
+    moments = {"student": (700, EPISODE_STEPS + 2, first_round - 1, first_round + 400), "rma": (700, 1800, 1208)}
+    for number, looks in enumerate(moments[name]):
+        with pytest.raises(Interrupted, match=r"interrupted at \d+ steps"):
             run(replace(config, resume=number > 0), StopAfter(looks))
         torch.manual_seed(9)
     run(replace(config, resume=True))
     for kind in ("best", "last"):
-        assert weights(tmp_path / kind) == weights(whole / kind)
-    ours, theirs = (np.genfromtxt(folder / "validation.csv", delimiter=",")[:, [0, 2]] for folder in (tmp_path, whole))
+        assert weights(tmp_path / kind) == weights(folder / kind)
+    ours, theirs = (np.genfromtxt(path / "validation.csv", delimiter=",")[:, [0, 2]] for path in (tmp_path, folder))
     np.testing.assert_array_equal(ours, theirs)
 
 
-def test_more_rounds_go_on_from_the_last(whole: Path, tmp_path: Path):
-    """With a learning rate that falls to another end; and progress is told."""
-    told: list[News] = []
-    config = tiny(tmp_path, rounds=1)
-    train(config, Student, Channel(told.append))
-    steps = [news.steps for news in told]
+def test_what_is_left_is_a_policy_with_a_curve(whole: tuple[str, Path, list[int]]):
+    name, folder, seeds = whole
+    trained = load_controller(folder / "last")
+    spec, _ = read_spec(folder / "last")
+    assert (spec.algorithm, spec.base, spec.gru) == (name, "paper", 6)
+    scores = agents.runs.monitor.validate(trained, 2)
+    assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
+    (curve,) = find_curves([folder])
+    assert curve.method == f"{name} on paper"
+    assert curve.steps[:3].tolist() == [0, 4 * EPISODE_STEPS, 2 * 4 * EPISODE_STEPS]
+    assert seeds == [4 * k for k in range(len(seeds))] != [], "every round has arms of its own, trials of four"
+
+
+def test_more_rounds_go_on_from_the_last(tmp_path: Path):
+    """With a learning rate that falls to another end; and progress is reported."""
+    reports: list[News] = []
+    config = tiny("student", tmp_path, rounds=1)
+    run(config, report=reports.append)
+    steps = [news.steps for news in reports]
     assert steps == sorted(steps) and steps[0] == 0 and steps[-1] == config.length
-    assert len([news for news in told if news.cost is not None]) == 2
+    assert len([news for news in reports if news.cost is not None]) == 2
     monitor = run(replace(config, rounds=2, resume=True))
     assert [point[0] for point in monitor.curve] == [0, config.length, 2 * config.length]
-    assert weights(tmp_path / "last") != weights(whole / "last")
+    with pytest.raises(ValueError, match="--remembered 2, not 3"):
+        run(replace(config, resume=True, remembered=3))
 
 
 @pytest.mark.slow
-def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
+def test_the_script_is_stopped_and_goes_on(tmp_path: Path):
     """As a user does it: SIGTERM within a round, and the line that is printed."""
     command = [sys.executable, str(ROOT / "train/student.py"), "--out", "run", *TINY]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -282,69 +396,61 @@ def test_the_script_is_stopped_and_goes_on(whole: Path, tmp_path: Path):
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert "python train/student.py --out run" in output and output.rstrip().endswith("--resume")
-    run(tiny(tmp_path / "run", resume=True))
-    assert weights(tmp_path / "run/last") == weights(whole / "last")
+    run(tiny("student", tmp_path / "run", resume=True))
+    run(tiny("student", tmp_path / "whole"))
+    assert weights(tmp_path / "run/last") == weights(tmp_path / "whole/last")
 
 
-def test_the_untrained_student_is_its_base(tmp_path: Path):
+@pytest.mark.parametrize("name", KINDS)
+def test_the_untrained_policy_is_its_base(name: str, tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
-    config = StudentConfig(out=tmp_path)
-    untrained = ResidualController(
-        CONTROLLERS["adaptive"](), NetworkPolicy(Student(config).actor().weights()), config.residual
-    )
+    config: Any = KINDS[name][0](out=tmp_path)
+    policy = NetworkPolicy(KINDS[name][1](config).actor().weights())
+    untrained = ResidualController(CONTROLLERS["adaptive"](), policy, config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 
-def test_what_is_left_is_a_policy(whole: Path):
-    trained = load_controller(whole / "last")
-    spec, _ = read_spec(whole / "last")
-    assert (spec.algorithm, spec.base) == ("student", "paper")
-    scores = agents.runs.monitor.validate(trained, 2)
-    assert scores == spec.provenance["reached"]["validation"] != spec.provenance["validation_of_base"]
-
-
-def test_the_curve_counts_samples(whole: Path):
-    (curve,) = find_curves([whole])
-    samples_per_round = 4 * EPISODE_STEPS
-    assert curve.method == "student on paper"
-    assert curve.steps.tolist() == [0, samples_per_round, 2 * samples_per_round]
-
-
-def test_every_round_has_arms_of_its_own(whole: Path):
-    assert whole.exists()
-    assert SEEDS == [0, 4], "trials of four arms"
+def test_the_memory_of_rma_moves_the_torque_once_it_is_fitted(tmp_path: Path):
+    """Its weights into the first layer are zero as long as it is not."""
+    run(tiny("rma", tmp_path))
+    trained: Any = load_controller(tmp_path / "last").policy
+    seen = np.zeros((2, trained.shape.inputs), np.float32)
+    memories = np.zeros((2, 6), np.float32)
+    memories[1] = 0.5
+    residuals, _ = trained.predict(seen, memories)
+    assert residuals[0, 0] != residuals[1, 0]
+    untrained, _ = NetworkPolicy(Rma(tiny("rma", tmp_path)).actor().weights()).predict(seen, memories)
+    assert untrained[0, 0] == untrained[1, 0]
 
 
 @given(st.integers(0, MAX_TRAINING_SEED), st.integers(1, 50), st.integers(1, SEED_SPACING))
 def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int, arms: int):
     config = StudentConfig(seed=seed, rounds=rounds, arms=arms)
     if rounds * arms > SEED_SPACING:
-        with pytest.raises(
-            ValueError, match=f"--rounds times --arms must be at most {SEED_SPACING}, got {rounds} times"
-        ):
+        with pytest.raises(ValueError, match=f"--rounds times --arms .* {rounds} times"):
             config.check()
     else:
         config.check()
         assert training_arms(seed).first + rounds * arms <= training_arms(seed + 1).first
 
 
-BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "no rounds": ({"rounds": 0}, "--rounds must be at least 1, got 0"),
-    "no memory of advice": ({"remembered": 0}, "--remembered must be at least 1, got 0"),
-    "GRU of negative width": ({"gru_width": -1}, "--gru-width must be at least 0, got -1"),
-    "no passes": ({"epochs": 0}, "--epochs must be at least 1, got 0"),
-    "Huber": ({"huber": 0.0}, "--huber must be finite and above 0, got 0.0"),
-    "diverging": ({"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps: start again with a smaller --learning"),
-}
+BAD: list[tuple[str, dict[str, Any], str]] = [
+    ("student", {"rounds": 0}, "--rounds"),
+    ("student", {"remembered": 0}, "--remembered"),
+    ("student", {"gru_width": -1}, "--gru-width"),
+    ("student", {"epochs": 0}, "--epochs"),
+    ("student", {"huber": 0.0}, "--huber"),
+    ("student", {"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps.*--learning-rate"),
+    ("rma", {"told": 0.0}, "--told .* 0.0"),
+    ("rma", {"told": 1.0}, "--told .* 1.0"),
+    ("rma", {"told": 0.9}, "--rounds .*--told 0.9"),
+    ("rma", {"latent": 0}, "--latent"),
+    ("rma", {"gru_width": 0}, "--gru-width"),
+    ("rma", {"learning_rate": 1e30}, "diverged at 0 steps.*--learning-rate"),
+]
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_options(case: str, tmp_path: Path):
-    options, message = BAD[case]
-    with pytest.raises(ValueError, match=message):
-        run(tiny(tmp_path, **options))
-
-
-def test_a_run_is_not_mixed_with_another(whole: Path):
-    with pytest.raises(ValueError, match="has --remembered 2, not 3"):
-        run(tiny(whole, resume=True, remembered=3))
+@pytest.mark.parametrize(("name", "options", "words"), BAD, ids=str)
+def test_bad_options(name: str, options: dict[str, Any], words: str, tmp_path: Path):
+    with pytest.raises(ValueError, match=words):
+        run(tiny(name, tmp_path, **options))

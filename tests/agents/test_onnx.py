@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from bundles import SPEC, new_weights
 from gymnasium.error import DependencyNotInstalled
-from test_network import SHAPES, episodes, lively
+from networks import SHAPES, episodes, lively
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import MANIFEST, POLICIES, BundleError, BundleSpec, read_spec, save_bundle
+from agents.policy.bundle import MANIFEST, POLICIES, BundleError, read_spec, save_bundle
 from agents.policy.network import NetworkPolicy
 from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
 from agents.policy.weights import ActorShape
-from agents.residual.controller import ResidualSettings
 from beltarm_env.arrays import Singles
 
 onnx = pytest.importorskip("onnx")
@@ -65,12 +65,12 @@ def test_a_shipped_policy(method: str, tmp_path: Path):
     model, (spec, content) = onnx.load(tmp_path / "policy.onnx"), read_spec(folder)
     onnx.checker.check_model(model, full_check=True)
     assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSET)]
-    told = {entry.key: entry.value for entry in model.metadata_props}
-    assert json.loads(told[MANIFEST]) == content
-    assert json.loads(told["entries"]) == spec.entries()
-    assert (told["base"], told["sensors"]) == (spec.base, "encoder")
-    assert (json.loads(told["hold"]), json.loads(told["limit"])) == (spec.residual.hold, spec.residual.limit)
-    assert json.loads(told["edition"]) == content["edition"]
+    reported = {entry.key: entry.value for entry in model.metadata_props}
+    assert json.loads(reported[MANIFEST]) == content
+    assert json.loads(reported["entries"]) == spec.entries()
+    assert (reported["base"], reported["sensors"]) == (spec.base, "encoder")
+    assert (json.loads(reported["hold"]), json.loads(reported["limit"])) == (spec.residual.hold, spec.residual.limit)
+    assert json.loads(reported["edition"]) == content["edition"]
     shapes = {
         value.name: [axis.dim_param or axis.dim_value for axis in value.type.tensor_type.shape.dim]
         for value in (*model.graph.input, *model.graph.output)
@@ -80,9 +80,7 @@ def test_a_shipped_policy(method: str, tmp_path: Path):
 
 
 def test_a_damaged_bundle_makes_no_model(tmp_path: Path):
-    spec = BundleSpec("ppo", "paper", ResidualSettings(), (4,))
-    actor = Actor(spec.shape()).requires_grad_(False)
-    save_bundle(tmp_path, spec, actor.weights())
+    save_bundle(tmp_path, SPEC, new_weights())
     (weights,) = tmp_path.glob("*.safetensors")
     weights.write_bytes(weights.read_bytes()[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(BundleError, match="damaged"):

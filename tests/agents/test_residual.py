@@ -1,45 +1,50 @@
+"""The residual: zero is the base, one arm is a batch is a controller, what the agent observes, and SB3's protocol."""
+
+from __future__ import annotations
+
+import math
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
+from refusals import refused
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import VecMonitor
 
-from agents.policy.actor import Actor, ActorShape
-from agents.policy.bundle import BundleSpec, load_controller, read_spec, read_weights, save_bundle
-from agents.policy.inputs import SelectedInputs
+from agents.policy.actor import Actor
+from agents.policy.bundle import (
+    BundleSpec,
+)
 from agents.policy.network import NetworkPolicy
-from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combine
 from agents.residual.env import ResidualEnv, ResidualVecEnv
 from agents.residual.informed import InformedBase
 from agents.residual.knowledge import ENTRIES, residual_observation_space
-from baselines import CONTROLLERS, PaperController
+from baselines import CONTROLLERS
 from baselines.optimal.adaptive import tuned_identifier
-from baselines.optimal.felt import FeltAdaptiveController
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
-from beltarm_env.observation import ENTRIES as MEASURED
 from beltarm_env.observation import index, size
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
-from eval.comparison.methods import shipped_policies
 
 BASES = ("paper", "rigid")
 SETTINGS = ResidualSettings()
 HOLDS = EPISODE_STEPS // SETTINGS.hold
 ARMS: dict[str, Any] = {"randomization": "train", "profile": "scurve"}
 OUTWARD = ResidualSettings(limit=2.0, hold=7)  # with a residual of 1: the full torque until the arm has left
+OTHER_SHEET: dict[str, Any] = {"gear_ratio": 100.0, "torque_limit": 0.2}
 Singles = NDArray[np.float32]
 torch.set_num_threads(1)  # threads cost more than they give in networks this small
 
 
-def one(settings: ResidualSettings = SETTINGS, base: str = "paper", **arm: Any) -> ResidualEnv:
+def single_env(settings: ResidualSettings = SETTINGS, base: str = "paper", **arm: Any) -> ResidualEnv:
     return ResidualEnv(BeltArmEnv(**{**ARMS, **arm}), CONTROLLERS[base](), settings)
 
 
@@ -73,15 +78,10 @@ def base_run(base: str, count: int) -> Recording:
     return rollout(CONTROLLERS[base](), count, seed=30, **ARMS)
 
 
-def lively_actor(spec: BundleSpec | None = None, seed: int = 0) -> Actor:
+def lively_policy() -> NetworkPolicy:
     """Random weights, that move the arms but leave them in their workspace."""
-    torch.manual_seed(seed)
-    return Actor((spec or BundleSpec("ppo", "paper", SETTINGS, (16, 16))).shape()).requires_grad_(False)
-
-
-def lively_policy(spec: BundleSpec | None = None, seed: int = 0) -> NetworkPolicy:
-    """Policy that acts by them."""
-    return NetworkPolicy(lively_actor(spec, seed).weights())
+    torch.manual_seed(0)
+    return NetworkPolicy(Actor(BundleSpec("ppo", "paper", SETTINGS, (16, 16)).shape()).weights())
 
 
 class Silent:
@@ -91,62 +91,76 @@ class Silent:
         return np.zeros((len(observation), 1), np.float32), state
 
 
-# A zero residual
+class TestSettings:
+    @pytest.mark.parametrize("value", [0, -0.1, 2.1, math.nan, math.inf, "0.5", None, True], ids=repr)
+    def test_limit(self, value: Any):
+        refused((ValueError, TypeError), ("limit", repr(value)), lambda: ResidualSettings(limit=value))
+
+    @pytest.mark.parametrize("value", [0, -1, 101, 4.0, "4", None, True], ids=repr)
+    def test_hold(self, value: Any):
+        refused((ValueError, TypeError), ("hold", repr(value)), lambda: ResidualSettings(hold=value))
+
+    @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
+    def test_a_batch_needs_same_step_reset(self, mode: str):
+        envs = BeltArmVectorEnv(2, autoreset_mode=mode)
+        refused(ValueError, (repr(mode), "SameStep"), lambda: ResidualVecEnv(envs, CONTROLLERS["paper"](), SETTINGS))
+
+    def test_another_environment_is_refused(self):
+        with pytest.raises((TypeError, ValueError), match="BeltArm"):
+            ResidualEnv(gym.make("CartPole-v1"), CONTROLLERS["paper"](), SETTINGS)
 
 
-@pytest.mark.parametrize("base", BASES)
-def test_zero_residual_is_the_base_for_one_arm(base: str):
-    env, expected = one(base=base), base_run(base, 1)
-    env.reset(seed=30)
-    inner = env.unwrapped
-    assert isinstance(inner, BeltArmEnv)
-    total, truncated = 0.0, False
-    for hold in range(HOLDS):
-        _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
-        total += reward
-        assert np.array_equal(inner.state, expected.state[SETTINGS.hold * (hold + 1) - 1, 0])
-    assert truncated
-    assert -total == pytest.approx(expected.cost[0], rel=1e-12)
+class TestZeroResidual:
+    @pytest.mark.parametrize("base", BASES)
+    def test_is_the_base(self, base: str):
+        """For one arm, in a batch and as a controller."""
+        env, batch, expected = single_env(base=base), many(5, base=base), base_run(base, 5)
+        observed(batch)
+        env.reset(seed=30)
+        inner = env.unwrapped
+        assert isinstance(inner, BeltArmEnv)
+        total, truncated = 0.0, False
+        for hold in range(HOLDS):
+            _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
+            total += reward
+            now = expected.state[SETTINGS.hold * (hold + 1) - 1]
+            assert np.array_equal(inner.state, now[0])
+            stepped(batch, np.zeros((5, 1), np.float32))
+            assert hold == HOLDS - 1 or np.array_equal(batch.env.state, now)
+        assert truncated
+        assert -total == pytest.approx(expected.cost[0], rel=1e-12)
+        recording = rollout(ResidualController(CONTROLLERS[base](), Silent(), SETTINGS), 5, seed=30, **ARMS)
+        for name in Recording.__slots__:
+            assert np.array_equal(getattr(recording, name), getattr(expected, name)), name
+        assert (np.ptp(expected.state[:, :, 0], axis=0) > 10).all(), "the arms should have moved"
+
+    def test_adds_nothing_and_others_are_scaled_and_the_sum_cut(self):
+        base = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
+        assert combine(base, np.zeros_like(base), 0.7).tobytes() == base.tobytes()
+        base, residual = np.array([[0.1], [0.9], [-0.9]], np.float32), np.array([[-1], [1], [-0.5]], np.float32)
+        assert combine(base, residual, 0.5).ravel().tolist() == pytest.approx([-0.4, 1.0, -1.0])
 
 
-@pytest.mark.parametrize("base", BASES)
-def test_zero_residual_is_the_base_for_a_batch(base: str):
-    batch, expected = many(5, base=base), base_run(base, 5)
-    observed(batch)
-    for hold in range(HOLDS - 1):
-        stepped(batch, np.zeros((5, 1), np.float32))
-        assert np.array_equal(batch.env.state, expected.state[SETTINGS.hold * (hold + 1) - 1])
+class TestResiduals:
+    @pytest.mark.parametrize("residual", [[math.nan], [math.inf], [0.1, 0.2], "0.5", []], ids=repr)
+    def test_bad_ones_are_refused(self, residual: Any):
+        env = single_env()
+        refused(ResetNeeded, ("reset()",), lambda: env.step(np.zeros(1, np.float32)))
+        env.reset(seed=0)
+        with pytest.raises(ValueError):
+            env.step(residual)
 
-
-@pytest.mark.parametrize("base", BASES)
-def test_zero_residual_is_the_base_as_a_controller(base: str):
-    expected = base_run(base, 5)
-    recording = rollout(ResidualController(CONTROLLERS[base](), Silent(), SETTINGS), 5, seed=30, **ARMS)
-    for name in Recording.__slots__:
-        assert np.array_equal(getattr(recording, name), getattr(expected, name)), name
-    assert (np.ptp(expected.state[:, :, 0], axis=0) > 10).all(), "the arms should have moved"
-
-
-def test_the_bases_differ():
-    assert not np.array_equal(base_run("paper", 1).state, base_run("rigid", 1).state)
-
-
-def test_zero_residual_adds_nothing():
-    base = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
-    assert combine(base, np.zeros_like(base), 0.7).tobytes() == base.tobytes()
-
-
-def test_residual_is_scaled_and_the_sum_cut():
-    base, residual = np.array([[0.1], [0.9], [-0.9]], np.float32), np.array([[-1], [1], [-0.5]], np.float32)
-    assert combine(base, residual, 0.5).ravel().tolist() == pytest.approx([-0.4, 1.0, -1.0])
-
-
-# One arm, a batch, and a controller agree
+    @pytest.mark.parametrize("shape", [(3,), (1, 1), (2, 1), (3, 2), ()], ids=str)
+    def test_those_of_another_shape_or_not_finite_are_refused_by_a_batch(self, shape: tuple[int, ...]):
+        batch = many(3)
+        observed(batch)
+        refused(ValueError, (str(shape), "(3, 1)"), lambda: batch.step(np.zeros(shape, np.float32)))
+        refused(ValueError, ("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32)))
 
 
 def test_batch_agrees_with_single_arms_bit_for_bit():
     count = 5
-    batch, singles = many(count), [one() for _ in range(count)]
+    batch, singles = many(count), [single_env() for _ in range(count)]
     done = np.zeros(count, np.bool_)
     observations = observed(batch)
     assert np.array_equal(observations, [single.reset(seed=30 + i)[0] for i, single in enumerate(singles)])
@@ -209,9 +223,6 @@ def test_prediction_is_deterministic_and_leaves_its_arguments_alone():
     assert first[0].dtype == np.float32 and first[0].shape == (3, 1)
 
 
-# The batch as Stable-Baselines3 sees it
-
-
 def test_what_the_agent_observes():
     """The observation, the base's torque, and what the identification makes of the encoder."""
     batch = many(3)
@@ -226,20 +237,20 @@ def test_what_the_agent_observes():
             action, memory = base.predict(seen, memory)
             belief = identifier.update(belief, read(seen, ArmParams()), np.full(3, belief is None))
             if sample == 0:
-                told = dict(zip(names, (observations[:, size() :] * scales).T, strict=True))
+                reported = dict(zip(names, (observations[:, size() :] * scales).T, strict=True))
                 assert np.array_equal(observations[:, : size()], seen), hold
-                assert np.array_equal(told["base_torque"], action[:, 0])
-                assert np.allclose(told["believed_torsion"], belief.state[:, 2], rtol=1e-6)
-                assert np.allclose(told["believed_belt_stiffness"], belief.logs[:, 1], rtol=1e-6, atol=1e-9)
-                assert np.allclose(told["believed_delay"], belief.delay, rtol=1e-6)
+                assert np.array_equal(reported["base_torque"], action[:, 0])
+                assert np.allclose(reported["believed_torsion"], belief.state[:, 2], rtol=1e-6)
+                assert np.allclose(reported["believed_belt_stiffness"], belief.logs[:, 1], rtol=1e-6, atol=1e-9)
+                assert np.allclose(reported["believed_delay"], belief.delay, rtol=1e-6)
                 doubt = np.sqrt(belief.variance[:, 5])
-                assert np.allclose(told["doubt_of_belt_stiffness"], doubt, rtol=1e-6)
-                assert np.allclose(told["surprise"], belief.tracks.surprise, rtol=1e-6)
+                assert np.allclose(reported["doubt_of_belt_stiffness"], doubt, rtol=1e-6)
+                assert np.allclose(reported["surprise"], belief.tracks.surprise, rtol=1e-6)
                 surprises.append(belief.angle - belief.state[:, 0])
-                assert np.allclose(told["unexplained_angle_0"], surprises[-1], atol=1e-9)
+                assert np.allclose(reported["unexplained_angle_0"], surprises[-1], atol=1e-9)
                 if hold > 0:
-                    assert np.allclose(told["unexplained_angle_3"], surprises[-4], atol=1e-9)
-                    assert np.allclose(told["command_2_before_last"], commands[-3], atol=1e-7)
+                    assert np.allclose(reported["unexplained_angle_3"], surprises[-4], atol=1e-9)
+                    assert np.allclose(reported["command_2_before_last"], commands[-3], atol=1e-7)
             else:
                 surprises.append(belief.angle - belief.state[:, 0])
             commands.append(action[:, 0])
@@ -276,25 +287,17 @@ class TestArmsOfAnotherDataSheet:
         assert memory.belief is not None
         np.testing.assert_allclose(memory.belief.state[:, 0], plain.state[:, 0], atol=0.01)
         np.testing.assert_allclose(memory.belief.state[:, 2], plain.state[:, 2], atol=2e-3)
-        told = informed.seen(seen, memory)[:, size() :] * [entry.scale for entry in ENTRIES["belief"]]
-        np.testing.assert_allclose(told[:, 4:6], plain.tip_errors()[:, :2], atol=1e-3)
+        reported = informed.seen(seen, memory)[:, size() :] * [entry.scale for entry in ENTRIES["belief"]]
+        np.testing.assert_allclose(reported[:, 4:6], plain.tip_errors()[:, :2], atol=1e-3)
 
     def test_residual_controller_is_made_for_the_arm_of_its_base(self):
-        class Nothing:
-            def predict(self, observation, state=None, episode_start=None, deterministic=True):
-                return np.zeros((len(observation), 1), np.float32), None
-
-        options = {"params": {"gear_ratio": 100.0, "torque_limit": 0.2}}
-        base = CONTROLLERS["ei"](params=self.PARAMS)
-        alone = rollout(base, 2, seed=30, options=options).torque
-        residual = rollout(ResidualController(base, Nothing(), SETTINGS), 2, seed=30, options=options).torque
-        np.testing.assert_array_equal(residual, alone)
-        with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 88.0, but ResidualController is made for 100.0"):
-            rollout(ResidualController(base, Nothing(), SETTINGS), 2, seed=30)
+        residual = ResidualController(CONTROLLERS["ei"](params=self.PARAMS), Silent(), SETTINGS)
+        with pytest.raises(ValueError, match=r"gear_ratio 88.0.*ResidualController.*100.0"):
+            rollout(residual, 2, seed=30)
 
     def test_environments_refuse_others(self):
         with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 100.0, but PaperController is made for 88.0"):
-            one().reset(seed=0, options={"params": {"gear_ratio": 100.0}})
+            single_env().reset(seed=0, options={"params": {"gear_ratio": 100.0}})
         with pytest.raises(ValueError, match=r"torque_limit 0.2, but PaperController is made for 0.3"):
             weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
             ResidualVecEnv(weak, CONTROLLERS["paper"](), SETTINGS).reset()
@@ -315,15 +318,6 @@ def test_a_base_that_identifies_the_arm_is_not_asked_twice():
     assert memory.belief is memory.base.belief
 
 
-def test_spaces():
-    batch = many(2)
-    assert batch.observation_space == residual_observation_space() == one().observation_space
-    assert batch.action_space == one().action_space
-    for residuals in random_residuals(2)[:30]:
-        seen, *_ = stepped(batch, residuals) if batch._memory is not None else (observed(batch),)
-        assert all(row in batch.observation_space for row in seen)
-
-
 @pytest.mark.parametrize("scale", [1.0, 0.01])
 @pytest.mark.parametrize("hold", [1, 4, 7])
 def test_reward_is_the_scaled_sum_over_a_hold(hold: int, scale: float):
@@ -338,9 +332,9 @@ def test_reward_is_the_scaled_sum_over_a_hold(hold: int, scale: float):
             action, memory = base.predict(seen, memory)
             seen, rewards, *_ = plain.step(np.clip(action + np.float32(0.5) * residuals, -1, 1))
             total += rewards
-        told = stepped(batch, residuals)[1]
-        assert told.dtype == np.float32
-        assert told == pytest.approx(scale * total, rel=1e-6)
+        reported = stepped(batch, residuals)[1]
+        assert reported.dtype == np.float32
+        assert reported == pytest.approx(scale * total, rel=1e-6)
 
 
 def test_price_of_the_torque_is_charged_for_every_change_to_the_last_sample():
@@ -381,7 +375,7 @@ def test_the_end_of_an_episode():
 
 def test_an_arm_that_leaves_within_a_hold():
     """Its reward ends with its episode, and the residual with it: the new one begins under the base alone."""
-    batch, single = many(2, OUTWARD), one(OUTWARD)
+    batch, single = many(2, OUTWARD), single_env(OUTWARD)
     seen, infos, outward = observed(batch), [], np.array([[1.0], [0.0]], np.float32)
     last, _ = single.reset(seed=30)
     terminated = False
@@ -413,10 +407,6 @@ def test_staggering_spreads_the_arms_over_the_episode(count: int, hold: int):
     again = many(count, replace(SETTINGS, hold=hold), stagger=True)
     batch.seed(30)
     assert np.array_equal(observed(batch), observed(again))
-
-
-def test_without_staggering_all_arms_begin_at_the_start():
-    assert not observed(many(4))[:, index("elapsed_time")].any()
 
 
 def test_staggered_arms_go_on_as_if_they_had_been_alone():
@@ -454,204 +444,30 @@ def test_nothing_returned_is_shared():
     assert all(not np.shares_memory(a, b) for k, a in enumerate(returned) for b in returned[k + 1 :])
 
 
-def test_the_rest_of_the_vec_env_protocol():
-    batch = many(3)
-    assert batch.get_attr("render_mode") == [None] * 3
-    assert batch.get_attr("sensors", indices=[0, 2]) == ["encoder"] * 2
-    assert batch.env_is_wrapped(ResidualEnv) == [False] * 3
-    with pytest.raises(NotImplementedError, match="sensors"):
-        batch.set_attr("sensors", "tip")
-    with pytest.raises(NotImplementedError, match="step"):
-        batch.env_method("step")
-    batch.close()
-    batch.close()
+class TestStableBaselines:
+    def test_spaces_and_protocol(self):
+        batch = many(3)
+        assert batch.observation_space == residual_observation_space() == single_env().observation_space
+        assert batch.action_space == single_env().action_space
+        assert batch.get_attr("render_mode") == [None] * 3
+        assert batch.get_attr("sensors", indices=[0, 2]) == ["encoder"] * 2
+        assert batch.env_is_wrapped(ResidualEnv) == [False] * 3
+        with pytest.raises(NotImplementedError, match="sensors"):
+            batch.set_attr("sensors", "tip")
+        with pytest.raises(NotImplementedError, match="step"):
+            batch.env_method("step")
+        batch.close()
+        batch.close()
+        check_env(single_env(), warn=True, skip_render_check=True)
 
-
-def test_sb3_is_content_with_the_single_environment():
-    check_env(one(), warn=True, skip_render_check=True)
-
-
-def test_monitor_of_sb3_counts_the_returns():
-    batch = VecMonitor(many(2))
-    batch.reset()
-    infos: list[Any] = []
-    for _ in range(HOLDS):
-        *_, infos = batch.step(np.zeros((2, 1), np.float32))
-    for arm in range(2):
-        episode = infos[arm]["episode"]
-        assert episode["r"] == pytest.approx(-base_run("paper", 2).cost[arm], rel=1e-5)
-
-
-def test_ppo_learns_on_it():
-    batch = many(8, stagger=True, reward_scale=0.01)
-    model = PPO(
-        "MlpPolicy",
-        batch,
-        n_steps=40,
-        batch_size=80,
-        n_epochs=2,
-        policy_kwargs={"net_arch": [16]},
-        seed=0,
-        device="cpu",
-    )
-    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
-    model.learn(640)
-    assert model.num_timesteps == 640
-    after = list(model.policy.parameters())
-    assert all(torch.isfinite(parameter).all() for parameter in after)
-    assert all(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
-    assert model.ep_info_buffer and all(episode["l"] == EPISODE_STEPS for episode in model.ep_info_buffer)
-
-
-# Bundles
-
-
-SPECS = [
-    BundleSpec("ppo", "paper", SETTINGS, (16, 16)),
-    BundleSpec("ppo", "rigid", ResidualSettings(0.8, 12), (8,), "relu", "tip", provenance={"seed": 3, "note": "ζ"}),
-    BundleSpec(
-        "sac", "none", ResidualSettings(2.0, 10), (), "elu", "full", provenance={"nested": {"list": [1, 2.5, None]}}
-    ),
-    BundleSpec("recurrent_ppo", "paper", ResidualSettings(0.5, 6, "none"), (8,), "relu", lstm=12),
-    BundleSpec("student", "adaptive", SETTINGS, (8,), "relu", gru=10, standardised=True),
-]
-
-
-@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.algorithm + spec.activation)
-def test_bundle_holds_the_description_and_the_weights(tmp_path: Path, spec: BundleSpec):
-    actor = lively_actor(spec)
-    digest = save_bundle(tmp_path, spec, actor.weights())
-    read, told, content = read_weights(tmp_path)
-    assert told == spec and content["content_hash"] == digest
-    assert {*read.arrays} == {*actor.state_dict()}
-    for name, value in actor.state_dict().items():
-        assert np.array_equal(read.arrays[name], value.numpy()), name
-
-
-@pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.algorithm + spec.activation)
-def test_bundle_gives_the_same_policy_bit_for_bit(tmp_path: Path, spec: BundleSpec):
-    policy = lively_policy(spec)
-    save_bundle(tmp_path, spec, lively_actor(spec).weights())
-    loaded = load_controller(tmp_path)
-    told, _ = read_spec(tmp_path)
-    assert told == spec == read_spec(tmp_path)[0]
-    original = ResidualController(make_base(spec.base), policy, spec.residual)
-    sensors: Any = spec.sensors
-    expected = rollout(original, 3, seed=1, sensors=sensors, **ARMS)
-    recording = rollout(loaded, 3, seed=1, sensors=sensors, **ARMS)
-    assert recording.torque.tobytes() == expected.torque.tobytes()
-    assert recording.state.tobytes() == expected.state.tobytes()
-
-
-def test_a_bundle_is_of_a_plain_network_unless_it_says_otherwise():
-    plain = BundleSpec("ppo", "paper", SETTINGS, (4, 3))
-    assert plain.shape() == ActorShape(len(plain.offered()), (4, 3))
-    assert lively_actor(plain).state_dict().keys() == {
-        f"layers.{k}.{part}" for k in (0, 2, 4) for part in ("weight", "bias")
-    }
-
-
-def test_content_hash_depends_on_content_alone(tmp_path: Path):
-    spec, actor = SPECS[0], lively_actor()
-    first = save_bundle(tmp_path / "a", spec, actor.weights())
-    assert (
-        save_bundle(tmp_path / "b", spec, actor.weights())
-        == first
-        == save_bundle(tmp_path / "a", spec, actor.weights())
-    )
-    files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
-    assert files[0] == files[1]
-    told, _ = read_spec(tmp_path / "a")
-    assert save_bundle(tmp_path / "c", told, actor.weights()) == first
-    others = [
-        save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), actor.weights()),
-        save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), actor.weights()),
-        save_bundle(tmp_path / "d", spec, lively_actor(seed=1).weights()),
-    ]
-    assert len({first, *others}) == 4
-
-
-def test_saving_again_replaces_the_bundle(tmp_path: Path):
-    save_bundle(tmp_path, SPECS[0], lively_actor().weights())
-    save_bundle(tmp_path, SPECS[0], lively_actor(seed=1).weights())
-    assert len(list(tmp_path.iterdir())) == 3
-    seen = np.ones((1, size()), np.float32)
-    expected = ResidualController(CONTROLLERS["paper"](), lively_policy(seed=1), SETTINGS).predict(seen)[0]
-    assert np.array_equal(load_controller(tmp_path).predict(seen)[0], expected)
-
-
-def test_no_pickle_in_a_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    save_bundle(tmp_path, SPECS[0], lively_actor().weights())
-
-    def refuse(*_: Any, **__: Any) -> None:
-        raise AssertionError("unpickled")
-
-    for name in ("pickle.load", "pickle.loads", "pickle.Unpickler", "torch.load"):
-        monkeypatch.setattr(name, refuse)
-    load_controller(tmp_path)
-
-
-class Picks:
-    """Takes entries of an agent's observation out by their place, and asks another policy."""
-
-    def __init__(self, policy: NetworkPolicy, places: list[int]) -> None:
-        self.policy, self.places = policy, places
-
-    def predict(self, observation: Singles, state: Any = None, episode_start: Any = None, deterministic: bool = True):
-        return self.policy.predict(observation[:, self.places].copy(), state, episode_start)
-
-
-class Echo:
-    """A policy that says what it was given."""
-
-    def predict(self, observation: Singles, state: Any, episode_start: Any, deterministic: bool) -> Any:
-        return observation, (state, episode_start, deterministic)
-
-
-def test_inputs_are_picked_in_the_policys_own_order():
-    offered = MEASURED["encoder"]
-    echo: Any = Echo()
-    policy = SelectedInputs(echo, [offered[3].name, offered[0].name], offered)
-    seen = np.arange(2.0 * len(offered), dtype=np.float32).reshape(2, -1)
-    assert policy.columns.tolist() == [3, 0]
-    given, (state, start, deterministic) = policy.predict(seen, None, np.array([True, False]))
-    np.testing.assert_array_equal(given, [[3, 0], [len(offered) + 3, len(offered)]])
-    assert state is None and start.tolist() == [True, False] and deterministic
-    for shape in ((2, len(offered) - 1), (2, len(offered) + 1), (len(offered),), (1, 2, len(offered))):
-        with pytest.raises(ValueError, match=f"chooses from {len(offered)} entries, got shape"):
-            policy.predict(np.ones(shape, np.float32))
-
-
-def test_a_policy_is_given_its_entries_by_name(tmp_path: Path):
-    names = ("base_torque", "motor_speed", "believed_torsion", "motor_angle_error")
-    spec = BundleSpec("ppo", "paper", SETTINGS, (16,), inputs=names)
-    policy = lively_policy(spec)
-    save_bundle(tmp_path, spec, lively_actor(spec).weights())
-    loaded = load_controller(tmp_path)
-    told, _ = read_spec(tmp_path)
-    assert told == spec
-    places = [[entry.name for entry in spec.offered()].index(name) for name in names]
-    expected = rollout(ResidualController(CONTROLLERS["paper"](), Picks(policy, places), SETTINGS), 3, seed=1, **ARMS)
-    assert rollout(loaded, 3, seed=1, **ARMS).torque.tobytes() == expected.torque.tobytes()
-    with pytest.raises(
-        ValueError, match=rf"chooses from {len(spec.offered())} entries, got shape \(2, 3\): .*--sensors"
-    ):
-        loaded.policy.predict(np.ones((2, 3), np.float32))
-
-
-def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(tmp_path: Path):
-    spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
-    save_bundle(tmp_path, spec, Actor(spec.shape()).weights())
-    controller = load_controller(str(tmp_path))
-    assert isinstance(controller.informed.base, FeltAdaptiveController)
-    assert not isinstance(make_base("adaptive"), FeltAdaptiveController)
-    assert isinstance(make_base("paper", "accelerometer"), PaperController)  # which has no filter
-
-
-def test_shipped_policies_are_told_all_that_there_is_and_see_the_encoder_alone():
-    folders = shipped_policies()
-    assert {folder.parent.name for folder in folders} == {"ppo", "student"}
-    for folder in folders:
-        spec, content = read_spec(folder)
-        assert (spec.inputs, spec.sensors, content["edition"]) == (None, "encoder", 2)
-        assert spec.provenance["config"].get("randomization", "train") == "train"
+    def test_ppo_learns_on_it(self):
+        batch = VecMonitor(many(8, stagger=True, reward_scale=0.01))
+        arguments: dict[str, Any] = {"n_steps": 40, "batch_size": 80, "n_epochs": 2, "seed": 0, "device": "cpu"}
+        model = PPO("MlpPolicy", batch, policy_kwargs={"net_arch": [16]}, **arguments)
+        before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+        model.learn(640)
+        assert model.num_timesteps == 640
+        after = list(model.policy.parameters())
+        assert all(torch.isfinite(parameter).all() for parameter in after)
+        assert all(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
+        assert model.ep_info_buffer and all(episode["l"] > 0 for episode in model.ep_info_buffer)

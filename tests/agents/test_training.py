@@ -7,6 +7,7 @@ import importlib
 import json
 import os
 import pickle
+import pydoc
 import shutil
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from trainings import weights
 
 import agents.residual.bases
 import agents.runs.checkpoint
@@ -55,20 +58,7 @@ OWN: dict[str, dict[str, Any]] = {
     "recurrent_ppo": {**ON_POLICY, "lstm_width": 8},
     "sac": OFF_POLICY,
 }
-SHORT = (
-    "--arms",
-    "8",
-    "--rollout-steps",
-    "8",
-    "--batch-size",
-    "32",
-    "--hold",
-    "40",
-    "--hidden",
-    "8",
-    "--validation-arms",
-    "4",
-)
+SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
 TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 
 
@@ -102,11 +92,6 @@ class StopAt(StopRequest):
         monkeypatch.setattr(TrainingMonitor, "stop_if_asked", stop_if_asked)
 
 
-def script(*arguments: str, cwd: Path, name: str = "ppo") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / f"train/{name}.py"), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
-
-
 def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
     command = [sys.executable, str(ROOT / "train/ppo.py"), *arguments]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -133,11 +118,6 @@ def costs(monitor: TrainingMonitor) -> list[tuple[int, float]]:
     return [(steps, cost) for steps, _, cost in monitor.curve]
 
 
-def bundle_weights(folder: Path) -> bytes:
-    (path,) = folder.glob("*.safetensors")
-    return path.read_bytes()
-
-
 # Interrupted and resumed
 
 
@@ -160,21 +140,16 @@ def test_interrupted_and_resumed_is_uninterrupted(name: str, tmp_path: Path, mon
         assert all(torch.equal(ours[key]["exp_avg"], theirs[key]["exp_avg"]) for key in ours)
     assert costs(whole) == costs(parts) and len(costs(whole)) == 3
     for kind in ("best", "last"):
-        assert bundle_weights(tmp_path / "whole" / kind) == bundle_weights(tmp_path / "parts" / kind)
+        assert weights(tmp_path / "whole" / kind) == weights(tmp_path / "parts" / kind)
 
 
-def test_resuming_a_finished_run_changes_nothing(tmp_path: Path):
-    config = tiny("ppo", tmp_path)
-    first = run(config)
-    before = {path.name: path.read_bytes() for path in (tmp_path / "best").iterdir()}
-    again = run(replace(config, resume=True))
-    assert same_weights(first, again) and costs(first) == costs(again)
-    assert {path.name: path.read_bytes() for path in (tmp_path / "best").iterdir()} == before
-
-
-def test_another_seed_is_another_run(tmp_path: Path):
-    first, second = (run(tiny("ppo", tmp_path / str(seed), seed=seed, total_steps=64)) for seed in (0, 1))
-    assert not same_weights(first, second)
+def test_another_seed_is_another_run_and_resuming_a_finished_one_changes_nothing(finished: Path, tmp_path: Path):
+    shutil.copytree(finished, tmp_path / "run")
+    first, second = (run(resumed(tmp_path / "run")) for _ in range(2))
+    assert same_weights(first, second) and costs(first) == costs(second)
+    for path in (finished / "best").iterdir():
+        assert (tmp_path / "run/best" / path.name).read_bytes() == path.read_bytes()
+    assert not same_weights(first, run(tiny("ppo", tmp_path / "other", seed=1, total_steps=128)))
 
 
 @pytest.mark.slow
@@ -190,62 +165,49 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     assert [path.name for path in (tmp_path / "run").rglob(".*")] == [".lock"]
     whole = run(as_script(tmp_path / "whole"))
     assert same_weights(killed, whole) and costs(killed) == costs(whole)
-    assert bundle_weights(tmp_path / "run" / "last") == bundle_weights(tmp_path / "whole" / "last")
+    assert weights(tmp_path / "run" / "last") == weights(tmp_path / "whole" / "last")
 
 
-def killed_at(monkeypatch: pytest.MonkeyPatch, where: str, config: RunConfig) -> None:
-    """Run until a function is called, and be killed there: nothing after it is done."""
+def last_curve(path: Path, text: str) -> bool:
+    return path.name == "validation.csv" and len(text.splitlines()) == 3
 
-    def killed(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize(
+    ("where", "when"),
+    [
+        ("agents.runs.monitor.RunFolder.save", None),  # the best policy is there by then, and nothing to go on from
+        ("agents.runs.checkpoint.write_text", last_curve),
+        ("agents.runs.training.save_bundle", None),
+        ("agents.runs.training.annotate", None),
+    ],
+)
+def test_a_run_killed_at_any_moment_is_finished_as_if_it_had_not_been(
+    where: str, when: Any, resume: bool, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    config, original = resumed(tmp_path / "run", resume=False), pydoc.locate(where)
+    assert callable(original)
+
+    def killed(*arguments: Any, **named: Any) -> Any:
+        if when is None or when(*arguments):
+            raise KeyboardInterrupt
+        return original(*arguments, **named)
 
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
         patched.setattr(where, killed)
         run(config)
-
-
-@pytest.mark.parametrize("resume", [False, True])
-def test_a_run_killed_before_its_first_checkpoint_begins_again(
-    resume: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """The best policy is there by then, and nothing to go on from."""
-    config = tiny("ppo", tmp_path / "run", total_steps=64)
-    killed_at(monkeypatch, "agents.runs.monitor.RunFolder.save", config)
-    assert (tmp_path / "run/best").exists() and not (tmp_path / "run/checkpoint.pkl").exists()
-    with pytest.raises(ValueError, match="has --seed 0, not 1"):
+    if not resume and (config.out / "checkpoint.pkl").exists():
+        with pytest.raises(ValueError, match="already holds a run"):
+            run(config)
+        return
+    with pytest.raises(ValueError, match="--seed 0, not 1"):
         run(replace(config, resume=True, seed=1))
     again = run(replace(config, resume=resume))
-    assert costs(again) == costs(run(replace(config, out=tmp_path / "whole")))
-
-
-def test_a_run_killed_after_its_last_checkpoint_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    whole = run(tiny("ppo", tmp_path / "whole", total_steps=64))
-    for k, where in enumerate(("agents.runs.training.save_bundle", "agents.runs.training.annotate")):
-        config = tiny("ppo", tmp_path / str(k), total_steps=64)
-        killed_at(monkeypatch, where, config)
-        again = run(replace(config, resume=True))
-        assert costs(again) == costs(whole)
-        assert bundle_weights(config.out / "last") == bundle_weights(tmp_path / "whole/last")
-        for kind in ("best", "last"):
-            assert read_spec(config.out / kind)[0].provenance["run"]["steps"] == whole.learner.steps
-
-
-def test_a_run_killed_between_its_last_checkpoint_and_the_curve_has_its_whole_curve(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    config, original = tiny("ppo", tmp_path, total_steps=64), agents.runs.checkpoint.write_text
-
-    def killed_at_last(path: Path, text: str) -> None:
-        if path.name == "validation.csv" and len(text.splitlines()) == 3:
-            raise KeyboardInterrupt
-        original(path, text)
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr("agents.runs.checkpoint.write_text", killed_at_last)
-        run(config)
-    assert len((tmp_path / "validation.csv").read_text().splitlines()) == 2
-    run(replace(config, resume=True))
-    assert len((tmp_path / "validation.csv").read_text().splitlines()) == 3
+    for kind in ("best", "last"):
+        assert weights(config.out / kind) == weights(finished / kind)
+        assert read_spec(config.out / kind)[0].provenance["run"]["steps"] == 128
+    assert [point[::2] for point in read_spec(finished / "last")[0].provenance["curve"]] == [[*x] for x in costs(again)]
+    assert len((config.out / "validation.csv").read_text().splitlines()) == 3
 
 
 def test_two_runs_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -260,14 +222,6 @@ def test_two_runs_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.
     run(config)
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short run, to be copied."""
-    folder = tmp_path_factory.mktemp("finished") / "run"
-    run(tiny("ppo", folder, total_steps=128))
-    return folder
-
-
 @pytest.fixture
 def copied(finished: Path, tmp_path: Path) -> Path:
     shutil.copytree(finished, tmp_path / "run")
@@ -278,29 +232,25 @@ def resumed(folder: Path, **options: Any) -> ReinforcementConfig:
     return tiny("ppo", folder, **{"total_steps": 128, "resume": True, **options})
 
 
-REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "used folder": ({"resume": False}, "already holds a run.*--resume.*--overwrite.*--out"),
-    "another seed": ({"seed": 1}, "has --seed 0, not 1"),
-    "other arms": ({"arms": 16}, "has --arms 8, not 16"),
-    "another base": ({"base": "rigid"}, "has --base paper, not rigid"),
-    "other layers": ({"hidden": (4, 4)}, r"has --hidden \[8\], not \[4, 4\]"),
-    "other knowledge": ({"knowledge": "none"}, "has --knowledge belief, not none"),
-    "another rate": ({"learning_rate": 1e-3}, "has --learning-rate 0.00035, not 0.001"),
-}
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"resume": False}, "--resume.*--overwrite.*--out"),
+    ({"seed": 1}, "--seed 0, not 1"),
+    ({"arms": 16}, "--arms 8, not 16"),
+    ({"base": "rigid"}, "--base paper, not rigid"),
+    ({"hidden": (4, 4)}, r"--hidden \[8\], not \[4, 4\]"),
+    ({"knowledge": "none"}, "--knowledge belief, not none"),
+    ({"learning_rate": 1e-3}, "--learning-rate 0.00035, not 0.001"),
+]
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_a_run_is_not_mixed_with_another(case: str, copied: Path):
-    options, message = REFUSED[case]
+@pytest.mark.parametrize(("options", "words"), REFUSED, ids=str)
+def test_a_run_is_not_mixed_with_another(options: dict[str, Any], words: str, copied: Path):
     before = sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir())
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=words):
         run(resumed(copied, **options))
-    assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
-
-
-def test_another_algorithm_is_not_resumed(copied: Path):
     with pytest.raises(ValueError, match=r"run in .*--"):
         run(replace(tiny("sac", copied), resume=True))
+    assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
 
 
 def test_another_tuning_of_the_base_is_not_resumed(copied: Path, monkeypatch: pytest.MonkeyPatch):
@@ -311,49 +261,45 @@ def test_another_tuning_of_the_base_is_not_resumed(copied: Path, monkeypatch: py
         run(resumed(copied))
 
 
-def test_overwriting_deletes_the_run_and_nothing_else(copied: Path):
+def test_overwriting_deletes_the_run_and_nothing_else(copied: Path, tmp_path: Path):
     (copied / "notes.txt").write_text("mine")
-    old = bundle_weights(copied / "last")
+    old = weights(copied / "last")
     run(resumed(copied, resume=False, overwrite=True, seed=3))
     assert (copied / "notes.txt").read_text() == "mine"
-    assert bundle_weights(copied / "last") != old
+    assert weights(copied / "last") != old
     assert len((copied / "validation.csv").read_text().splitlines()) == 3
     assert json.loads((copied / "config.json").read_text())["config"]["seed"] == 3
-
-
-def test_overwriting_spares_what_is_no_run(tmp_path: Path):
-    (tmp_path / "best").mkdir()
-    (tmp_path / "best/picture.png").write_text("mine")
+    picture = tmp_path / "other/best/picture.png"
+    picture.parent.mkdir(parents=True)
+    picture.touch()
     with pytest.raises(ValueError, match="not the folder of a run"):
-        run(tiny("ppo", tmp_path, overwrite=True))
-    assert (tmp_path / "best/picture.png").exists()
+        run(tiny("ppo", tmp_path / "other", overwrite=True))
+    assert picture.exists()
 
 
-DAMAGES: dict[str, bytes] = {
-    "empty": b"",
-    "no pickle": b"not a pickle",
-    "another pickle": pickle.dumps([1, 2]),
-    "another pickle with a hash": sealed(pickle.dumps([1, 2])),
+def flipped(share: float, data: bytes) -> bytes:
+    """The same but for one bit."""
+    place = int(share * len(data))
+    return data[:place] + bytes([data[place] ^ 16]) + data[place + 1 :]
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "truncated": lambda data: data[:-1000],
+    "no pickle": lambda _: b"not a pickle",
+    "another pickle": lambda _: pickle.dumps([1, 2]),
+    "another pickle with a hash": lambda _: sealed(pickle.dumps([1, 2])),
+    **{f"a bit at {share}": partial(flipped, share) for share in (0.001, 0.5, 0.999)},
 }
 
 
-@pytest.mark.parametrize("damage", [*DAMAGES, "truncated"])
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_checkpoints(damage: str, copied: Path):
     path = copied / "checkpoint.pkl"
-    path.write_bytes(DAMAGES.get(damage, path.read_bytes()[:-1000]))
-    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(.*\): .*choose another --out$") as end:
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read.*--out") as end:
         run(resumed(copied))
     assert "--overwrite" not in str(end.value) and "delete" not in str(end.value)
-
-
-@pytest.mark.parametrize("where", [0.001, 0.25, 0.5, 0.75, 0.999])
-def test_one_bit_of_a_checkpoint_is_noticed(where: float, copied: Path):
-    path = copied / "checkpoint.pkl"
-    data = bytearray(path.read_bytes())
-    data[int(where * len(data))] ^= 16
-    path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read \(its SHA-256 is not that of its content"):
-        run(resumed(copied))
 
 
 def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -394,14 +340,14 @@ def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path
 def test_a_checkpoint_with_a_class_that_is_gone_names_the_writer_in_its_settings(copied: Path):
     (copied / "checkpoint.pkl").write_bytes(sealed(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93."))
     commit = json.loads((copied / "config.json").read_text())["written_by"]["commit"]
-    with pytest.raises(ValueError, match=rf"does not fit this version \(AttributeError.*Gone.* at commit {commit}, or"):
+    with pytest.raises(ValueError, match=rf"AttributeError.*Gone.* at commit {commit}"):
         run(resumed(copied))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"identity": 3}', '{"identity": {"options": 3}}'])
 def test_damaged_settings(text: str, copied: Path):
     (copied / "config.json").write_text(text)
-    with pytest.raises(ValueError, match=r"config\.json is damaged.*choose another --out"):
+    with pytest.raises(ValueError, match=r"config\.json is damaged.*--out"):
         run(resumed(copied))
 
 
@@ -433,14 +379,15 @@ def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
     env = make_env(config)
     env.seed(0)
     model = MODULES[name].make_model(config, env)
+    seen, residuals = env.reset(), []
+    assert np.abs(model.predict(seen, deterministic=True)[0]).max() < 0.1, "untrained, it is nearly its base"
     with torch.no_grad():
         for parameter in model.policy.parameters():
             parameter.add_(0.1 * torch.randn(parameter.shape))
     policy = NetworkPolicy(actor_of(model.policy, config.spec().shape()).weights())
     ours, theirs = None, None
     begins = np.ones(config.arms, np.bool_)
-    seen, residuals = env.reset(), []
-    with pytest.raises(ValueError, match=f"observes {seen.shape[1]} entries, got .*--sensors"):
+    with pytest.raises(ValueError, match=f"{seen.shape[1]} entries.*--sensors"):
         policy.predict(seen[:, 1:])
     for step in range(20):
         residual, ours = policy.predict(seen, ours, begins)
@@ -451,15 +398,6 @@ def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
         assert isinstance(seen, np.ndarray)
         begins[0] |= step == 10
     assert np.std(residuals) > 1e-3
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_untrained_agent_is_nearly_its_base(name: str, tmp_path: Path):
-    config = tiny(name, tmp_path)
-    env = make_env(config)
-    env.seed(0)
-    residual, _ = MODULES[name].make_model(config, env).predict(env.reset(), deterministic=True)
-    assert np.abs(residual).max() < 0.1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -486,11 +424,6 @@ def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
     run(config)
     spec, _ = read_spec(tmp_path / "best")
     assert (spec.base, spec.sensors, spec.residual.knowledge) == (base, sensors, "none")
-
-
-def test_no_base_is_no_torque():
-    action, memory = agents.residual.bases.make_base("none").predict(np.ones((3, 25), np.float32))
-    assert action.tolist() == [[0.0]] * 3 and action.dtype == np.float32 and memory is None
 
 
 def test_what_leaving_costs(tmp_path: Path):
@@ -520,24 +453,13 @@ def test_gradients_are_clipped():
     torch.testing.assert_close(weight.grad, torch.tensor([0.6, 0.8]))
 
 
-def test_weights_that_diverge_are_said_to(tmp_path: Path):
-    with pytest.raises(ValueError, match=r"diverged at .* steps.*--learning-rate"):
-        run(tiny("ppo", tmp_path, learning_rate=1e30))
-
-
-@pytest.mark.parametrize("message", ["infeasible", "no information", "must be finite"])
-def test_an_error_that_is_no_divergence_is_not_said_to_be_one(
-    message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_an_error_that_is_no_divergence_is_not_said_to_be_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def fail(*_: object) -> None:
-        raise ValueError(message)
+        raise ValueError("infeasible, no information, must be finite")
 
     monkeypatch.setattr(ResidualVecEnv, "step_wait", fail)
-    with pytest.raises(ValueError, match=f"^{message}$"):
+    with pytest.raises(ValueError, match=r"^infeasible"):
         run(tiny("ppo", tmp_path))
-
-
-# Seeds
 
 
 def test_arms_are_seeded_as_documented(tmp_path: Path):
@@ -551,6 +473,14 @@ def test_arms_are_seeded_as_documented(tmp_path: Path):
     for arms in (env.env, monitor.learner.env.env):
         assert arms._streams is not None
         assert np.array_equal(arms._streams[3, 2:], expected[2:])  # what does not change as numbers are drawn
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo"])
+def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Path):
+    """A run ends with a whole rollout, beyond its steps: a negative rate there would climb the loss."""
+    config = tiny(algorithm, tmp_path)
+    schedule = MODULES[algorithm].make_learner(config).model.lr_schedule
+    assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]
 
 
 # Several seeds side by side
@@ -567,11 +497,11 @@ def test_several_seeds_give_the_runs_that_they_give_alone(
     monkeypatch.setattr(sys, "argv", ["train/ppo.py", "--out", str(many), "--seeds", "2", "--seed", "4", *TINY])
     with pytest.raises(SystemExit) as end:
         main(PpoConfig, MODULES["ppo"].make_learner, None)
-    told = capsys.readouterr().err.splitlines()
-    assert end.value.code == 2 and len(told) == 2
-    assert "seed5: cannot write to" in told[0] and "1 other runs" in told[1]
+    reported = capsys.readouterr().err.splitlines()
+    assert end.value.code == 2 and len(reported) == 2
+    assert "seed5: cannot write to" in reported[0] and "1 other runs" in reported[1]
     run(as_script(tmp_path / "alone", seed=4))
-    assert bundle_weights(many / "seed4/last") == bundle_weights(tmp_path / "alone/last")
+    assert weights(many / "seed4/last") == weights(tmp_path / "alone/last")
     with Workplace(as_script(many), many) as local, pytest.raises(ValueError, match="seed4 already holds a run"):
         runs_of(as_script(many, seed=4, seeds=2), local)
 
@@ -585,7 +515,7 @@ def test_a_run_whose_process_died_goes_on_when_it_is_begun_again(tmp_path: Path,
     end = run_in(config, MODULES["ppo"].make_learner, "python train/ppo.py --seeds 2", config.out, Channel())
     assert end.steps == 256
     run(as_script(tmp_path / "whole"))
-    assert bundle_weights(tmp_path / "run/last") == bundle_weights(tmp_path / "whole/last")
+    assert weights(tmp_path / "run/last") == weights(tmp_path / "whole/last")
     assert read_spec(tmp_path / "run/last")[0].provenance["command"] == "python train/ppo.py --seeds 2"
 
 
@@ -605,81 +535,51 @@ def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
     assert {path.name for path in (tmp_path / "many").rglob(".*")} == {".lock"}
 
 
-def test_progress_is_told(tmp_path: Path):
-    told: list[News] = []
-    config = tiny("ppo", tmp_path, total_steps=256, validation_every=128)
-    train(config, MODULES["ppo"].make_learner, Channel(told.append))
-    validated = [news for news in told if news.cost is not None]
-    assert [news.steps for news in validated] == [0, 128, 256]
-    assert all("of the base" in news.scores and "ringing" in news.scores for news in validated)
+# Progress and options
 
 
-def test_an_arm_without_a_base_does_not_ring_to_be_compared_with(tmp_path: Path):
-    told: list[News] = []
-    train(tiny("ppo", tmp_path, total_steps=64, base="none"), MODULES["ppo"].make_learner, Channel(told.append))
-    assert "cost" in told[-1].scores and "ringing" not in told[-1].scores
+@pytest.mark.parametrize(("base", "rings"), [("paper", True), ("none", False)])
+def test_progress_is_reported(base: str, rings: bool, tmp_path: Path):
+    """An arm without a base does not ring to be compared with."""
+    reports: list[News] = []
+    config = tiny("ppo", tmp_path, total_steps=128, validation_every=64, base=base)
+    train(config, MODULES["ppo"].make_learner, Channel(reports.append))
+    validated = [news for news in reports if news.cost is not None]
+    assert [news.steps for news in validated] == [0, 64, 128]
+    assert all("cost" in news.scores or "of the base" in news.scores for news in validated)
+    assert all(("ringing" in news.scores) == rings for news in validated)
     names = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert "validation/cost_over_base" in names and "validation/residual_pp_mm" in names
-    assert "validation/residual_pp_mm_over_base" not in names
+    assert ("validation/residual_pp_mm_over_base" in names) == rings
 
 
-# Options
-
-
-BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "unknown base": ({"base": "papre"}, "no base controller 'papre'; did you mean 'paper'"),
-    "nothing like a base": ({"base": "xyzzyx"}, "no base controller 'xyzzyx'; there are paper"),
-    "no GPU": ({"device": "cuda"}, "--device cuda: PyTorch finds no CUDA GPU.*--device cpu"),
-    "no device": ({"device": "gpu"}, "--device must be cpu, cuda or cuda:NUMBER, got 'gpu'"),
-    "another device": ({"device": "meta"}, "--device must be cpu, cuda or cuda:NUMBER, got 'meta'"),
-    "too many arms": ({"arms": 50_000}, "--arms must be at most 40000, got 50000"),
-    "seed too large": ({"seed": MAX_TRAINING_SEED + 1}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
-    "seeds too large": ({"seed": MAX_TRAINING_SEED, "seeds": 2}, f"--seed must lie within 0 and {MAX_TRAINING_SEED}"),
-    "learning rate": ({"learning_rate": float("nan")}, "--learning-rate must be finite and above 0, got nan"),
-    "gamma": ({"gamma": 1.5}, "--gamma must be at most 1, got 1.5"),
-    "layers": ({"hidden": (0,)}, "hidden layers must have a whole width from 1"),
-    "both": ({"resume": True, "overwrite": True}, "--resume.*--overwrite.*one of them"),
-    "no jobs": ({"jobs": 0}, "--jobs must lie within 1 and 256, got 0"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_options(case: str, tmp_path: Path):
-    options, message = BAD[case]
-    if case == "no GPU" and torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    with pytest.raises(ValueError, match=message):
-        run(tiny("ppo", tmp_path / "run", **options))
-    assert not (tmp_path / "run").exists()
-
-
-OWN_BAD: list[tuple[str, dict[str, Any], str]] = [
-    ("sac", {"buffer_size": 10}, "--buffer-size must be at least 64"),
-    ("sac", {"exploration": 0.0}, "--exploration must be finite and above 0"),
-    ("sac", {"tau": 2.0}, "--tau must be at most 1"),
-    ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width must be at least 1"),
-    ("ppo", {"epochs": 0}, "--epochs must be at least 1"),
+BAD: list[tuple[str, dict[str, Any], str]] = [
+    ("ppo", {"base": "papre"}, "'papre'.*'paper'"),
+    ("ppo", {"base": "xyzzyx"}, "'xyzzyx'"),
+    ("ppo", {"device": "cuda"}, "--device cuda.*--device cpu"),
+    ("ppo", {"device": "gpu"}, "--device .* 'gpu'"),
+    ("ppo", {"arms": 50_000}, "--arms .* 50000"),
+    ("ppo", {"seed": MAX_TRAINING_SEED + 1}, "--seed"),
+    ("ppo", {"seed": MAX_TRAINING_SEED, "seeds": 2}, "--seed"),
+    ("ppo", {"learning_rate": float("nan")}, "--learning-rate .* nan"),
+    ("ppo", {"gamma": 1.5}, "--gamma .* 1.5"),
+    ("ppo", {"hidden": (0,)}, "hidden"),
+    ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
+    ("ppo", {"jobs": 0}, "--jobs .* 0"),
+    ("ppo", {"resume": True}, "nothing to resume"),
+    ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
+    ("ppo", {"epochs": 0}, "--epochs"),
+    ("sac", {"buffer_size": 10}, "--buffer-size"),
+    ("sac", {"exploration": 0.0}, "--exploration"),
+    ("sac", {"tau": 2.0}, "--tau"),
+    ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width"),
 ]
 
 
-@pytest.mark.parametrize(("name", "options", "message"), OWN_BAD, ids=str)
-def test_bad_options_of_an_algorithm(name: str, options: dict[str, Any], message: str, tmp_path: Path):
-    with pytest.raises(ValueError, match=message):
-        run(tiny(name, tmp_path, **options))
-
-
-def test_a_folder_not_begun_is_no_run(tmp_path: Path):
-    """A run killed before its first checkpoint leaves its settings alone; it begins again."""
-    config = tiny("ppo", tmp_path, total_steps=64)
-    RunFolder(tmp_path).begin(config)
-    RunFolder(tmp_path).begin(config)
-    with pytest.raises(FileNotFoundError, match="nothing to resume"):
-        RunFolder(tmp_path).begin(replace(config, resume=True))
-
-
-@pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo"])
-def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Path):
-    """A run ends with a whole rollout, beyond its steps: a negative rate there would climb the loss."""
-    config = tiny(algorithm, tmp_path)
-    schedule = MODULES[algorithm].make_learner(config).model.lr_schedule
-    assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]
+@pytest.mark.parametrize(("name", "options", "words"), BAD, ids=str)
+def test_bad_options(name: str, options: dict[str, Any], words: str, tmp_path: Path):
+    if options.get("device") == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises((ValueError, FileNotFoundError), match=words):
+        run(tiny(name, tmp_path / "run", **options))
+    assert "diverged" in words or not (tmp_path / "run").exists()

@@ -1,3 +1,5 @@
+"""The guard: its kernel under any input, its levels, its settings, and arms whose sensors or policies fail."""
+
 import math
 from typing import Any
 

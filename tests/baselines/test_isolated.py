@@ -49,11 +49,11 @@ def count(numbers: list[int] = []) -> int:  # noqa: B006
 
 
 ENDS = {
-    "its process ended with exit status 0 before it was done": partial(exit_with, 0),
-    "its process ended with exit status 3 before it was done": partial(exit_with, 3),
-    "its process was ended by signal 11 (Segmentation fault)": touch_nothing,
-    "its process was ended by signal 9 (Killed), for want of memory": partial(signal.raise_signal, signal.SIGKILL),
-    "its process ended with exit status 0": fork_and_exit,
+    "exit status 0": partial(exit_with, 0),
+    "exit status 3": partial(exit_with, 3),
+    "signal 11": touch_nothing,
+    "signal 9": partial(signal.raise_signal, signal.SIGKILL),
+    "ended with exit status 0": fork_and_exit,
 }
 
 
@@ -78,15 +78,13 @@ def interfere(message: bytes, further: float) -> None:
     time.sleep(further)
 
 
-def test_half_a_message_is_not_waited_for():
-    """It says that there are 64 bytes, of which five come."""
-    half = partial(interfere, (64).to_bytes(8, "big") + b"begun", 600)
-    refused(BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(half, "tests", 0.5))
-
-
-def test_a_message_that_is_none_is_a_failure():
-    nonsense = partial(interfere, (5).to_bytes(8, "big") + b"begun", 600)
-    refused(BrokenOff, ("wrote into it",), lambda: run_isolated(nonsense, "tests", 60))
+@pytest.mark.parametrize(
+    ("length", "further", "limit", "words"), [(64, 600, 0.5, "longer than 0.5 s"), (5, 600, 60, "wrote into it")]
+)
+def test_a_message_that_is_incomplete_or_no_message_is_a_failure(length: int, further: float, limit: float, words: str):
+    """The connection says how many bytes there are, of which five come."""
+    call = partial(interfere, length.to_bytes(8, "big") + b"begun", further)
+    refused(BrokenOff, (words,), lambda: run_isolated(call, "tests", limit))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
@@ -105,13 +103,14 @@ def test_results_and_errors_come_back():
 
 def test_a_process_is_kept_for_its_owner():
     run_isolated(os.getpid, "others", 60)
-    found = [run_isolated(count, owner, 60) for owner in ("tests", "tests", "others", "tests")]
-    assert found == [1, 2, 1, 1]
+    actual = [run_isolated(count, owner, 60) for owner in ("tests", "tests", "others", "tests")]
+    assert actual == [1, 2, 1, 1]
     assert run_isolated(os.getpid, "tests", 60) != os.getpid()
 
 
 def test_it_does_not_outlive_who_waits_for_it(tmp_path: Path):
-    code = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'tests')]!r}; from pathlib import Path; "
+    path = [str(ROOT / folder) for folder in (".", "tests/helpers", "tests/baselines")]
+    code = f"import sys; sys.path[:0] = {path!r}; from pathlib import Path; "
     code += "from functools import partial; from test_isolated import hang, run_isolated; "
     code += f"run_isolated(partial(hang, Path({str(tmp_path / 'pid')!r})), 'tests', 600)"
     waiting = subprocess.Popen([sys.executable, "-c", code])

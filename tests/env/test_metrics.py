@@ -1,6 +1,15 @@
+"""Metrics of episodes on signals whose values are known, and recordings as users look at them."""
+
+from __future__ import annotations
+
+import json
 import math
+import os
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import matplotlib.image
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,54 +17,34 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
 
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
-from beltarm_env.metrics import (
-    METRICS,
-    SETTLING_BAND,
-    SHOWN,
-    TORQUES,
-    episode_metrics,
-    residual_vibration,
-    settling_time,
-    torque_reversals,
-)
-from beltarm_env.rollout import rollout
+import beltarm_env.recording
+from baselines import CONTROLLERS
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env.metrics import METRICS, SETTLING_BAND, SHOWN, TORQUES, episode_metrics, residual_vibration
+from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import SHORTEST, WORKSPACE
 
 Floats = NDArray[np.float64]
 
 DURATION = 0.9  # of the move [s]: the last row of it is 599
 TIME: Floats = np.arange(1.0, EPISODE_STEPS + 1) * np.float64(CONTROL_PERIOD)
+BEFORE = TIME < DURATION - 1e-9
 NEVER = EPISODE_STEPS * CONTROL_PERIOD
+ROWS = np.arange(EPISODE_STEPS)
 
 
 def evaluate(**signals: Any) -> dict[str, float]:
     """Metrics of one episode with the given signals, all others zero; those of shape (T,) are radial."""
-    defaults: dict[str, Any] = {
-        "tip_error": np.zeros((EPISODE_STEPS, 2)),
-        "tip_velocity_error": np.zeros((EPISODE_STEPS, 2)),
-        "torque": np.zeros(EPISODE_STEPS),
-        "torque_limit": 0.3,
-        "move_duration": DURATION,
-        "cost": 0.0,
-        "finished": True,
+    given_signals: dict[str, Any] = {
+        **{"tip_error": np.zeros((EPISODE_STEPS, 2)), "tip_velocity_error": np.zeros((EPISODE_STEPS, 2))},
+        **{"torque": np.zeros(EPISODE_STEPS), "torque_limit": 0.3, "move_duration": DURATION},
+        **{"cost": 0.0, "finished": True},
+        **signals,
     }
-    unknown = set(signals) - set(defaults)
-    assert not unknown
-    merged = defaults | signals
-    rows = {name: np.asarray(merged[name], dtype=np.float64) for name in ("tip_error", "tip_velocity_error")}
-    for name, values in rows.items():
-        if values.ndim == 1:
-            rows[name] = np.column_stack([values, np.zeros(EPISODE_STEPS)])
-    metrics = episode_metrics(
-        rows["tip_error"][:, None],
-        rows["tip_velocity_error"][:, None],
-        np.asarray(merged["torque"], dtype=np.float64)[:, None],
-        np.array([merged["torque_limit"]]),
-        np.array([merged["move_duration"]]),
-        np.array([merged["cost"]]),
-        np.array([merged["finished"]]),
-    )
+    columns = [np.asarray(value, np.float64) for value in given_signals.values()]
+    columns[:2] = [np.column_stack([c, np.zeros(EPISODE_STEPS)]) if c.ndim == 1 else c for c in columns[:2]]
+    arms: Any = [column[:, None] for column in columns[:3]] + [column[None] for column in columns[3:]]
+    metrics = episode_metrics(*arms[:-1], arms[-1].astype(np.bool_))  # pyright: ignore[reportCallIssue]
     assert list(metrics) == list(METRICS)
     assert all(value.shape == (1,) for value in metrics.values())
     return {name: float(value[0]) for name, value in metrics.items()}
@@ -63,9 +52,7 @@ def evaluate(**signals: Any) -> dict[str, float]:
 
 def ringing(amplitude: float) -> Floats:
     """A cosine after the move that its straight-line trend leaves as it is, since it is even about the middle."""
-    after = TIME >= DURATION - 1e-9
-    assert after.sum() == 601
-    return np.where(after, amplitude * np.cos(2 * np.pi * (np.arange(EPISODE_STEPS) - 899) / 40), 0.0)
+    return np.where(BEFORE, 0.0, amplitude * np.cos(2 * np.pi * (ROWS - 899) / 40))
 
 
 def both(radial: Floats, lateral: Floats) -> Floats:
@@ -76,239 +63,97 @@ def held(value: float) -> Floats:
     return np.full(EPISODE_STEPS, value)
 
 
-class TestTipError:
-    def test_of_a_perfect_episode(self):
-        metrics = evaluate()
-        assert metrics["settling_s"] == CONTROL_PERIOD, "in the band at the first sample already"
-        assert all(value == 0 for name, value in metrics.items() if name != "settling_s")
-
-    def test_rms_and_maximum_of_a_constant(self):
-        metrics = evaluate(tip_error=both(held(0.003), held(-0.004)))
-        assert metrics["tip_rms_mm"] == pytest.approx(5.0)
-        assert metrics["tip_max_mm"] == pytest.approx(5.0)
-        assert metrics["residual_pp_mm"] == pytest.approx(0.0, abs=1e-12)
-
-    def test_rms_and_maximum_of_a_pulse(self):
-        error = np.zeros((EPISODE_STEPS, 2))
-        error[:300] = [0.0, 0.008]
-        metrics = evaluate(tip_error=error)
-        assert metrics["tip_rms_mm"] == pytest.approx(4.0), "8 mm for a quarter of the time"
-        assert metrics["tip_max_mm"] == pytest.approx(8.0)
-
-    def test_maximum_is_of_the_distance_not_of_a_coordinate(self):
-        error = np.zeros((EPISODE_STEPS, 2))
-        error[10], error[20] = [0.006, 0.0], [0.005, 0.005]
-        assert evaluate(tip_error=error)["tip_max_mm"] == pytest.approx(5 * math.sqrt(2))
+CURVED = 0.004 * np.clip((TIME - DURATION) / (TIME[-1] - DURATION), 0, None) ** 2
+LEFT = np.where(ROWS == 1199, 0.0011, 0.0)
+SINE = 0.2 * np.sin(20 * np.pi / 1199 * ROWS)
+PULSE = np.where(ROWS[:, None] < 300, [0.0, 0.008], 0.0)
+CORNERS = np.where(ROWS[:, None] == 10, [0.006, 0.0], np.where(ROWS[:, None] == 20, [0.005, 0.005], 0.0))
+LIMITED = np.select([ROWS < 60, ROWS < 120, ROWS < 150], [0.3, -0.3, 0.3 * np.float32(0.99999994)], 0.999 * 0.3)
 
 
-class Still:
-    def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
-        return np.zeros((len(observation), 1), np.float32), None
-
-
-class TestArrival:
-    """An arm arrives if the mean of its error after the move, in each axis, is within a bound."""
-
-    @pytest.mark.parametrize(("offset", "away"), [(0.0, 0), (0.0105, 0), (0.0107, 1), (0.18, 1)])
-    def test_an_offset_beyond_the_bound(self, offset: float, away: int):
-        assert evaluate(tip_error=both(held(offset), held(-offset)))["not_arrived_share"] == away
-
-    def test_vibration_about_the_goal_has_arrived(self):
-        assert evaluate(tip_error=ringing(0.03))["not_arrived_share"] == 0
-
-    def test_an_error_before_the_end_of_the_move_does_not_count(self):
-        assert evaluate(tip_error=np.where(TIME < DURATION - 1e-9, 0.2, 0.0))["not_arrived_share"] == 0
-
-    def test_an_arm_that_left_its_workspace_has_not_arrived(self):
-        assert evaluate(finished=False)["not_arrived_share"] == 1
-
-    def test_the_shortest_move_takes_the_tip_farther_than_the_bound(self):
-        """So no arm arrives that stays where it is."""
-        for move in ({"start": 0.0, "goal": SHORTEST}, {"start": WORKSPACE, "goal": WORKSPACE - SHORTEST}):
-            run = rollout(Still(), 1, options={"move": move})
-            assert run.finished and run.metrics()["not_arrived_share"] == 1
-
-
-class TestResidualVibration:
-    def test_of_a_pure_sine(self):
-        metrics = evaluate(tip_error=ringing(0.002))
-        assert metrics["residual_radial_pp_mm"] == pytest.approx(4.0)
-        assert metrics["residual_lateral_pp_mm"] == pytest.approx(0.0, abs=1e-12)
-        assert metrics["residual_pp_mm"] == pytest.approx(4.0)
-
-    def test_both_together_are_the_hypotenuse(self):
-        metrics = evaluate(tip_error=both(ringing(0.003), ringing(-0.004)))
-        assert metrics["residual_radial_pp_mm"] == pytest.approx(6.0)
-        assert metrics["residual_lateral_pp_mm"] == pytest.approx(8.0)
-        assert metrics["residual_pp_mm"] == pytest.approx(10.0)
-
-    @pytest.mark.parametrize("drift", [0.005 * TIME, 0.02 - 0.01 * TIME])
-    def test_offset_and_linear_drift_do_not_count(self, drift: Floats):
-        metrics = evaluate(tip_error=both(ringing(0.002) + drift, drift))
-        assert metrics["residual_radial_pp_mm"] == pytest.approx(4.0)
-        assert metrics["residual_lateral_pp_mm"] == pytest.approx(0.0, abs=1e-10)
-
-    def test_curved_creep_counts(self):
+@pytest.mark.parametrize(
+    ("signals", "expected"),
+    [
+        ({}, {name: CONTROL_PERIOD if name == "settling_s" else 0.0 for name in METRICS}),
+        ({"tip_error": both(held(0.003), held(-0.004))}, {"tip_rms_mm": 5, "tip_max_mm": 5, "residual_pp_mm": 0}),
+        ({"tip_error": PULSE}, {"tip_rms_mm": 4, "tip_max_mm": 8}),  # for a quarter of the time
+        ({"tip_error": CORNERS}, {"tip_max_mm": 5 * math.sqrt(2)}),  # the distance, not a coordinate
+        # An arm arrives if the mean of its error after the move, in each axis, is within a bound.
+        ({"tip_error": both(held(0.0105), held(-0.0105))}, {"not_arrived_share": 0}),
+        ({"tip_error": both(held(0.0107), held(-0.0107))}, {"not_arrived_share": 1}),
+        ({"tip_error": ringing(0.03)}, {"not_arrived_share": 0}),
+        ({"tip_error": np.where(BEFORE, 0.2, 0.0)}, {"not_arrived_share": 0, "residual_pp_mm": 0}),
+        ({"finished": False}, {"not_arrived_share": 1, "settling_s": NEVER, "failure_share": 1}),
+        (
+            {"tip_error": both(ringing(0.003), ringing(-0.004))},
+            {"residual_radial_pp_mm": 6, "residual_lateral_pp_mm": 8, "residual_pp_mm": 10},
+        ),
+        (
+            {"tip_error": both(ringing(0.002) + 0.02 - 0.01 * TIME, 0.005 * TIME)},
+            {"residual_radial_pp_mm": 4, "residual_lateral_pp_mm": 0},
+        ),
         # Of s^2 over 0 <= s <= 1 the line s - 1/6 is taken away; s^2 - s + 1/6 runs from -1/12 to 1/6.
-        s = np.clip((TIME - DURATION) / (TIME[-1] - DURATION), 0, None)
-        assert evaluate(tip_error=0.004 * s**2)["residual_pp_mm"] == pytest.approx(1.0, rel=0.01)
-
-    def test_motion_before_the_end_of_the_move_does_not_count(self):
-        before = np.where(TIME < DURATION - 1e-9, 0.05 * np.sin(40 * TIME), 0.0)
-        metrics = evaluate(tip_error=both(ringing(0.002) + before, before))
-        assert metrics["residual_radial_pp_mm"] == pytest.approx(4.0)
-        assert metrics["residual_lateral_pp_mm"] == pytest.approx(0.0, abs=1e-12)
-
-    @pytest.mark.parametrize("row", [600, 601, 1199])
-    def test_every_row_after_the_end_counts(self, row: int):
-        error = np.zeros(EPISODE_STEPS)
-        error[row] = 0.001
-        # one row among 600 hardly moves the trend, at the ends by up to 4 / 600
-        assert evaluate(tip_error=error)["residual_pp_mm"] == pytest.approx(1.0, abs=0.01)
-
-    def test_each_arm_has_its_own_end_of_the_move(self):
-        signal = np.where(TIME < 1.2 - 1e-9, 0.01 * np.sin(60 * TIME), 0.0)
-        error = np.repeat(both(signal, signal)[:, None], 2, axis=1)
-        early, late = residual_vibration(error, np.array([0.6, 1.2]))
-        assert (early > 0.015).all()
-        np.testing.assert_allclose(late, 0, atol=1e-15)
-
-    @examples(50)
-    @given(st.floats(0.5, 1.5), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(1e-5, 1e-2))
-    def test_scales_with_the_signal_and_ignores_lines(self, end: float, offset: float, drift: float, scale: float):
-        signal = np.random.default_rng(0).normal(size=(EPISODE_STEPS, 1, 2))
-        line = offset + drift * TIME[:, None, None]
-        plain = residual_vibration(signal, np.array([end]))
-        np.testing.assert_allclose(
-            residual_vibration(scale * signal + line, np.array([end])), scale * plain, rtol=1e-6, atol=1e-12
-        )
-
-
-class TestSettling:
-    @pytest.mark.parametrize("axis", [0, 1])
-    @pytest.mark.parametrize("sign", [-1, 1])
-    @pytest.mark.parametrize("rows_outside", [1, 250, 1199])
-    def test_is_the_time_of_the_first_sample_of_the_rest_within_the_band(self, rows_outside: int, sign: int, axis: int):
-        error = np.zeros((EPISODE_STEPS, 2))
-        error[:rows_outside, axis] = sign * 0.0011
-        metrics = evaluate(tip_error=error)
-        assert metrics["settling_s"] == pytest.approx((rows_outside + 1) * CONTROL_PERIOD, abs=1e-12)
-        assert metrics["settling_s"] == pytest.approx(TIME[rows_outside], abs=1e-12)
-        assert metrics["failure_share"] == 0
-
-    def test_the_last_departure_counts(self):
-        error = np.zeros((EPISODE_STEPS, 2))
-        error[:100, 0] = error[700, 1] = -0.002
-        assert evaluate(tip_error=error)["settling_s"] == pytest.approx(702 * CONTROL_PERIOD)
-
-    def test_both_coordinates_must_be_inside_but_not_their_distance(self):
-        assert SETTLING_BAND == 0.001
-        error = both(held(0.001), held(-0.001))
-        assert evaluate(tip_error=error)["settling_s"] == CONTROL_PERIOD
-
-    def test_never(self):
-        error = np.zeros((EPISODE_STEPS, 2))
-        error[-1, 1] = 0.0011
-        metrics = evaluate(tip_error=error)
-        assert metrics["settling_s"] == pytest.approx(NEVER)
-        assert metrics["failure_share"] == 1
-        assert settling_time(error[:, None]) == np.inf
-
-    def test_leaving_the_workspace_is_a_failure_wherever_the_tip_is(self):
-        metrics = evaluate(finished=False)
-        assert metrics["settling_s"] == pytest.approx(NEVER)
-        assert metrics["failure_share"] == 1
-
-
-class TestTorque:
-    def test_rms_of_constants(self):
-        torque = np.where(np.arange(EPISODE_STEPS) % 2 == 0, 0.1, -0.1)
-        assert evaluate(torque=torque)["torque_rms"] == pytest.approx(0.1)
-        torque[: EPISODE_STEPS * 3 // 4] = 0
-        assert evaluate(torque=torque)["torque_rms"] == pytest.approx(0.05)
-
-    def test_rate_of_a_ramp_from_rest(self):
-        assert evaluate(torque=0.15 * TIME)["torque_rate_rms"] == pytest.approx(0.15)
-
-    @pytest.mark.parametrize("row", [0, 500])
-    def test_rate_of_a_step(self, row: int):
+        ({"tip_error": CURVED}, {"residual_pp_mm": 1}),
+        *(({"tip_error": np.where(row == ROWS, 0.001, 0.0)}, {"residual_pp_mm": 1}) for row in (600, 601, 1199)),
+        ({"tip_error": np.where(ROWS == 700, -0.002, 0.0)}, {"settling_s": 702 * CONTROL_PERIOD}),
+        ({"tip_error": both(held(0.001), held(-0.001))}, {"settling_s": CONTROL_PERIOD}),  # not their distance
+        ({"tip_error": both(held(0.0), LEFT)}, {"settling_s": NEVER, "failure_share": 1}),
+        ({"torque": np.where(ROWS < 900, 0.0, 0.1 * (-1.0) ** ROWS)}, {"torque_rms": 0.05}),
+        ({"torque": 0.15 * TIME}, {"torque_rate_rms": 0.15}),
         # One change of 0.2 N m among 1200; the motor is without torque before the episode.
-        torque = np.where(np.arange(EPISODE_STEPS) >= row, 0.2, 0.0)
-        expected = 0.2 / CONTROL_PERIOD / math.sqrt(EPISODE_STEPS)
-        assert evaluate(torque=torque)["torque_rate_rms"] == pytest.approx(expected)
-
-    def test_share_of_samples_at_the_limit(self):
-        torque = 0.999 * held(0.3)
-        torque[:60] = 0.3
-        torque[60:120] = -0.3
-        torque[120:150] = 0.3 * float(np.float32(0.99999994))  # the largest float32 below 1
-        assert evaluate(torque=torque)["saturated_share"] == pytest.approx(0.125)
-
-    @pytest.mark.parametrize(
-        ("torque", "count"),
-        [
-            ([0.0, 0.2, 0.3, 0.2, 0.0], 0),  # never on the other side
-            ([0.2, -0.2], 1),
-            ([0.2, 0.0, 0.0, -0.2], 1),  # through zero at any speed
-            ([0.2, -0.05, -0.2, -0.05, -0.2], 1),  # a swing counts once
-            ([0.02, -0.02] * 50, 50 * 2 - 1),  # 0.04 is more than a tenth of 0.3
-            ([0.014, -0.014] * 50, 0),  # 0.028 is not
-            ([0.025, -0.004] * 50, 0),
-            ([0.025, -0.006] * 50, 50 * 2 - 1),  # one side may be small if the other is large
-            ([0.2, -0.001, 0.001, -0.001, 0.001], 1),  # chatter after a large torque: one sign change is large
-            ([0.01, -0.01, 0.01, -0.25, 0.01, -0.01, 0.25], 2),
-            ([0.014, -0.014, 0.02, -0.014], 2),
-            ([0.002, -0.014, 0.02], 1),  # from the extremes, wherever it began
-            ([-0.1, 0.01, -0.01, 0.01, -0.1, 0.2], 3),  # the small swings between do not count
-        ],
-    )
-    @pytest.mark.parametrize("sign", [-1, 1])
-    def test_reversals_of_signals_by_hand(self, torque: list[float], count: int, sign: int):
-        signal = np.zeros(EPISODE_STEPS)
-        signal[10 : 10 + len(torque)] = sign * np.array(torque)
-        assert evaluate(torque=signal)["torque_reversals_hz"] == pytest.approx(count / 1.8)
-
-    @pytest.mark.parametrize(("amplitude", "rate"), [(0.2, 35 / 1.8), (0.0149, 0.0), (0.0151, 35 / 1.8)])
-    def test_a_sine_reverses_with_every_half_wave_but_the_first(self, amplitude: float, rate: float):
-        signal = amplitude * np.sin(2 * np.pi * 10 * TIME)
-        assert evaluate(torque=signal)["torque_reversals_hz"] == pytest.approx(rate)
-
-    def test_reversals_are_relative_to_the_arms_own_limit(self):
-        signal = np.tile([0.02, -0.02], EPISODE_STEPS // 2)
-        torque, swing = np.column_stack([signal, signal, 10 * signal]), 0.1 * np.array([0.3, 0.5, 0.3])
-        assert torque_reversals(torque, swing).tolist() == [EPISODE_STEPS - 1, 0, EPISODE_STEPS - 1]
-
-    def test_limit_is_the_arms_own(self):
-        assert evaluate(torque=held(0.2), torque_limit=0.2)["saturated_share"] == 1
-        assert evaluate(torque=held(0.2), torque_limit=0.25)["saturated_share"] == 0
-
-
-class TestAcceleration:
-    @pytest.mark.parametrize("axis", [0, 1])
-    def test_of_a_known_sinusoid(self, axis: int):
+        *(
+            ({"torque": np.where(row <= ROWS, 0.2, 0.0)}, {"torque_rate_rms": 0.2 / CONTROL_PERIOD / math.sqrt(1200)})
+            for row in (0, 500)
+        ),
+        ({"torque": LIMITED}, {"saturated_share": 0.125}),  # the largest float32 below 1 is at the limit
+        ({"torque": held(0.2), "torque_limit": 0.25}, {"saturated_share": 0}),
+        ({"torque": held(0.2), "torque_limit": 0.2}, {"saturated_share": 1}),
         # v = V sin(w t), ten whole periods in 1199 differences: the acceleration's RMS is V w / sqrt(2).
-        rate = 10 * 2 * np.pi / (1199 * CONTROL_PERIOD)
-        velocity = np.zeros((EPISODE_STEPS, 2))
-        velocity[:, axis] = 0.2 * np.sin(rate * TIME)
-        expected = 0.2 * rate / math.sqrt(2)
-        assert evaluate(tip_velocity_error=velocity)["tip_acc_rms"] == pytest.approx(expected, rel=2e-4), (
-            "differencing: 1e-4"
-        )
-
-    def test_of_a_constant_acceleration_in_both_directions(self):
-        velocity = both(0.3 * TIME, 1.0 - 0.4 * TIME)
-        assert evaluate(tip_velocity_error=velocity)["tip_acc_rms"] == pytest.approx(0.5)
-
-    def test_constant_velocity_has_none(self):
-        assert evaluate(tip_velocity_error=held(0.5))["tip_acc_rms"] == 0
+        ({"tip_velocity_error": SINE}, {"tip_acc_rms": 0.2 * 20 * np.pi / 1199 / CONTROL_PERIOD / math.sqrt(2)}),
+        ({"tip_velocity_error": both(0.3 * TIME, 1.0 - 0.4 * TIME)}, {"tip_acc_rms": 0.5}),
+        ({"tip_velocity_error": held(0.5), "cost": 123.5}, {"tip_acc_rms": 0, "cost": 123.5}),
+    ],
+)
+def test_of_signals_whose_values_are_known(signals: dict[str, Any], expected: dict[str, float]):
+    metrics = evaluate(**signals)
+    assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=0.01, abs=1e-9)
+    assert SETTLING_BAND == 0.001 and set(TORQUES) <= set(SHOWN)
 
 
-def test_torques_are_shown():
-    assert set(TORQUES) <= set(SHOWN)
+@pytest.mark.parametrize(
+    ("torque", "count"),
+    [
+        ([0.0, 0.2, 0.3, 0.2, 0.0], 0),  # never on the other side
+        ([0.2, -0.2], 1),
+        ([0.2, 0.0, 0.0, -0.2], 1),  # through zero at any speed
+        ([0.2, -0.05, -0.2, -0.05, -0.2], 1),  # a swing counts once
+        ([0.02, -0.02] * 50, 50 * 2 - 1),  # 0.04 is more than a tenth of 0.3
+        ([0.014, -0.014] * 50, 0),  # 0.028 is not
+        ([0.025, -0.004] * 50, 0),
+        ([0.025, -0.006] * 50, 50 * 2 - 1),  # one side may be small if the other is large
+        ([0.2, -0.001, 0.001, -0.001, 0.001], 1),  # chatter after a large torque: one sign change is large
+        ([0.01, -0.01, 0.01, -0.25, 0.01, -0.01, 0.25], 2),
+        ([0.014, -0.014, 0.02, -0.014], 2),
+        ([0.002, -0.014, 0.02], 1),  # from the extremes, wherever it began
+        ([-0.1, 0.01, -0.01, 0.01, -0.1, 0.2], 3),  # the small swings between do not count
+    ],
+)
+def test_reversals_of_the_torque(torque: list[float], count: int):
+    for sign, scale in ((1, 1), (-1, 1), (1, 10)):  # they are relative to the arm's own limit
+        signal = np.zeros(EPISODE_STEPS)
+        signal[10 : 10 + len(torque)] = sign * scale * np.array(torque)
+        assert evaluate(torque=signal, torque_limit=scale * 0.3)["torque_reversals_hz"] == pytest.approx(count / 1.8)
 
 
-def test_cost_is_passed_on():
-    assert evaluate(cost=123.5)["cost"] == 123.5
+@examples(50)
+@given(st.floats(0.5, 1.5), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(1e-5, 1e-2))
+def test_residual_vibration_scales_with_the_signal_and_ignores_lines(
+    end: float, offset: float, drift: float, scale: float
+):
+    signal, line = np.random.default_rng(0).normal(size=(EPISODE_STEPS, 1, 2)), offset + drift * TIME[:, None, None]
+    plain = residual_vibration(signal, np.array([end]))
+    shifted = residual_vibration(scale * signal + line, np.array([end]))
+    np.testing.assert_allclose(shifted, scale * plain, rtol=1e-6, atol=1e-12)
 
 
 def test_arms_do_not_mix():
@@ -321,13 +166,96 @@ def test_arms_do_not_mix():
     together = episode_metrics(error, velocity, torque, limit, duration, cost, finished)
     for arm in range(3):
         alone = evaluate(
-            tip_error=error[:, arm],
-            tip_velocity_error=velocity[:, arm],
-            torque=torque[:, arm],
-            torque_limit=limit[arm],
-            move_duration=duration[arm],
-            cost=cost[arm],
+            **{"tip_error": error[:, arm], "tip_velocity_error": velocity[:, arm], "torque": torque[:, arm]},
+            **{"torque_limit": limit[arm], "move_duration": duration[arm], "cost": cost[arm]},
             finished=finished[arm],
         )
         assert {name: value[arm] for name, value in together.items()} == pytest.approx(alone)
     np.testing.assert_array_equal(together["failure_share"], [1, 0, 1])
+
+
+class Still:
+    def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
+        return np.zeros((len(observation), 1), np.float32), None
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return rollout(CONTROLLERS["paper"](), 3, seed=5, randomization="train")
+
+
+class TestRecording:
+    def test_no_arm_arrives_that_stays_where_it_is(self):
+        for move in ({"start": 0.0, "goal": SHORTEST}, {"start": WORKSPACE, "goal": WORKSPACE - SHORTEST}):
+            run = rollout(Still(), 1, options={"move": move})
+            assert run.finished and run.metrics()["not_arrived_share"] == 1
+
+    def test_one_line(self, recording: Recording):
+        cost, rms = np.median(recording.cost), np.median(recording.metrics()["tip_rms_mm"])
+        for word in ("3 arms", "1200 samples", f"cost {cost:.0f}", f"{rms:.1f} mm"):
+            assert word in repr(recording)
+        assert "2 left" in repr(replace(recording, finished=np.array([True, False, False])))
+
+    def test_one_of_the_arms(self, recording: Recording):
+        last = recording.arm(2)
+        alone = rollout(CONTROLLERS["paper"](), 1, seed=7, randomization="train")
+        assert last.state.tobytes() == alone.state.tobytes() and last.cost.tolist() == alone.cost.tolist()
+        assert last.moves.shape == (1, 4) and last.tip_error.shape == (EPISODE_STEPS, 1, 2)
+        for k in (-1, 3):
+            with pytest.raises(IndexError, match=f"0 to 2, got {k}"):
+                recording.arm(k)
+
+    def test_a_parquet_file_is_the_table_with_units_and_constants(self, recording: Recording, tmp_path: Path):
+        pandas, parquet = pytest.importorskip("pandas"), pytest.importorskip("pyarrow.parquet")
+        table, path = recording.to_pandas(), tmp_path / "new" / "run.parquet"
+        assert len(table) == 3 * EPISODE_STEPS
+        second = table[table.arm == 1]
+        np.testing.assert_array_equal(second.time, recording.time)
+        np.testing.assert_array_equal(second.torsion, recording.state[:, 1, 2])
+        np.testing.assert_array_equal(second.tip_error_lateral, recording.tip_error[:, 1, 1])
+        recording.to_parquet(path)
+        pandas.testing.assert_frame_equal(pandas.read_parquet(path), table, check_exact=True)
+        schema = parquet.read_schema(path)
+        units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+        assert list(units) == list(table.columns)
+        assert (units["torsion_speed"], units["torque"], units["tip_error_radial"]) == ("rad/s", "N m", "m")
+        constants = json.loads(schema.metadata[b"beltarm"])
+        arm = ArmParams(**{name: values[2] for name, values in constants["params"].items()})
+        assert arm == ArmParams.from_row(recording.params[2])
+        assert constants["moves"]["goal"] == recording.moves[:, 1].tolist()
+        assert constants["cost"] == recording.cost.tolist() and constants["finished"] == [True] * 3
+
+    def test_a_parquet_file_that_cannot_be_written_stays_as_it_was(
+        self, recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
+        parquet, path = pytest.importorskip("pyarrow.parquet"), tmp_path / "run.parquet"
+        path.write_text("old")
+
+        def full(_: object, where: Path) -> None:
+            where.write_text("half")
+            raise OSError("no space left")
+
+        monkeypatch.setattr(parquet, "write_table", full)
+        with pytest.raises(OSError, match="no space left"):
+            recording.to_parquet(path)
+        assert path.read_text() == "old" and os.listdir(tmp_path) == [path.name]
+
+    def test_a_picture(self, recording: Recording, tmp_path: Path):
+        figure = recording.plot()
+        error, torque, phase = figure.axes
+        assert [len(axis.lines) for axis in (error, torque, phase)] == [3, 3, 3]
+        distance = np.asarray(error.lines[1].get_ydata(), float)
+        np.testing.assert_allclose(distance, 1e3 * np.hypot(*recording.tip_error[:, 1].T))
+        np.testing.assert_array_equal(torque.lines[2].get_ydata(), recording.torque[:, 2])
+        assert "mm" in error.get_ylabel() and "N m" in torque.get_ylabel() and "mrad" in phase.get_xlabel()
+        figure.savefig(tmp_path / "episode.png")
+        assert matplotlib.image.imread(tmp_path / "episode.png").std() > 0.01
+
+    def test_a_missing_package_is_named(self, recording: Recording, monkeypatch: pytest.MonkeyPatch):
+        def missing(name: str) -> None:
+            raise ModuleNotFoundError(name=name)
+
+        monkeypatch.setattr(beltarm_env.recording, "import_module", missing)
+        for method, package, extra in (("plot", "matplotlib", "plot"), ("to_parquet", "pyarrow", "parquet")):
+            with pytest.raises(ImportError, match=rf"{method} .*{package}.*beltarm-env\[{extra}\]"):
+                getattr(recording, method)(*["run.parquet"] * (method == "to_parquet"))

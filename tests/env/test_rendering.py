@@ -1,9 +1,11 @@
+"""Frames of the arm: where geometry says, independent of each other, on arrays and in a window."""
+
 import copy
 import math
 import subprocess
 import sys
 import warnings
-from itertools import pairwise
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -57,68 +59,60 @@ def ring(reference: float) -> NDArray[np.float64]:
     return np.array([right - radius, ARM_ROWS.start + rows.min() + radius])
 
 
-def test_frame_is_a_fresh_contiguous_writable_image():
-    renderer = Renderer("rgb_array", 50)
-    first = renderer.draw(PARAMS, state(0.5), 0.5, 0.0)
-    second = renderer.draw(PARAMS, state(0.5), 0.5, 0.0)
-    assert first is not None and second is not None
-    assert first.shape == (480, 640, 3) and first.dtype == np.uint8
-    assert first.flags.c_contiguous and first.flags.writeable
-    assert not np.shares_memory(first, second)
-    np.testing.assert_array_equal(first, second)
+class TestFrame:
+    def test_is_a_fresh_contiguous_writable_image(self):
+        pygame.display.quit()
+        renderer = Renderer("rgb_array", 50)
+        first, second = (np.asarray(renderer.draw(PARAMS, state(0.5), 0.5, 0.0)) for _ in range(2))
+        assert first.shape == (480, 640, 3) and first.dtype == np.uint8
+        assert first.flags.c_contiguous and first.flags.writeable and not np.shares_memory(first, second)
+        np.testing.assert_array_equal(first, second)
+        assert not pygame.display.get_init(), "arrays need no display"
+        renderer.close()
+        renderer.close()
 
+    def test_does_not_depend_on_other_renderers(self):
+        first, second = Renderer("rgb_array", 50), Renderer("rgb_array", 50)
+        for renderer, angle in ((first, 0.2), (second, 1.2)):
+            renderer.draw(PARAMS, state(angle), angle + 0.02, 0.0)
+        first.close()
+        drawn = second.draw(PARAMS, state(1.2), 1.22, 0.0)
+        np.testing.assert_array_equal(drawn, frame(1.2, reference=1.22), "trace of another arm")
+        twin = copy.deepcopy(second)
+        frames = [each.draw(PARAMS, state(0.5), 0.5, 0.1) for each in (second, twin)]
+        np.testing.assert_array_equal(frames[0], frames[1], "a copy has the trace")
 
-def test_renderers_side_by_side_do_not_touch_each_other():
-    np.testing.assert_array_equal(frame(0.7, 0.03, 0.6), frame(0.7, 0.03, 0.6))
-    one, other = Renderer("rgb_array", 50), Renderer("rgb_array", 50)
-    for renderer, angle in ((one, 0.2), (other, 1.2)):
-        renderer.draw(PARAMS, state(angle), angle + 0.02, 0.0)
-    one.close()
-    np.testing.assert_array_equal(
-        other.draw(PARAMS, state(1.2), 1.22, 0.0), frame(1.2, reference=1.22), "trace of another arm"
+    @pytest.mark.parametrize("change", [{"joint_angle": 0.52}, {"torsion": 0.01}, {"reference": 0.52}])
+    def test_shows_every_part_of_the_posture(self, change: dict[str, Any]):
+        before: dict[str, Any] = {"joint_angle": 0.5, "torsion": 0.0, "reference": 0.5}
+        assert (frame(**before)[ARM_ROWS] != frame(**{**before, **change})[ARM_ROWS]).any()
+
+    def test_reference_ring_tip_and_hand_are_where_geometry_says(self):
+        # Reference tips 0.6 m and 0.35 m along the x axis fix scale and origin.
+        far, near_by = ring(0.0), ring(math.pi / 3)
+        scale = (far[0] - near_by[0]) / 0.25
+        origin = far - [0.6 * scale, 0.0]
+        assert scale > 600, "the arm should fill the frame"
+        for angle in (0.3, math.pi / 2):
+            expected = origin[0] + scale * (0.5 * math.cos(angle) + 0.1), origin[1]
+            np.testing.assert_allclose(ring(angle), expected, atol=1.0, err_msg=f"reference tip at {angle} rad")
+        for angle, torsion in ((0.0, 0.08), (0.0, -0.1), (0.8, 0.08), (1.5, -0.08)):
+            reach = 0.5 * math.cos(angle - torsion) + 0.1
+            expected = origin + scale * np.array([reach * math.cos(torsion), -reach * math.sin(torsion)])
+            picture = frame(angle, torsion, 0.5 if angle < 1 else 0.0, ArmParams(payload_mass=0.2))
+            np.testing.assert_allclose(middle(picture, VERMILION), expected, atol=1.5, err_msg=f"tip at {angle} rad")
+        picture = frame(0.8, 0.1, reference=1.5, params=ArmParams(payload_mass=0.2))
+        hand = middle(picture, ORANGE) - middle(picture, VERMILION)
+        assert np.hypot(*hand) == pytest.approx(0.1 * scale, abs=2.0), "the hand keeps its length under torsion"
+        assert not near(frame(0.8), ORANGE).any(), "no payload"
+
+    @pytest.mark.parametrize(
+        "params", [PARAMS, ArmParams(hand_length=0.0), ArmParams(link_length=0.4, hand_length=0.3)]
     )
-
-
-@pytest.mark.parametrize("change", [{"joint_angle": 0.52}, {"torsion": 0.01}, {"reference": 0.52}])
-def test_frame_shows_every_part_of_the_posture(change: dict[str, Any]):
-    before: dict[str, Any] = {"joint_angle": 0.5, "torsion": 0.0, "reference": 0.5}
-    assert (frame(**before)[ARM_ROWS] != frame(**{**before, **change})[ARM_ROWS]).any()
-
-
-def test_reference_ring_and_tip_are_where_geometry_says():
-    # Reference tips 0.6 m and 0.35 m along the x axis fix scale and origin.
-    far, near_by = ring(0.0), ring(math.pi / 3)
-    scale = (far[0] - near_by[0]) / 0.25
-    origin = far - [0.6 * scale, 0.0]
-    assert scale > 600, "the arm should fill the frame"
-    for angle in (0.3, math.pi / 4, math.pi / 2):
-        expected = origin[0] + scale * (0.5 * math.cos(angle) + 0.1), origin[1]
-        np.testing.assert_allclose(ring(angle), expected, atol=1.0, err_msg=f"reference tip at {angle} rad")
-    for angle, torsion in ((0.0, 0.08), (0.0, -0.1), (0.8, 0.08), (1.5, -0.08)):
-        phi = angle - torsion
-        reach = 0.5 * math.cos(phi) + 0.1
-        expected = origin + scale * np.array([reach * math.cos(torsion), -reach * math.sin(torsion)])
-        drawn = middle(frame(angle, torsion, reference=0.5), VERMILION)
-        np.testing.assert_allclose(drawn, expected, atol=1.5, err_msg=f"tip at {angle} rad, torsion {torsion} rad")
-
-
-def test_hand_keeps_its_length_under_torsion():
-    picture = frame(0.8, 0.1, reference=1.5, params=ArmParams(payload_mass=0.2))
-    scale = (ring(0.0)[0] - ring(math.pi / 3)[0]) / 0.25
-    hand = middle(picture, ORANGE) - middle(picture, VERMILION)
-    assert np.hypot(*hand) == pytest.approx(0.1 * scale, abs=2.0)
-
-
-def test_payload_is_drawn_only_if_there_is_one():
-    assert not near(frame(0.8), ORANGE).any()
-    assert near(frame(0.8, params=ArmParams(payload_mass=0.1)), ORANGE).any()
-
-
-@pytest.mark.parametrize("params", [PARAMS, ArmParams(hand_length=0.0), ArmParams(link_length=0.4, hand_length=0.3)])
-def test_arm_stays_in_the_frame_and_off_the_magnifier(params):
-    for angle in np.linspace(-0.25, math.pi / 2 + 0.25, 7):
-        for torsion in (-0.1, 0.0, 0.1):
-            if not -0.25 <= angle - torsion <= math.pi / 2 + 0.25:
+    def test_arm_stays_in_the_frame_and_off_the_magnifier(self, params: ArmParams):
+        lowest, *between, highest = np.linspace(-0.25, math.pi / 2 + 0.25, 7)
+        for angle, torsion in ((lowest, 0.0), *product(between, (-0.1, 0.1)), (highest, 0.1)):
+            if angle - torsion > highest:
                 continue
             picture = frame(angle, torsion, reference=min(max(angle, 0.0), math.pi / 2), params=params)
             border = np.ones((480, 640), dtype=bool)
@@ -132,83 +126,54 @@ def test_arm_stays_in_the_frame_and_off_the_magnifier(params):
             upper = picture[30:120, :424]
             assert (upper == upper[0, 0]).all(), "the arm should stay below the text"
 
+    def test_magnifier_shows_millimetres_and_clamps_the_tip(self):
+        def marker(torsion: float) -> NDArray[np.float64]:
+            rows, columns = np.nonzero(near(frame(0.0, torsion)[MAGNIFIER], VERMILION))
+            return np.array([columns.mean(), rows.mean()])
 
-def test_magnifier_shows_millimetres_and_clamps_the_tip():
-    def marker(torsion: float) -> NDArray[np.float64]:
-        rows, columns = np.nonzero(near(frame(0.0, torsion)[MAGNIFIER], VERMILION))
-        return np.array([columns.mean(), rows.mean()])
+        lift = marker(0.0) - marker(0.02)
+        # At 0.02 rad the tip is 0.6 m * sin(0.02 rad) = 12 mm above the reference tip; 194 pixels are 60 mm.
+        assert lift[1] == pytest.approx(12.0 * 194 / 60, abs=1.0)
+        assert marker(0.09)[1] == pytest.approx(6, abs=1.5), "beyond 30 mm the tip stays at the edge"
 
-    per_mm = 194 / 60
-    lift = marker(0.0) - marker(0.02)
-    # At 0.02 rad the tip is 0.6 m * sin(0.02 rad) = 12 mm above the reference tip.
-    assert lift[1] == pytest.approx(12.0 * per_mm, abs=1.0)
-    assert marker(0.09)[1] == pytest.approx(6, abs=1.5), "beyond 30 mm the tip stays at the edge"
+    def test_trace_grows_fades_and_is_forgotten(self):
+        renderer = Renderer("rgb_array", 50)
 
+        def traced(time: float) -> bool:
+            picture, plain = (
+                each.draw(PARAMS, state(0.0), 0.0, time) for each in (renderer, Renderer("rgb_array", 50))
+            )
+            return bool((np.asarray(picture)[MAGNIFIER] != np.asarray(plain)[MAGNIFIER]).any())
 
-def test_trace_grows_fades_and_is_forgotten():
-    renderer = Renderer("rgb_array", 50)
+        renderer.draw(PARAMS, state(0.0, 0.03), 0.0, 0.1)
+        renderer.draw(PARAMS, state(0.0, -0.03), 0.0, 0.2)
+        assert traced(0.3)
+        renderer.clear()
+        assert not traced(0.3)
+        renderer.draw(PARAMS, state(0.0, 0.03), 0.0, 0.35)
+        assert not traced(0.8), "0.45 s are too long ago"
+        assert not traced(0.01), "time went back: a new episode"
 
-    def draw(torsion: float, time: float) -> NDArray[np.uint8]:
-        picture = renderer.draw(PARAMS, state(0.0, torsion), 0.0, time)
-        assert picture is not None
-        return picture
+    def test_absurd_states_do_not_crash(self):
+        for x in ([1e300, 0, 0, 0], [0, 0, 1e6, 0], [math.nan, 0, 0, 0], [0, 0, math.inf, 0], [0, 0, math.pi, 0]):
+            assert Renderer("rgb_array", 50).draw(PARAMS, np.array(x, dtype=float), 0.5, 0.0) is not None
 
-    def traced(picture: NDArray[np.uint8]) -> bool:
-        plain = Renderer("rgb_array", 50).draw(PARAMS, state(0.0), 0.0, time)
-        return bool((picture[MAGNIFIER] != np.asarray(plain)[MAGNIFIER]).any())
-
-    draw(0.03, 0.1)
-    draw(-0.03, 0.2)
-    time = 0.3
-    assert traced(draw(0.0, time))
-    renderer.clear()
-    assert not traced(draw(0.0, time))
-    draw(0.03, 0.35)
-    time = 0.8
-    assert not traced(draw(0.0, time)), "0.45 s are too long ago"
-    time = 0.01
-    assert not traced(draw(0.0, time)), "time went back: a new episode"
-
-
-@pytest.mark.parametrize(
-    "x", [[1e300, 0, 0, 0], [0, 0, 1e6, 0], [math.nan, 0, 0, 0], [0, 0, math.inf, 0], [0, 0, math.pi, 0]]
-)
-def test_absurd_states_do_not_crash(x):
-    assert Renderer("rgb_array", 50).draw(PARAMS, np.array(x, dtype=float), 0.5, 0.0) is not None
-
-
-def test_renderer_can_be_copied_with_its_trace():
-    renderer = Renderer("rgb_array", 50)
-    renderer.draw(PARAMS, state(0.5, 0.02), 0.5, 0.0)
-    twin = copy.deepcopy(renderer)
-    one, other = (np.asarray(each.draw(PARAMS, state(0.5), 0.5, 0.1)) for each in (renderer, twin))
-    np.testing.assert_array_equal(one, other)
-
-
-def test_missing_pygame_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(gym.error.DependencyNotInstalled, match=r'pip install "beltarm-env\[render\]"'):
-        Renderer("rgb_array", 50)
-
-
-def test_arrays_need_no_display_and_close_twice():
-    pygame.display.quit()
-    renderer = Renderer("rgb_array", 50)
-    renderer.draw(PARAMS, state(0.5), 0.5, 0.0)
-    assert not pygame.display.get_init()
-    renderer.close()
-    renderer.close()
+    def test_missing_pygame_is_named(self, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setitem(sys.modules, "pygame", None)
+        with pytest.raises(gym.error.DependencyNotInstalled, match=r"beltarm-env\[render\]"):
+            Renderer("rgb_array", 50)
 
 
 class TestWindow:
     @pytest.fixture(autouse=True)
-    def _headless(self, monkeypatch):
+    def _headless(self, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
         yield
         pygame.display.quit()
 
-    def test_shows_what_rgb_array_returns(self):
-        renderer = Renderer("human", 50)
+    def test_shows_the_array_and_two_survive_each_other(self):
+        renderer, other = Renderer("human", 50), Renderer("human", 50)
+        other.close()
         assert renderer.draw(PARAMS, state(0.5, 0.01), 0.5, 0.0) is None
         shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
         np.testing.assert_array_equal(shown, frame(0.5, 0.01, 0.5))
@@ -216,7 +181,7 @@ class TestWindow:
         renderer.close()
         assert not pygame.display.get_init()
 
-    def test_updates_once_per_frame_of_arm_time(self, monkeypatch):
+    def test_updates_once_per_frame_of_arm_time(self, monkeypatch: pytest.MonkeyPatch):
         renderer = Renderer("human", 50)
         flips = []
         monkeypatch.setattr(pygame.display, "flip", lambda: flips.append(1))
@@ -236,49 +201,39 @@ class TestWindow:
         assert not pygame.display.get_init()
         renderer.close()
 
-    def test_two_windows_survive_each_other(self):
-        one, other = Renderer("human", 50), Renderer("human", 50)
-        one.close()
-        other.draw(PARAMS, state(0.5), 0.5, 0.0)
-        other.close()
 
-    def test_episode_runs_in_real_time(self):
-        env = gym.make("BeltArm-v0", render_mode="human")
-        env.reset(seed=1)
-        for _ in range(50):
-            env.step(env.action_space.sample())
-        env.reset()
-        env.close()
-        env.close()
-
-    def test_env_checker_finds_nothing(self):
+class TestThroughTheEnvironment:
+    @pytest.mark.parametrize("mode", ["rgb_array", "human"])
+    def test_env_checker_is_content(self, mode: str, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            check_env(gym.make("BeltArm-v0", render_mode="human").unwrapped)
+            check_env(gym.make("BeltArm-v0", render_mode=mode).unwrapped)
+        pygame.display.quit()
+
+    def test_frames_follow_the_arm_and_not_earlier_episodes(self):
+        env = gym.make("BeltArm-v0", render_mode="rgb_array")
+        episodes = []
+        for _ in range(2):
+            env.reset(seed=5)
+            frames: list[Any] = [env.render()]
+            for _ in range(26):
+                env.step(np.array([0.8], dtype=np.float32))
+            episodes.append([*frames, env.render()])
+        env.close()
+        np.testing.assert_array_equal(*episodes)
+        assert (episodes[0][0] != episodes[0][1]).any()
 
 
-def test_recording_an_episode():
-    env = gym.make("BeltArm-v0", render_mode="rgb_array")
-    assert env.metadata["render_fps"] > 0
-    env.reset(seed=3)
-    frames = []
-    for step in range(60):
-        env.step(np.array([0.8], dtype=np.float32))
-        if step % 13 == 0:
-            frames.append(env.render())
-    env.close()
-    assert all((before != after).any() for before, after in pairwise(frames))
-
-
-RECORDING = """
+FILMING = """
 import beltarm_env, gymnasium
 from gymnasium.wrappers import RecordVideo
-env = RecordVideo(gymnasium.make("BeltArm-v0", render_mode="rgb_array"), "films")
+env = gymnasium.make("BeltArm-v0", render_mode="rgb_array", max_episode_steps=200)
+env = RecordVideo(env, "films")
 env.reset(seed=0)
 over = False
 while not over:
-    _, _, terminated, truncated, _ = env.step(0 * env.action_space.sample())
-    over = terminated or truncated
+    over = any(env.step(0 * env.action_space.sample())[2:4])
 env.close()
 """
 
@@ -286,27 +241,9 @@ env.close()
 def test_gymnasium_films_an_episode_in_real_time(tmp_path: Path):
     pytest.importorskip("moviepy")
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    result = subprocess.run([sys.executable, "-c", RECORDING], cwd=tmp_path, capture_output=True, text=True)
+    result = subprocess.run([sys.executable, "-c", FILMING], cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     (film,) = (tmp_path / "films").glob("*.mp4")
     about = next(ffmpeg.read_frames(str(film)))
     assert about["size"] == (640, 480)
-    assert about["duration"] == pytest.approx(1.8, abs=0.05)
-
-
-def test_frame_does_not_depend_on_earlier_episodes():
-    env = gym.make("BeltArm-v0", render_mode="rgb_array")
-    firsts = []
-    for _ in range(2):
-        env.reset(seed=5)
-        firsts.append(env.render())
-        env.step(np.array([1.0], dtype=np.float32))
-        env.render()
-    env.close()
-    np.testing.assert_array_equal(*firsts)
-
-
-def test_env_checker_finds_nothing():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make("BeltArm-v0", render_mode="rgb_array").unwrapped)
+    assert about["duration"] == pytest.approx(0.3, abs=0.05)

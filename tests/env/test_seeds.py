@@ -1,93 +1,100 @@
-"""Seeds: nobody draws another's arms."""
+"""Seeds: nobody draws another's arms; and the streams of random numbers that they begin."""
 
 import re
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
+from gymnasium.utils import seeding
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 
-from beltarm_env.task.seeds import (
-    DATASETS,
-    DEVELOPMENT,
-    FRESH,
-    FURTHER,
-    MAX_DATASET_SEED,
-    MAX_FRESH_SEED,
-    MAX_TRAINING_SEED,
-    RANGES,
-    SEALED,
-    SEED_SPACING,
-    TEST,
-    TRAINING,
-    arms_chosen_by,
-    dataset_arms,
-    fresh_arms,
-    further_arms,
-    sealed_arms,
-    training_arms,
-)
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.task import seeds
+from beltarm_env.task.streams import checked_seed, draw, seeded, wrapping
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_ranges_are_disjoint():
-    ordered = sorted(RANGES.values())
-    assert len(ordered) > 10 and all(first.first + first.size <= second.first for first, second in pairwise(ordered))
-    assert all(of.size > 0 for of in ordered)
+    ordered = sorted(seeds.RANGES.values())
+    assert len(ordered) > 10 and all(each.size > 0 for each in ordered)
+    assert all(before.first + before.size <= after.first for before, after in pairwise(ordered))
+    assert ordered[-4:] == [seeds.FRESH, seeds.TEST, seeds.SEALED, seeds.FURTHER]
+    assert all(before.first + before.size == after.first for before, after in pairwise(ordered[-4:]))
+    assert seeds.FURTHER.first + seeds.FURTHER.size < 2**63
+    assert seeds.training_arms(0).size == seeds.SEED_SPACING and seeds.fresh_arms(0).size == seeds.DEVELOPMENT.size
 
 
-def test_training_seeds_share_no_arm_and_fill_their_range():
-    first, last = training_arms(0), training_arms(MAX_TRAINING_SEED)
-    assert first.first == TRAINING.first and last.first + last.size == TRAINING.first + TRAINING.size
-    assert training_arms(1).first == first.first + first.size == SEED_SPACING
+@pytest.mark.parametrize(
+    ("arms", "whole"),
+    [
+        ([seeds.training_arms(k) for k in (0, 1, seeds.MAX_TRAINING_SEED)], seeds.TRAINING),
+        ([seeds.dataset_arms(k) for k in (0, 1, seeds.MAX_DATASET_SEED)], seeds.DATASETS),
+        ([seeds.fresh_arms(k) for k in (0, 1, seeds.MAX_FRESH_SEED)], seeds.FRESH),
+        ([seeds.sealed_arms(k) for k in (0, 1, seeds.SEALED.size // seeds.DEVELOPMENT.size - 1)], seeds.SEALED),
+        ([seeds.further_arms(k) for k in (0, 1, seeds.MAX_FRESH_SEED)], seeds.FURTHER),
+        ([seeds.arms_chosen_by(digits + 32 * "f") for digits in ("00000000", "00000001", "ffffffff")], seeds.TEST),
+    ],
+    ids=["training", "datasets", "fresh", "sealed", "further", "test"],
+)
+def test_seeds_share_no_arm_and_fill_their_range(arms: list[seeds.SeedRange], whole: seeds.SeedRange):
+    first, second, last = arms
+    assert first.first == whole.first and second.first == first.first + first.size
+    assert last.first + last.size == whole.first + whole.size
 
 
-def test_datasets_share_no_episode_and_fill_their_range():
-    first, last = dataset_arms(0), dataset_arms(MAX_DATASET_SEED)
-    assert first.first == DATASETS.first and last.first + last.size == DATASETS.first + DATASETS.size
-    assert dataset_arms(1).first == first.first + first.size
-
-
-def test_fresh_sets_share_no_arm_and_lie_beyond_what_is_used_here():
-    first, last = fresh_arms(0), fresh_arms(MAX_FRESH_SEED)
-    assert first.first == FRESH.first == max(of.first for of in RANGES.values() if of not in (TEST, SEALED, FURTHER))
-    assert fresh_arms(1).first == first.first + first.size and first.size == DEVELOPMENT.size
-    assert last.first + last.size == FRESH.first + FRESH.size
-
-
-def test_a_hash_chooses_the_test_scenarios():
-    first, last = arms_chosen_by("0" * 40), arms_chosen_by("f" * 40)
-    assert first.first == TEST.first and last.first + last.size == TEST.first + TEST.size
-    assert arms_chosen_by("00000002" + "a" * 32).first == first.first + 2 * DEVELOPMENT.size
-    assert TEST.first == FRESH.first + FRESH.size
+def test_a_hash_that_is_none_is_refused():
     for no_hash in ("", "abc1234", "g" * 40, "A" * 40):
-        with pytest.raises(ValueError, match="the hash of a commit has 40 hexadecimal digits, got"):
-            arms_chosen_by(no_hash)
-
-
-def test_a_secret_chooses_the_sealed_scenarios():
-    last = sealed_arms(SEALED.size // DEVELOPMENT.size - 1)
-    assert sealed_arms(0).first == SEALED.first == TEST.first + TEST.size
-    assert last.first + last.size == SEALED.first + SEALED.size
-
-
-def test_further_scenarios_of_fresh_sets_lie_beyond_all_others():
-    first, last = further_arms(0), further_arms(MAX_FRESH_SEED)
-    assert first.first == FURTHER.first == max(of.first for of in RANGES.values())
-    assert further_arms(1).first == first.first + first.size
-    assert last.first + last.size == FURTHER.first + FURTHER.size < 2**63
+        with pytest.raises(ValueError, match="40 hexadecimal digits"):
+            seeds.arms_chosen_by(no_hash)
 
 
 def test_no_other_module_has_a_range_of_its_own():
     """A seed of seven digits stands in one module; others name it. Numbers of samples, steps, budgets are no seeds."""
-    found = []
-    for package in ("beltarm_env", "baselines", "agents", "train", "eval"):
-        for path in (ROOT / package).rglob("*.py"):
-            for line in path.read_text(encoding="utf-8").splitlines():
-                if path.name != "seeds.py" and re.search(r"\b[4-9]_?\d{3}_?\d{3}\b", line):
-                    found += (
-                        []
-                        if re.search(r"\b(samples|total_steps): int\b|--budget ", line)
-                        else [f"{path.name}: {line.strip()}"]
-                    )
-    assert found == []
+    number, no_seed = re.compile(r"\b[4-9]_?\d{3}_?\d{3}\b"), re.compile(r"\b(samples|total_steps): int\b|--budget ")
+    lines = [
+        f"{path.name}: {line.strip()}"
+        for package in ("beltarm_env", "baselines", "agents", "train", "eval")
+        for path in (ROOT / package).rglob("*.py")
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if path.name != "seeds.py" and number.search(line) and not no_seed.search(line)
+    ]
+    assert lines == []
+
+
+class TestStreams:
+    @examples(60)
+    @given(st.lists(st.integers(0, 2**140) | st.integers(0, 2**40), min_size=1, max_size=4), st.integers(1, 40))
+    def test_are_those_of_gymnasiums_generators(self, seeds: list[int], count: int):
+        streams, order = seeded(seeds), np.arange(len(seeds))[::-1]
+        generators = [seeding.np_random(seed)[0] for seed in seeds]
+        for _ in range(2):
+            drawn = np.empty((len(seeds), count))
+            with wrapping():
+                draw(streams, order, drawn)
+            np.testing.assert_array_equal(drawn, [generators[i].random(count) for i in order])
+
+    def test_that_are_not_chosen_stay(self):
+        streams = seeded([3, 4, 5])
+        before = streams.copy()
+        with wrapping():
+            draw(streams, np.array([1]), np.empty((1, 7)))
+        assert np.array_equal(streams[[0, 2]], before[[0, 2]])
+        assert not np.array_equal(streams[1], before[1])
+
+    @pytest.mark.parametrize("seed", [-1, 1.0, True, "3", None])
+    def test_of_a_seed_that_is_none_are_refused(self, seed: object):
+        with pytest.raises(ValueError, match=r"seed .*, got"):
+            checked_seed(seed)
+
+    def test_of_a_large_batch_begin_as_those_of_arms_alone(self):
+        """More arms than draw at once."""
+        batch = BeltArmVectorEnv(5000, randomization="train")
+        observations, _ = batch.reset(seed=7)
+        for arm in (0, 4095, 4096, 4999):
+            alone = BeltArmVectorEnv(1, randomization="train")
+            assert (alone.reset(seed=7 + arm)[0][0] == observations[arm]).all()
+            assert (alone.params_table[0] == batch.params_table[arm]).all()

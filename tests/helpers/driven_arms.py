@@ -1,20 +1,100 @@
-"""Arms behind the drive as it is built, for the tests."""
+"""Arms for the tests: the environment's beside the event-located solution, behind an ideal drive and a built one."""
 
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv
 from beltarm_env.task.ranges import DRIVE_RANGES, IDEAL_RANGES
-from eval.reference.event_located import EventLocatedArm
+from eval.reference.event_located import EventLocatedArm, tip
+
+Command = Callable[[int, EventLocatedArm], float]
+"""Of the sample and the event-located arm: the torque commanded [N m]."""
+
+GEAR = 88.0
+MODELS = ("lumped", "lagrangian")
+LOSSLESS = {"coulomb_friction": 0.0, "motor_viscous_friction": 0.0, "belt_damping_ratio": 0.0}
 
 UPPER_ENDS = {name: high for name, (_, high) in DRIVE_RANGES.items()}
 """Every effect of the drive at its upper end in training."""
 
 
-def driven_arm(params: ArmParams, state: np.ndarray, model: str) -> EventLocatedArm:
-    return EventLocatedArm(params, state, model)
+def at_rest(joint: float, torsion: float = 0.0, torsion_speed: float = 0.0, gear: float = GEAR) -> np.ndarray:
+    """State of an arm whose motor rests at a joint angle [rad]."""
+    return np.array([gear * joint, 0.0, torsion, torsion_speed])
+
+
+def arm_env(params: Mapping[str, Any], state: np.ndarray, model: str = "lumped", **settings: Any) -> BeltArmEnv:
+    """An environment that begins with this arm in this state."""
+    env = BeltArmEnv(model=model, **settings)  # pyright: ignore[reportArgumentType]
+    env.reset(seed=0, options={"params": dict(params), "move": {"start": math.pi / 4, "goal": 1.2}, "state": state})
+    return env
+
+
+def apply(env: BeltArmEnv, torque: float) -> np.ndarray:
+    """Step with a torque [N m]; the arm must stay in its workspace."""
+    observation, _, terminated, _, _ = env.step(np.array([torque / env.params.torque_limit]))
+    assert not terminated, f"the arm left the workspace at {env.time:.3f} s: no test of anything"
+    return observation
+
+
+def largest_distance(
+    params: ArmParams | Mapping[str, Any],
+    state: np.ndarray,
+    command: Command,
+    model: str = "lumped",
+    samples: int = EPISODE_STEPS,
+    steps: int = 1,
+) -> tuple[float, EventLocatedArm]:
+    """Largest distance of the tips [m], given the same commands, and the event-located arm at the end."""
+    env = arm_env(asdict(params) if isinstance(params, ArmParams) else params, state, model)
+    env.set_integration_steps(steps)
+    constants, worst = env.params, 0.0
+    arm = EventLocatedArm(constants, state, model)
+    for k in range(samples):
+        torque = command(k, arm)
+        apply(env, torque)
+        arm.sample(torque)
+        worst = max(worst, float(np.linalg.norm(tip(constants, env.state) - tip(constants, arm.state))))
+    return worst, arm
+
+
+def stops(arm: EventLocatedArm) -> int:
+    """How often the motor began to stick."""
+    return sum(mode == "stuck" for _, mode in arm.mode_changes)
+
+
+def reversals(arm: EventLocatedArm) -> int:
+    """How often the motor slid the other way."""
+    slides = [mode for _, mode in arm.mode_changes if mode != "stuck"]
+    return sum(before != after for before, after in pairwise(slides))
+
+
+def wave(amplitude: float, frequency: float, offset: float = 0.0) -> Command:
+    """Sine of an amplitude [N m] and a frequency [Hz]."""
+    return lambda k, _: offset + amplitude * math.sin(2 * math.pi * frequency * k * CONTROL_PERIOD)
+
+
+def pushed(sample: int, _: EventLocatedArm) -> float:
+    """The command of `push`."""
+    return push(sample)
+
+
+def full_arm_at(params: ArmParams, theta_1: float, phi: float) -> EventLocatedArm:
+    """Full arm at rest at some angles."""
+    return EventLocatedArm(params, np.array([params.gear_ratio * theta_1, 0.0, theta_1 - phi, 0.0]), "lagrangian")
+
+
+def random_params(rng: np.random.Generator) -> ArmParams:
+    """Any arm within a factor of three of the nominal one, with a payload."""
+    nominal = ArmParams()
+    fields = ("gear_ratio", "link_length", "motor_inertia", "arm_inertia", "arm_inertia_swing", "belt_stiffness")
+    drawn = {name: getattr(nominal, name) * 3 ** rng.uniform(-1, 1) for name in fields}
+    return ArmParams(**drawn, payload_mass=rng.uniform(0, 0.5))
 
 
 def push(sample: int) -> float:

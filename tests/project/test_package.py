@@ -11,7 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from lowest import lowest_versions
+
+from tests.lowest import lowest_versions
 
 ROOT = Path(__file__).parents[2]
 HEAVY = (

@@ -14,7 +14,6 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
-import damage
 import numpy as np
 
 from agents.learners.ppo import PpoConfig
@@ -36,6 +35,7 @@ from eval.comparison.methods import classical_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
+from tests.stress import damage
 
 _RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "comparison" / "results.json"
 _SCENARIOS = 3

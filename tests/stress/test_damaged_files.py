@@ -10,12 +10,13 @@ import time
 from pathlib import Path
 from random import Random
 
-import damage
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
-from readers import READERS
+
+from tests.stress import damage
+from tests.stress.readers import READERS
 
 LONGEST_MESSAGE = 300
 LONGEST = 2.0  # of the processor's time [s]

@@ -38,7 +38,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
 def test_other_circumstances(circumstances: str):
     path = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "helpers", Path(__file__).parent)))
     environment = {**os.environ, **ELSEWHERE[circumstances], "PYTHONPATH": path}
-    code = "from test_determinism import episodes; print(episodes(3))"
+    code = "from tests.stress.test_determinism import episodes; print(episodes(3))"
     words = [sys.executable, "-W", "ignore", "-c", code]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=900, check=True)
     assert done.stdout.strip() == episodes(3)

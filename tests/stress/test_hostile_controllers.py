@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import hostile
 import pytest
+
+from tests.stress import hostile
 
 ROOT = Path(__file__).resolve().parents[2]
 FAILING = [kind for kind in hostile.KINDS if kind not in hostile.HARMLESS]

@@ -28,7 +28,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
-from subjects import SUBJECTS, Subject, assert_same
+
+from tests.stress.subjects import SUBJECTS, Subject, assert_same
 
 LONGEST = 120.0  # that a child may take [s]
 CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.symlink", "os.truncate")

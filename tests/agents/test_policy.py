@@ -1,0 +1,263 @@
+"""Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as kernels."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from networks import SHAPES, episodes, lively
+from torch import nn
+
+from agents.policy.actor import Actor, ActorShape, actor_of
+from agents.policy.bundle import (
+    FELT_POLICIES,
+    POLICIES,
+    load_controller,
+    read_spec,
+)
+from agents.policy.inputs import SelectedInputs
+from agents.policy.network import NetworkPolicy
+from agents.policy.weights import Weights
+from beltarm_env import BeltArmVectorEnv
+from beltarm_env.arrays import Singles
+from beltarm_env.observation import ENTRIES as MEASURED
+from beltarm_env.task.seeds import VALIDATION
+
+ROOT = Path(__file__).resolve().parents[2]
+INPUTS = 3
+STEPS = 160  # of an episode: the arm sets out, and what differs by a rounding has time to grow
+
+
+class TestShape:
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ({"hidden": (0,)}, "hidden.* 0"),
+            ({"hidden": (4, 1025)}, "hidden.* 1025"),
+            ({"hidden": (4, True)}, "True"),
+            ({"hidden": (4.0,)}, "4.0"),
+            ({"hidden": (4,) * 9}, "8 hidden.* 9"),
+            ({"lstm": -1}, "LSTM.* -1"),
+            ({"gru": -1}, "GRU.* -1"),
+            ({"gru": 1025}, "1025"),
+            ({"lstm": False}, "False"),
+            ({"lstm": 4, "gru": 5}, "4 and 5"),
+            ({"activation": "gelu"}, "activation.*'gelu'"),
+        ],
+    )
+    def test_sizes_that_are_not_allowed(self, change: dict[str, Any], words: str):
+        with pytest.raises(ValueError, match=words):
+            ActorShape(INPUTS, **{"hidden": (4,), **change})
+
+    @pytest.mark.parametrize(
+        ("change", "memory"),
+        [
+            ({"hidden": ()}, (0,)),
+            ({"hidden": (1,) * 8, "activation": "elu"}, (0,)),
+            ({"hidden": (1024,), "gru": 7}, (7,)),
+            ({"lstm": 1024}, (2, 1024)),
+        ],
+    )
+    def test_sizes_that_are_and_what_is_remembered_of_an_arm(self, change: dict[str, Any], memory: tuple[int, ...]):
+        assert ActorShape(INPUTS, **{"hidden": (4,), **change}).memory == memory
+
+
+def test_weights_are_the_arrays_of_the_layers_and_no_others():
+    shape = ActorShape(INPUTS, (4,), gru=2)
+    arrays = Actor(shape).weights().arrays
+    assert {name: array.shape for name, array in arrays.items()} == shape.arrays()
+    for wrong, words in (
+        ({name: array for name, array in arrays.items() if name != "gru.bias_hh_l0"}, "no array 'gru.bias_hh_l0'"),
+        (arrays | {"layers.4.weight": np.zeros((1, 1), np.float32)}, "an array 'layers.4.weight', of no layer"),
+        (arrays | {"layers.2.bias": np.zeros(1)}, "layers.2.bias is float64 of shape (1,)"),
+        (arrays | {"layers.2.bias": np.zeros((1, 1), np.float32)}, "must be float32 of shape (1,)"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            Weights(shape, wrong)
+
+
+@pytest.mark.parametrize("gru", [0, 2])
+@pytest.mark.parametrize("hidden", [(), (4, 2)])
+def test_outputs_are_those_of_the_layers_one_after_the_other(hidden: tuple[int, ...], gru: int):
+    torch.manual_seed(0)
+    actor = Actor(ActorShape(INPUTS, hidden, "relu", gru=gru, standardised=True)).requires_grad_(False)
+    actor.mean[:], actor.deviation[:] = torch.tensor([1.0, 0.0, -1.0]), torch.tensor([0.5, 2.0, 1.0])
+    seen = torch.randn(6, 2, INPUTS)  # samples, episodes, inputs
+    z = np.clip((seen.numpy() - [1.0, 0.0, -1.0]) / [0.5, 2.0, 1.0], -5, 5)
+    if actor.gru is not None:
+        memories, _ = actor.gru(torch.tensor(z, dtype=torch.float32))
+        z = np.concatenate([z, memories.numpy()], axis=-1)
+    weights = [value.numpy() for value in actor.layers.state_dict().values()]
+    for k, (weight, bias) in enumerate(zip(weights[::2], weights[1::2], strict=True)):
+        z = z @ weight.T + bias
+        z = z if k == len(hidden) else np.maximum(z, 0)
+    assert z.shape == (6, 2, 1)
+    np.testing.assert_allclose(actor(seen).numpy(), z, atol=1e-5)
+
+
+def test_layers_that_a_librarys_policy_does_not_have():
+    body = nn.Sequential(nn.Linear(INPUTS, 4), nn.Tanh(), nn.Linear(4, 2), nn.Tanh())
+    policy: Any = SimpleNamespace(mlp_extractor=SimpleNamespace(policy_net=body), action_net=nn.Linear(2, 1))
+    actor = actor_of(policy, ActorShape(INPUTS, (4, 2)))
+    addresses = {parameter.data_ptr() for parameter in body.parameters()}
+    assert not any(value.requires_grad or value.data_ptr() in addresses for value in actor.parameters()), "a copy"
+    for hidden in ((4,), (4, 2, 2), (2, 4)):
+        with pytest.raises(ValueError, match="does not have the layers"):
+            actor_of(policy, ActorShape(INPUTS, hidden))
+    for other in (ActorShape(INPUTS + 1, (4, 2)), ActorShape(INPUTS, (4, 2), lstm=INPUTS)):
+        with pytest.raises(ValueError, match="does not have the layers"):
+            actor_of(policy, other)
+
+
+def answers(policy: NetworkPolicy, seen: Singles) -> Singles:
+    """Residuals through whole episodes, shape (steps, count)."""
+    memory, residuals = None, []
+    for observation in seen:
+        residual, memory = policy.predict(observation, memory)
+        residuals.append(residual[:, 0])
+    return np.stack(residuals)
+
+
+def by_torch(actor: Actor, seen: Singles) -> Singles:
+    shape, inputs = actor.shape, torch.from_numpy(seen)
+    outputs = actor.layers(actor.lstm(inputs)[0]) if actor.lstm is not None else actor(inputs)
+    bounded = torch.tanh(outputs) if shape.squashed else outputs.clamp(-1, 1)
+    return bounded[..., 0].numpy()
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_residuals_are_those_of_the_library(name: str):
+    actor = lively(SHAPES[name])
+    seen = episodes(SHAPES[name], 50)
+    expected = by_torch(actor, seen)
+    np.testing.assert_allclose(answers(NetworkPolicy(actor.weights()), seen), expected, atol=3e-6)
+    assert 0.05 < expected.std()
+
+
+@given(st.sampled_from(sorted(SHAPES)), st.integers(1, 40), st.integers(0, 1000))
+def test_a_row_is_the_same_alone_and_in_any_batch(name: str, count: int, seed: int):
+    """Rows turned round, and cut where the kernel's tiles do not end."""
+    policy, seen = NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], count, 3, seed)
+    whole = answers(policy, seen)
+    np.testing.assert_array_equal(answers(policy, seen[:, ::-1])[:, ::-1], whole)
+    np.testing.assert_array_equal(answers(policy, seen[:, : 1 + count // 3]), whole[:, : 1 + count // 3])
+    np.testing.assert_array_equal(answers(policy, seen[:, -1:]), whole[:, -1:])
+
+
+def test_a_memory_begins_anew_where_an_episode_does():
+    shape = SHAPES["student"]
+    policy, seen = NetworkPolicy(lively(shape).weights()), 0.1 * episodes(shape, 3, 4)
+    _, memory = policy.predict(seen[0])
+    residual, following = policy.predict(seen[1], memory, np.array([False, True, False]))
+    fresh, _ = policy.predict(seen[1])
+    on, _ = policy.predict(seen[1], memory)
+    assert residual[1] == fresh[1] != on[1] and residual[0] == on[0] != fresh[0]
+    assert following is not None and following.shape == (3, shape.gru)
+
+
+def test_weights_are_copied():
+    """Training goes on with an actor that a policy was made of."""
+    actor = lively(SHAPES["student"])
+    policy, seen = NetworkPolicy(actor.weights()), episodes(SHAPES["student"], 2)
+    before = answers(policy, seen)
+    for tensor in actor.state_dict().values():
+        tensor.add_(1.0)
+    np.testing.assert_array_equal(answers(policy, seen), before)
+
+
+PLAIN = """
+import sys; sys.path[:0] = ["tests/agents", "tests/helpers"]
+import numpy as np
+from networks import SHAPES, episodes, lively
+from test_policy import NetworkPolicy, answers
+found = {name: answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3)) for name in NAMES}
+"""
+
+
+@pytest.mark.slow
+def test_without_compiler_the_very_same_numbers(tmp_path: Path):
+    names = ("elu", "tanh", "recurrent")
+    code = f"NAMES = {names!r}\n{PLAIN}\nnp.savez({str(tmp_path / 'plain.npz')!r}, **found)"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True)
+    with np.load(tmp_path / "plain.npz") as plain:
+        for name in names:
+            expected = answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3))
+            assert plain[name].tobytes() == expected.tobytes(), name
+
+
+WITHOUT = """
+import sys
+import numpy as np
+import eval.compare
+from agents.policy.bundle import POLICIES, load_controller
+controller = load_controller(POLICIES / "ppo" / "seed0")
+print(controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex())
+assert "torch" not in sys.modules
+"""
+
+
+@pytest.mark.slow
+def test_shipped_policies_act_and_are_compared_without_pytorch():
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
+    controller = load_controller(POLICIES / "ppo" / "seed0")
+    assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
+
+
+class Echo:
+    """A policy that says what it was given."""
+
+    def predict(self, observation: Singles, state: Any, episode_start: Any, deterministic: bool) -> Any:
+        return observation, (state, episode_start, deterministic)
+
+
+def test_inputs_are_picked_in_the_policys_own_order():
+    offered = MEASURED["encoder"]
+    echo: Any = Echo()
+    policy = SelectedInputs(echo, [offered[3].name, offered[0].name], offered)
+    seen = np.arange(2.0 * len(offered), dtype=np.float32).reshape(2, -1)
+    assert policy.columns.tolist() == [3, 0]
+    given, (state, start, deterministic) = policy.predict(seen, None, np.array([True, False]))
+    np.testing.assert_array_equal(given, [[3, 0], [len(offered) + 3, len(offered)]])
+    assert state is None and start.tolist() == [True, False] and deterministic
+    for shape in ((2, len(offered) - 1), (2, len(offered) + 1), (len(offered),), (1, 2, len(offered))):
+        with pytest.raises(ValueError, match=f"chooses from {len(offered)} entries, got shape"):
+            policy.predict(np.ones(shape, np.float32))
+
+
+class TestShipped:
+    """Every shipped policy drives an arm the same way alone, in a batch of 24 and in one of 200, bit for bit."""
+
+    @staticmethod
+    def torques(folder: Path, first: int, count: int) -> Singles:
+        """Torques of `count` arms from the `first` one on, shape (STEPS, count)."""
+        sensors: Any = read_spec(folder)[0].sensors
+        arms = BeltArmVectorEnv(count, randomization="train", sensors=sensors, autoreset_mode="Disabled")
+        observation, _ = arms.reset(seed=VALIDATION.first + first)
+        controller, memory, taken = load_controller(folder), None, []
+        for _ in range(STEPS):
+            action, memory = controller.predict(observation, memory)
+            taken.append(action[:, 0].copy())
+            observation, *_ = arms.step(action)
+        return np.stack(taken)
+
+    @pytest.mark.parametrize(
+        "folder",
+        sorted(path for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/seed0")),
+        ids=lambda p: p.parts[-3] + p.parts[-2],
+    )
+    def test_an_arm_is_driven_the_same_way_alone_and_in_batches(self, folder: Path):
+        many = self.torques(folder, 0, 200)
+        assert np.abs(np.diff(many, axis=0)).max() > 0.01, "it moves"
+        np.testing.assert_array_equal(self.torques(folder, 0, 24), many[:, :24])
+        np.testing.assert_array_equal(self.torques(folder, 17, 1), many[:, 17:18])

@@ -1,0 +1,320 @@
+"""Every classical controller by name: one arm as in any batch, separate episodes, memory in `state`, data sheets."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, fields, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import baselines
+from baselines import CONTROLLERS, TUNABLE, PaperController, PaperGains
+from baselines.optimal.adaptive_law import begun, renewed, torque
+from baselines.reading import read, sample_of
+from baselines.registry import FELT
+from beltarm_env import (
+    ArmParams,
+    BeltArmVectorEnv,
+    design_model,
+    observation,
+)
+from beltarm_env.rollout import rollout
+from beltarm_env.task.seeds import VALIDATION
+
+ROOT = Path(__file__).parents[2]
+SEED = 5_000_000
+BATCH: dict[str, Any] = {"randomization": "train"}
+FELT_ARMS: dict[str, Any] = {**BATCH, "sensors": "accelerometer"}
+CASES: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    **{name: (make, BATCH) for name, make in CONTROLLERS.items()},
+    **{f"{name}, accelerometer": (make, FELT_ARMS) for name, make in FELT.items()},
+    "adaptive, late coarse encoder": (CONTROLLERS["adaptive"], {**BATCH, "delay": 2, "encoder_counts": 1000}),
+}
+"""Controllers, and the arms that they are tried on."""
+STEPS = 160  # of an episode: the arm sets out, and what differs by a rounding has time to grow
+KERNELS = [
+    pytest.param(name, marks=pytest.mark.slow) if name == "adaptive" else name  # its law takes a minute to compile
+    for name, make in CONTROLLERS.items()
+    if hasattr(make(), "kernel")
+]
+MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
+PRECISE = ("lqg", "preview", "adaptive")
+
+
+def test_public_names_are_imported_on_first_use():
+    """Commands import the package before they can say that a package is not installed."""
+    code = (
+        "import sys, baselines.tools.command\n"
+        "print([name for name in ('control', 'matplotlib', 'baselines.registry') if name in sys.modules])\n"
+        "from baselines import *\nprint(sorted(CONTROLLERS)[0], sorted(set(baselines.__all__) - set(globals())))\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (result.stdout, result.stderr) == ("[]\nadaptive []\n", "")
+    with pytest.raises(AttributeError, match=r"'baselines'.*'Paper'"):
+        _ = baselines.Paper
+
+
+def torques(name: str, first: int, count: int) -> np.ndarray:
+    """Torques of `count` arms from the `first` one on, shape (STEPS, count)."""
+    make, options = CASES[name]
+    arms = BeltArmVectorEnv(count, autoreset_mode="Disabled", **options)
+    observation, _ = arms.reset(seed=SEED + first)
+    controller, memory, start, taken = make(), None, np.ones(count, np.bool_), []
+    for _ in range(STEPS):
+        action, memory = controller.predict(observation, memory, start)
+        taken.append(action[:, 0].copy())
+        observation, *_ = arms.step(action)
+        start = np.zeros(count, np.bool_)
+    return np.stack(taken)
+
+
+@cache
+def observations(sensors: Any = "encoder", count: int = 4, steps: int = 120, seed: int = SEED) -> np.ndarray:
+    """Observations of a few arms under random torques, shape (steps, count, size)."""
+    env = BeltArmVectorEnv(count, randomization="ideal", sensors=sensors)
+    seen = [env.reset(seed=seed)[0]]
+    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[: steps - 1]
+    seen += [env.step(torque)[0] for torque in torques]
+    return np.stack(seen)
+
+
+@pytest.mark.parametrize("name", CASES)
+class TestEveryController:
+    def test_drives_an_arm_the_same_way_alone_and_in_batches(self, name: str):
+        many = torques(name, 0, 200)
+        assert np.abs(np.diff(many, axis=0)).max() > 0.01, "it moves"
+        np.testing.assert_array_equal(torques(name, 0, 24), many[:, :24])
+        np.testing.assert_array_equal(torques(name, 17, 1), many[:, 17:18])
+
+    def test_begins_an_episode_without_memory_of_the_last_while_other_arms_go_on(self, name: str):
+        make, options = CASES[name]
+        sensors = options.get("sensors", "encoder")
+        first, second = observations(sensors), observations(sensors, seed=SEED + 100_000)
+        controller, starts, memory, fresh = make(), np.array([False, True, False, True]), None, None
+        for seen in first[:60]:
+            _, memory = controller.predict(seen, memory)
+        undisturbed = memory
+        for k in range(60):
+            seen = np.where(starts[:, None], second[k], first[60 + k])
+            action, memory = controller.predict(seen, memory, starts & (k == 0))
+            on, undisturbed = controller.predict(first[60 + k], undisturbed)
+            new, fresh = controller.predict(second[k], fresh)
+            np.testing.assert_array_equal(action, np.where(starts[:, None], new, on))
+
+    def test_keeps_its_memory_in_what_it_returns_and_leaves_its_arguments_alone(self, name: str):
+        make, options = CASES[name]
+        seen, controller, memory = observations(options.get("sensors", "encoder")), make(), None
+        for step in seen[:20]:
+            action, memory = controller.predict(step, memory)
+            assert action.shape == (4, 1) and action.dtype == np.float32 and np.abs(action).max() <= 1
+        before, given = copy.deepcopy(memory), seen[20].copy()
+        action, after = controller.predict(given, memory)
+        expected, _ = controller.predict(seen[21], after)
+        for other, known in ((controller, memory), (make(), before)):
+            again, following = other.predict(seen[20], known)
+            np.testing.assert_array_equal(again, action)
+            np.testing.assert_array_equal(controller.predict(seen[21], following)[0], expected)
+        np.testing.assert_array_equal(given, seen[20])
+
+    def test_refuses_observations_of_another_shape(self, name: str):
+        make, options = CASES[name]
+        size = observation.size(options.get("sensors", "encoder"))
+        for shape in ((size,), (3, observation.size() - 1)):
+            with pytest.raises(ValueError, match="observations must have shape"):
+                make().predict(np.zeros(shape, np.float32))
+
+
+def spoilt(memory: Any) -> Any:
+    """Memory in which nothing is of any use."""
+    if isinstance(memory, tuple):
+        for part in memory:
+            spoilt(part)
+    else:
+        memory[...] = True if memory.dtype == np.bool_ else np.nan
+    return memory
+
+
+def assert_law_of_one_arm(controller: Any, torque: Callable[..., float], memory: Any) -> None:
+    """Compare the torques of one arm, from `torque(now, begins, memory)`, with the middle one of a batch of three."""
+    spoilt(memory)
+    env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
+    for episode in range(2):
+        seen, _ = env.reset(seed=VALIDATION.first + 3 * episode)
+        begins, batch = np.ones(3, np.bool_), None
+        for k in range(STEPS):
+            reading = read(seen, controller.params)
+            expected, batch = controller.law(reading, begins, batch)
+            assert torque(sample_of(reading, 1), bool(begins[1]), memory) == expected[1], k
+            action = np.clip(expected / controller.params.torque_limit, -1, 1)
+            seen, *_ = env.step(action.astype(np.float32)[:, None])
+            begins = np.zeros(3, np.bool_)
+
+
+class TestKernel:
+    """The law as a kernel for one arm, bit for bit, whatever was in its memory before."""
+
+    @pytest.mark.parametrize("params", [design_model(), ArmParams()], ids=["design model", "ideal drive"])
+    @pytest.mark.parametrize("name", KERNELS)
+    def test_is_the_law_of_one_arm(self, name: str, params: ArmParams):
+        controller = CONTROLLERS[name](params=params)
+        law, design, memory = controller.kernel()
+        assert_law_of_one_arm(controller, partial(law, design), memory)
+
+    @pytest.mark.slow
+    def test_of_adaptive_may_renew_its_plan_after_the_torque(self):
+        controller = CONTROLLERS["adaptive"]()
+        _, design, memory = controller.kernel()
+        last: list[Any] = []
+
+        def apart(now: Any, begins: bool, memory: Any) -> float:
+            if not begins and last:
+                renewed(design, last[-1], memory)
+            begun(design, now, begins, memory)
+            last.append(now)
+            return torque(design, now, memory)
+
+        assert_law_of_one_arm(controller, apart, memory)
+
+    @pytest.mark.parametrize("name", FELT)
+    def test_is_refused_with_an_accelerometer(self, name: str):
+        with pytest.raises(TypeError, match="encoder alone"):
+            FELT[name]().kernel()
+
+
+class TestDriving:
+    @pytest.mark.parametrize("name", TUNABLE)
+    def test_stabilises_the_nominal_arm_over_the_whole_range(self, name: str):
+        start, goal = MOVES.T
+        duration = 0.6 + 0.3 * np.abs(goal - start)
+        move = {"start": start, "goal": goal, "duration": duration, "ramp_time": 0.3 * duration}
+        run = rollout(CONTROLLERS[name](), len(MOVES), seed=SEED, options={"move": move})
+        assert run.finished.all() and np.isfinite(run.state).all()
+        joint_error = run.state[-1, :, 0] / 88 - goal
+        assert np.abs(joint_error).max() < math.radians(1.0)
+        assert np.abs(run.state[-200:, :, 2]).max() < 0.06  # and the belt rings no more than stiction hides
+
+    @pytest.mark.parametrize("name", PRECISE)
+    def test_moves_an_arm_that_it_knows_anywhere_to_within_millimetres(self, name: str):
+        start, goal = np.radians([(0.0, 90.0), (90.0, 0.0), (10.0, 30.0), (80.0, 60.0)]).T
+        move = {"start": start, "goal": goal, "duration": np.full(4, 1.1), "ramp_time": np.full(4, 0.25)}
+        run = rollout(CONTROLLERS[name](params=ArmParams()), 4, seed=0, options={"move": move})
+        assert np.abs(run.tip_error[-200:]).max() < 2e-3
+        assert np.abs(run.tip_error).max() < 0.02
+
+    @pytest.mark.parametrize("name", TUNABLE)
+    def test_does_better_than_the_paper(self, name: str):
+        """On the nominal arm, or, by what its margins leave of its gain, on the arms that it is for."""
+        arms = "train" if name in ("retuned", "disturbance") else "off"
+        runs = [rollout(CONTROLLERS[kind](), 64, seed=SEED, randomization=arms) for kind in ("paper", name)]
+        paper, tuned = (run.metrics() for run in runs)
+        if name == "smooth":  # which does not even try to follow the task's profile closely
+            assert np.median(tuned["residual_pp_mm"]) < 0.4 * np.median(paper["residual_pp_mm"])
+        else:
+            assert np.median(tuned["cost"]) < 0.9 * np.median(paper["cost"])
+
+    def test_adaptive_beats_fixed_beats_paper_on_arms_that_differ(self):
+        cost = {
+            name: rollout(CONTROLLERS[name](), 40, seed=SEED, randomization="ideal").cost
+            for name in ("adaptive", "preview", "mpc", "paper")
+        }
+        assert cost["adaptive"].mean() < 0.7 * cost["preview"].mean() < 0.7 * 0.5 * cost["paper"].mean()
+        assert np.median(cost["mpc"]) < 0.4 * np.median(cost["paper"])
+
+    def test_a_torque_that_is_cut_much_does_not_go_on_ringing(self):
+        """On this arm the optimal plan alone ends in a limit cycle between both limits, at a cost above 4000."""
+        assert rollout(CONTROLLERS["adaptive"](), 1, seed=5_700_796, randomization="ideal").cost[0] < 1000
+
+
+GEARED = {"gear_ratio": 100.0, "torque_limit": 0.2}
+"""Constants of another data sheet."""
+EASY = {"start": 0.3, "goal": 0.9, "duration": 1.0, "ramp_time": 0.3}
+
+
+class TestDataSheet:
+    """Gear ratio and torque limit, which observations and actions are relative to."""
+
+    @pytest.mark.parametrize("name", CONTROLLERS)
+    def test_controller_made_for_an_arm_drives_it_as_the_nominal_one_its_own(self, name: str):
+        known = CONTROLLERS[name]().params
+        runs = {}
+        for kind, arm in {"own": known, "geared": replace(known, **GEARED)}.items():
+            options = {"move": EASY, "params": asdict(arm)}
+            runs[kind] = rollout(CONTROLLERS[name](params=arm), 1, seed=0, options=options).metrics()
+        for metric in ("tip_rms_mm", "cost"):
+            np.testing.assert_allclose(runs["geared"][metric], runs["own"][metric], rtol=0.15)
+
+    @pytest.mark.parametrize(("field", "value"), GEARED.items())
+    def test_other_arms_are_refused(self, field: str, value: float):
+        message = rf"arm 1 has {field} {value}, but PaperController is made for {getattr(ArmParams(), field)} .*"
+        options = {"params": {field: [getattr(ArmParams(), field), value]}}
+        with pytest.raises(ValueError, match=message + rf"params=ArmParams\({field}={value}\)"):
+            rollout(PaperController(), 2, seed=0, options=options)
+
+    def test_controller_that_is_made_for_no_arm_in_particular_takes_any(self):
+        class Idle:
+            def predict(self, observation, state=None, episode_start=None, deterministic=True):
+                return np.zeros((len(observation), 1), np.float32), None
+
+        assert rollout(Idle(), 1, seed=0, options={"params": GEARED}).params[0, 0] == 100.0
+
+
+class TestGains:
+    @pytest.mark.parametrize("name", TUNABLE)
+    def test_lie_within_their_range(self, name: str):
+        kind = TUNABLE[name].gains
+        for gain in fields(kind):
+            assert gain.metadata["low"] < gain.default < gain.metadata["high"], gain.name
+            for value in (gain.metadata["low"] - 1, gain.metadata["high"] + 1, math.nan, math.inf):
+                with pytest.raises(ValueError, match=rf"{kind.__name__}\.{gain.name} must lie within .* got"):
+                    kind(**{gain.name: value})
+            words: dict[str, Any] = {gain.name: "1"}
+            with pytest.raises(TypeError, match=gain.name):
+                kind(**words)
+
+    def test_of_the_paper_are_finite(self):
+        with pytest.raises(ValueError, match=r"PaperGains.angle .* nan"):
+            PaperGains(angle=math.nan)
+
+    def test_are_the_same_with_an_accelerometer(self):
+        assert set(FELT) <= set(CONTROLLERS)
+        assert all(CONTROLLERS[name]().sensors == "encoder" for name in FELT)
+        assert all(FELT[name]().gains == CONTROLLERS[name]().gains for name in FELT)
+
+
+COSTS = """
+import sys
+from baselines import CONTROLLERS
+from beltarm_env.rollout import rollout
+for name in CONTROLLERS:
+    if name not in sys.argv[1:]:
+        print(name, rollout(CONTROLLERS[name](), 8, seed=7_000_000, randomization="train").cost.tolist())
+"""
+
+
+@pytest.mark.slow
+def test_only_designs_that_are_said_to_depend_on_the_kernels_of_linear_algebra():
+    """By kernels of this processor, and by those that all of its kind can run."""
+    page = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
+    (named,) = re.findall(r"The designs of ([^.]*) do not", page)
+    command = [sys.executable, "-c", COSTS, *re.findall(r"`(\w+)`", named)]
+    actual = {
+        subprocess.run(
+            command,
+            env={**os.environ, "PYTHONPATH": str(ROOT), **kernels},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for kernels in ({}, {"OPENBLAS_CORETYPE": "Nehalem"})
+    }
+    assert len(actual) == 1 and "adaptive" in actual.pop()

@@ -1,0 +1,302 @@
+"""What controllers know of their arm: simulation, linear models, rigid torque, friction, flatness."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from properties import examples
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from baselines.models.flatness import Corners, FlatMotion, flat_motion, smoothed
+from baselines.models.friction import (
+    commanded_direction,
+    dry_friction,
+    friction_level,
+    smooth_direction,
+)
+from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms, turning_load
+from baselines.models.rigid_arm import rigid_torque
+from baselines.optimal.lqg import LqgController, LqgGains
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
+from beltarm_env.arm import params_table
+from beltarm_env.rollout import rollout
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.ranges import design_model
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
+
+GEAR = 88.0
+NOMINAL = ArmParams()
+Floats = NDArray[np.float64]
+
+
+class TestSimulation:
+    @pytest.mark.parametrize("randomization", ["ideal", "train"])
+    @pytest.mark.parametrize("model", ["lumped", "lagrangian"])
+    def test_is_the_environment_bit_for_bit(self, model: Any, randomization: Any):
+        rng = np.random.default_rng(0)
+        env = BeltArmVectorEnv(150, autoreset_mode="Disabled", model=model, randomization=randomization)
+        latency = np.concatenate([CONTROL_PERIOD * np.arange(4.0), rng.uniform(0, 3 * CONTROL_PERIOD, 146)])
+        drives = {} if randomization == "ideal" else {"friction_drift": 0.0, "command_latency": latency}
+        env.reset(seed=5_000_000, options={"params": drives})
+        simulation = ArmSimulation(env.params, model=model)
+        states = simulation.at_rest(env.state[:, 0])
+        states[:, :4] = env.state
+        for _ in range(80):
+            action = rng.uniform(-0.6, 0.6, (150, 1)).astype(np.float32)
+            env.step(action)
+            before = states.copy()
+            following = simulation.advance(states, 0.3 * action[:, 0].astype(np.float64))
+            np.testing.assert_array_equal(states, before, "what was given is left alone")
+            states = following
+        np.testing.assert_array_equal(states[:, :4], env.state)
+
+    def test_commands_under_way_are_states(self):
+        late = ArmParams(command_latency=1.5 * CONTROL_PERIOD, torque_constant_error=0.1)
+        simulation = ArmSimulation(late)
+        states = simulation.at_rest(np.array([60.0]))
+        for command in (0.1, 0.2, -0.1):
+            states = simulation.advance(states, np.array([command]))
+        np.testing.assert_allclose(states[0, 4:], [0.22, -0.11, 0.22, 0.11], rtol=1e-12)
+
+    def test_ahead_is_what_comes_and_a_straight_line_between_samples(self):
+        arms = [design_model(), ArmParams(), replace(design_model(), command_latency=0.004), design_model()]
+        simulation, torques = ArmSimulation(arms), np.full(4, 0.1)
+        states = simulation.at_rest(np.array([60.0, 61.0, 62.0, 63.0]))
+        once = simulation.advance(states, torques)
+        twice = simulation.advance(once, torques)
+        actual = simulation.ahead(states, torques, np.array([0.0, 1.0, 2.0, 1.25]))
+        for arm, expected in enumerate((states, once, twice, once + 0.25 * (twice - once))):
+            np.testing.assert_allclose(actual[arm], expected[arm, :4], rtol=1e-13)
+
+    def test_other_constants_take_effect(self):
+        simulation = ArmSimulation(ArmParams(), 2)
+        start = np.tile([60.0, 0.0, 0.05, 0.0], (2, 1))
+        before = simulation.advance(start, np.zeros(2))
+        simulation.set_table(params_table([ArmParams(), ArmParams(belt_stiffness=20.0)]))
+        after = simulation.advance(start, np.zeros(2))
+        np.testing.assert_array_equal(before[0], after[0])
+        assert after[1, 2] != before[1, 2]
+
+    def test_torque_is_cut_at_the_limit(self):
+        simulation, start = ArmSimulation(ArmParams(), 1), np.array([[60.0, 0.0, 0.0, 0.0]])
+        np.testing.assert_array_equal(
+            simulation.advance(start, np.array([9.0])), simulation.advance(start, np.array([0.3]))
+        )
+
+    @pytest.mark.parametrize(
+        ("params", "shape"), [([ArmParams()] * 2, (1, 4)), ([design_model()], (1, 4))], ids=["arms", "states"]
+    )
+    def test_refuses_states_of_another_shape(self, params: list[ArmParams], shape: tuple[int, int]):
+        with pytest.raises(ValueError, match=re.escape(str(shape))):
+            ArmSimulation(params).advance(np.zeros(shape), np.zeros(len(params)))
+
+    def test_refuses_more_arms_than_there_is_room_for_and_unknown_models(self):
+        with pytest.raises(ValueError, match=r"136 arms.* 137"):
+            ArmSimulation(ArmParams(), 2).set_table(params_table([ArmParams()] * 137))
+        with pytest.raises(ValueError, match=r"'lumped', 'lagrangian'.*'mujoco'"):
+            ArmSimulation(ArmParams(), model="mujoco")
+
+
+class TestLinearModels:
+    def test_are_the_exponential_of_the_continuous_model(self):
+        arms = [ArmParams(), ArmParams(payload_mass=0.3, belt_stiffness=40.0, belt_damping_ratio=0.02)]
+        tables = linear_arms(params_table(arms))
+        for i, arm in enumerate(arms):
+            for k in (0, 17, 45):
+                a, b, _ = state_space(arm, float(ANGLES[k]))
+                held = np.zeros((6, 6))
+                held[:4, :4], held[:4, 4:5], held[3, 5] = a, b, 1.0
+                stepped = expm(CONTROL_PERIOD * held)
+                np.testing.assert_allclose(tables.transition[i, k], stepped[:4, :4], rtol=1e-11, atol=1e-13)
+                np.testing.assert_allclose(tables.by_torque[i, k], stepped[:4, 4], rtol=1e-11)
+                np.testing.assert_allclose(tables.by_acceleration[i, k], stepped[:4, 5], rtol=1e-9, atol=1e-13)
+
+    def test_belt_has_its_mean_stiffness(self):
+        for part, mean in zip(linear_arm(ArmParams(belt_stiffening=0.2)), linear_arm(ArmParams()), strict=True):
+            np.testing.assert_array_equal(part, mean)
+
+    def test_tables_are_interpolated_and_end_where_the_arm_does(self):
+        table = linear_arm(ArmParams()).by_torque
+        between = at_angle(table, np.array([0.5 * (ANGLES[3] + ANGLES[4]), -0.2, 1.8]))
+        np.testing.assert_allclose(between, [0.5 * (table[3] + table[4]), table[0], table[-1]])
+
+
+class TestComputedTorque:
+    @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi / 2])
+    def test_makes_the_rigid_arm_accelerate_as_wanted(self, angle: float):
+        # Lagrange for T = (G^2 M_a1 + M2) theta_1'^2 / 2, with dM2/dtheta_1 by differencing.
+        speed, acceleration, h = 2.0, 7.0, 1e-5
+        m2 = [0.01 + 0.06 * math.sin(angle + step) ** 2 for step in (-h, 0, h)]
+        joint_torque = (88**2 * 6.3e-5 + m2[1]) * acceleration + 0.5 * (m2[2] - m2[0]) / (2 * h) * speed**2
+        actual = rigid_torque(Reference(angle, speed, acceleration), NOMINAL.plant())
+        np.testing.assert_allclose(88 * actual, joint_torque, rtol=1e-8)
+
+    def test_payload_swings_with_the_links(self):
+        plant = ArmParams(payload_mass=0.2).plant()
+        np.testing.assert_allclose(turning_load(0.0, 1.0, plant), [0.01, 0.0])
+        np.testing.assert_allclose(turning_load(math.pi / 2, 1.0, plant), [0.07 + 0.25 * 0.2, 0.0], atol=1e-15)
+
+
+class TestFriction:
+    def test_level_falls_from_breakaway_to_coulomb_friction(self):
+        friction = dry_friction(ArmParams(static_friction_excess=0.4, stribeck_speed=5.0).row())
+        actual = [friction_level(friction, speed) for speed in (0.0, 5.0, -5.0, 1e6)]
+        np.testing.assert_allclose(actual, [0.032 * 1.4, 0.032 * 1.2, 0.032 * 1.2, 0.032])
+
+    def test_direction_goes_through_zero_on_a_ramp_of_speed_and_torque(self):
+        speed, torque = (
+            np.array([0.0, 0.0, 0.0, 0.5, 9.0, 0.5, -9.0]),
+            np.array([0.0, 0.01, -9.0, 0.0, -0.01, -0.01, 0.0]),
+        )
+        actual = [smooth_direction(*asked, 1.0, 0.02) for asked in zip(speed, torque, strict=True)]
+        np.testing.assert_allclose(actual, [0, 0.5, -1, 0.5, 1, 0, -1])
+
+    def test_direction_is_commanded_while_moving_and_pushed_at_rest(self):
+        speed, acceleration = np.array([2.0, -0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
+        push = np.array([-9.0, 9.0, -9.0, 9.0, -0.005, 0.0])
+        speed[5] = 1e-16  # rests, but for rounding
+        wanted = [Reference(0.0, *motion) for motion in zip(speed, acceleration, strict=True)]
+        actual = [commanded_direction(*case, 0.01) for case in zip(wanted, push, strict=True)]
+        np.testing.assert_allclose(actual, [1, -1, 1, 1, -0.5, 0])
+
+
+MOVE = np.array([[0.2, 1.4, 0.9, 0.25]])
+UNDAMPED = ArmParams(belt_damping_ratio=0.0)
+MOVES = st.builds(
+    lambda start, length, duration, share: np.array([[start, start + length, duration, share * duration]]),
+    st.floats(0.0, 0.6),
+    st.floats(0.26, 0.97),
+    st.floats(0.5, 1.2),
+    st.floats(0.15, 0.35),
+)
+SPREADS = st.floats(0.02, 2.0)
+
+
+def at(corners: Corners, times: Floats, params: ArmParams = UNDAMPED) -> FlatMotion:
+    """One arm's motion at many times."""
+    many = Corners(*(np.repeat(part, len(times), axis=0) for part in corners))
+    return flat_motion(many, times, params)
+
+
+def knots(corners: Corners) -> Floats:
+    """Times at which the fourth derivative jumps."""
+    return np.unique(corners.onset[0] + np.outer([0.0, 0.5, 1.0], corners.time[0]))
+
+
+class TestSmoothedMove:
+    @given(move=MOVES, first=SPREADS, others=SPREADS)
+    @examples(40)
+    def test_sets_out_and_arrives_as_the_task_and_meets_it_in_between(self, move: Floats, first: float, others: float):
+        corners = smoothed(move, UNDAMPED, first, others)
+        start, goal, duration, ramp = move[0]
+        ends = corners.onset[0] + corners.time[0]
+        assert corners.onset[0, 0] == 0.0 and (corners.onset >= 0).all()
+        assert corners.time[0, 0] <= 0.5 * ramp + 1e-12
+        assert corners.time.max() <= ramp and ends[3] <= duration + 0.5 * ramp + 1e-12
+        link = at(corners, np.array([0.0, ends[3], 1.8])).link
+        np.testing.assert_allclose(link[:, 0], [start, goal, goal], atol=1e-12)
+        np.testing.assert_allclose(link[:, 1:4], 0.0, atol=1e-9)
+        cruising = np.linspace(max(ends[1], ramp), min(corners.onset[0, 2], duration - ramp), 5)
+        if cruising[0] < cruising[-1]:
+            task = [reference_at(TRAPEZOID, MoveShape(start, goal, duration, ramp), t)[:2] for t in cruising]
+            np.testing.assert_allclose(at(corners, cruising).link[:, :2], task, atol=1e-12)
+
+    def test_derivatives_are_those_of_each_other(self):
+        corners = smoothed(MOVE, UNDAMPED, 0.4, 0.7)
+        times = np.linspace(0.01, 1.2, 400)
+        times = times[np.abs(times[:, None] - knots(corners)).min(axis=1) > 1e-3]
+        step = 2e-4
+        middle = at(corners, times).link
+        slopes = (at(corners, times + step).link - at(corners, times - step).link) / (2 * step)
+        for k in range(4):
+            np.testing.assert_allclose(slopes[:, k], middle[:, k + 1], atol=1e-4 * np.abs(middle[:, k + 1]).max())
+        jumps = at(corners, knots(corners) + 1e-10).link - at(corners, knots(corners) - 1e-10).link
+        assert np.abs(jumps[:, :4]).max() < 1e-5 < 100 < np.abs(jumps[:, 4]).max()
+
+    def test_goes_to_the_task_as_spreads_vanish(self):
+        times = np.linspace(0.0, 1.2, 500)
+        task = [reference_at(TRAPEZOID, MoveShape(*MOVE[0]), t).angle for t in times]
+        errors = [np.abs(at(smoothed(MOVE, UNDAMPED, s, s), times).link[:, 0] - task).max() for s in (0.4, 0.2, 0.02)]
+        assert errors[2] < 1e-3 < errors[1] < errors[0] < 0.05
+
+    def test_mistakes_are_named(self):
+        with pytest.raises(ValueError, match=r"moves .* got \(4,\)"):
+            smoothed(MOVE[0], UNDAMPED, 0.3, 0.3)
+        for bad in (0.0, -1.0, math.nan, math.inf):
+            with pytest.raises(ValueError, match=rf"spreads .* {bad}"):
+                smoothed(MOVE, UNDAMPED, 0.3, bad)
+
+
+def integrate(corners: Corners, params: ArmParams) -> tuple[Floats, Floats]:
+    """Times, and states of (5a), (5b) under the flat torque without Coulomb friction: the equations written anew."""
+    p = params
+    swing = p.arm_inertia_swing + (2 * p.link_length) ** 2 * p.payload_mass
+    damping = 2 * p.belt_damping_ratio * math.sqrt(p.belt_stiffness * (p.arm_inertia + p.arm_inertia_swing))
+
+    def rates(time: float, y: Floats) -> list[float]:
+        theta, phi, theta_rate, phi_rate = y
+        torque = flat_motion(corners, np.array([time]), p).torque[0]
+        belt = p.belt_stiffness * (theta - phi) + damping * (theta_rate - phi_rate)
+        viscous = p.motor_viscous_friction * GEAR * theta_rate
+        motor = (torque - viscous - belt / GEAR) / (p.motor_inertia * GEAR)
+        m2, half_slope = p.arm_inertia + swing * math.sin(phi) ** 2, swing * math.sin(phi) * math.cos(phi)
+        return [theta_rate, phi_rate, motor, (belt - half_slope * phi_rate**2) / m2]
+
+    first = flat_motion(corners, np.zeros(1), p).state[0]
+    y = np.array([first[0] / GEAR, first[0] / GEAR - first[2], first[1] / GEAR, first[1] / GEAR - first[3]])
+    edges = np.append(knots(corners), 1.5)
+    times, states = [0.0], [y]
+    for begin, end in pairwise(edges):  # between the jumps of the torque
+        if end - begin < 1e-9:
+            continue
+        instants = np.linspace(begin, np.nextafter(end, begin), 8)
+        span = (begin, instants[-1])
+        run = solve_ivp(rates, span, states[-1], "DOP853", instants[1:], rtol=1e-11, atol=1e-12)
+        times += [*instants[1:]]
+        states += [*run.y.T]
+    y = np.array(states)
+    return np.array(times), np.column_stack([GEAR * y[:, 0], GEAR * y[:, 2], y[:, 0] - y[:, 1], y[:, 2] - y[:, 3]])
+
+
+class TestFlatInverse:
+    @pytest.mark.parametrize("payload", [0.0, 0.3])
+    @pytest.mark.parametrize("move", [MOVE, np.array([[1.5, 0.1, 1.0, 0.2]])])
+    def test_torque_drives_the_undamped_arm_along_the_smoothed_move(self, move: Floats, payload: float):
+        params = ArmParams(belt_damping_ratio=0.0, payload_mass=payload)
+        corners = smoothed(move, params, 0.3, 0.7)
+        times, states = integrate(corners, params)
+        planned = at(corners, times, params)
+        np.testing.assert_allclose(states, planned.state, atol=1e-7)
+        np.testing.assert_allclose(states[:, 0] / GEAR - states[:, 2], planned.link[:, 0], atol=1e-9)
+        assert np.abs(planned.state[:, 2]).max() > 0.01, "the belt gives way"
+
+    def test_damped_belt_costs_hardly_anything(self):
+        corners = smoothed(MOVE, ArmParams(), 0.3, 0.7)
+        times, states = integrate(corners, ArmParams())
+        planned = at(corners, times, ArmParams())
+        assert np.abs(states[:, 0] / GEAR - states[:, 2] - planned.link[:, 0]).max() < 1e-4
+        assert np.abs(states[:, 2] - planned.state[:, 2]).max() < 1e-4
+
+    def test_lqg_follows_the_smoothed_move_without_friction_and_rounding(self):
+        options = {
+            "params": {"coulomb_friction": 0.0},
+            "move": {"start": 0.2, "goal": 1.4, "duration": 0.9, "ramp_time": 0.25},
+        }
+        params = ArmParams(coulomb_friction=0.0)
+        controller = LqgController(LqgGains(), params)
+        run = rollout(controller, 1, seed=0, options=options, encoder_counts=10**7)
+        gains = controller.gains
+        planned = at(smoothed(MOVE, params, gains.first_spread, gains.spread), run.time, params).state
+        error = np.abs(run.state[:, 0] - planned)
+        assert (error[:, 0] / GEAR).max() < 1e-4 and error[:, 2].max() < 1e-4
+        assert np.abs(run.tip_error[-200:]).max() < 2e-5

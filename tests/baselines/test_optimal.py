@@ -1,0 +1,393 @@
+"""Optimal feedback: LQG's gains against Riccati, MPC's against a general solver, robust LQ's against Lyapunov."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov, sqrtm
+from scipy.optimize import OptimizeResult, lsq_linear
+
+from baselines import CONTROLLERS
+from baselines import design as design_command
+from baselines.estimation.observer import Noise, kalman_gains
+from baselines.gains import tuned
+from baselines.loops.models import closed_poles, loop_at
+from baselines.models.actuator import dead_time
+from baselines.models.corners import CORNERS, LOOP_FIELDS
+from baselines.models.linear import ANGLES, linear_arm
+from baselines.optimal import kept, robust
+from baselines.optimal.active_set import MOST_ROUNDS, SIZE, empty_problem, minimise
+from baselines.optimal.horizon import _set_up, horizon, plan
+from baselines.optimal.lqg import LqgController, LqgGains, feedback_gains
+from baselines.optimal.mpc import MpcController
+from baselines.optimal.robust import (
+    RobustController,
+    RobustGains,
+    arms_around,
+    closed,
+    least_cost_gain,
+    loops_at,
+    lyapunov,
+    mean_cost,
+    robust_gains,
+)
+from baselines.planning.plan import Weights
+from baselines.planning.tip_error import bounded_sine, softened_sine, write_tip_errors
+from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.physics.sampled import sampled_state_space
+from beltarm_env.rollout import rollout
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.ranges import design_model
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
+
+Floats = NDArray[np.float64]
+GEAR = 88.0
+SEED = 5_000_000
+
+
+def tip_errors(angle: float, speed: float = 0.0) -> Floats:
+    """C of the nominal arm, about a joint at this angle [rad] that turns at this speed [rad/s]."""
+    errors = np.empty((4, 4))
+    write_tip_errors(angle, speed, bounded_sine(angle), ArmParams().plant(), errors)
+    return errors
+
+
+def with_last_torque(transition: Floats, by_torque: Floats) -> tuple[Floats, Floats]:
+    """The arm with its last torque as a further state, and the change of the torque as input."""
+    size = len(by_torque)
+    a, b = np.eye(size + 1), np.append(by_torque, 1.0)
+    a[:size, :size], a[:size, size] = transition, by_torque
+    return a, b
+
+
+class TestFeedbackGains:
+    @pytest.mark.parametrize("weights", [Weights(), Weights(0.05, 100.0, 3.0)])
+    def test_are_the_optimum_of_the_riccati_equation(self, weights: Weights):
+        tables = linear_arm(ArmParams())
+        for k in (0, 22, 45):
+            a, b = with_last_torque(tables.transition[k], tables.by_torque[k])
+            gain = feedback_gains(ArmParams(), weights)[k] + [0, 0, 0, 0, 1]  # of the change
+            c, q = tip_errors(float(ANGLES[k])), np.zeros((5, 5))
+            q[:4, :4] = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
+            q[4, 4] = weights.torque
+            closed = a - np.outer(b, gain)
+            # The cost of the loop itself, as an infinite sum by doubling: J = sum of closed^T^i (Q + R K'K) closed^i.
+            cost, power = q + weights.change * np.outer(gain, gain), closed
+            for _ in range(14):
+                cost, power = cost + power.T @ cost @ power, power @ power
+            to_go = weights.change + b @ cost @ b
+            np.testing.assert_allclose(gain, b @ cost @ a / to_go, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
+
+    @pytest.mark.parametrize("speed", [0.0, 1.7])
+    def test_errors_are_the_tips(self, speed: float):
+        # Finite differences of the exact tip, in a frame that turns with the reference, at 40 degrees.
+        angle, step = math.radians(40.0), 1e-6
+        reference = np.array([GEAR * angle, GEAR * speed, 0.0, 0.0])
+
+        def tip(deviation: Floats) -> Floats:
+            (theta, omega), (torsion, rate) = (reference + deviation)[:2] / GEAR, deviation[2:]
+            reach = 0.5 * math.cos(theta - torsion) + 0.1
+            reach_rate = -0.5 * math.sin(theta - torsion) * (omega - rate)
+            return np.array([reach, reach * torsion, reach_rate, reach_rate * torsion + reach * rate])
+
+        slopes = np.column_stack([(tip(step * unit) - tip(-step * unit)) / (2 * step) for unit in np.eye(4)])
+        np.testing.assert_allclose(tip_errors(angle, speed), slopes, atol=1e-8)
+
+    def test_bounds_of_the_sine_hold_the_motor_at_0_degrees_alone(self):
+        assert (bounded_sine(0.0), softened_sine(0.0)) == (0.1, 0.05)
+        for bound in (bounded_sine, softened_sine):
+            assert bound(1.2) == pytest.approx(math.sin(1.2), rel=2e-3)
+
+    @pytest.mark.parametrize("gains", [LqgGains(), LqgGains(torque_weight=1e4), tuned("lqg", LqgGains)])
+    def test_loops_are_stable_at_every_angle_and_between_tables(self, gains: LqgGains):
+        controls, filters = feedback_gains(ArmParams(), gains.weights()), kalman_gains(ArmParams(), gains.noise())
+        tables = linear_arm(ArmParams())
+        measured = np.array([1.0, 0, 0, 0, 0])
+        for k in range(len(ANGLES)):
+            a, b = tables.transition[k], tables.by_torque[k]
+            extended = np.eye(5)
+            extended[:4, :4], extended[:4, 4] = a, b
+            for other in (max(k - 1, 0), k, min(k + 1, len(ANGLES) - 1)):  # scheduled by an angle that is not the arm's
+                of_state, of_last = controls[other, :4], controls[other, 4]
+                # [x; v_last]: v = -K [x; v_last]
+                held = np.block([[a - np.outer(b, of_state), -of_last * b[:, None]], [-of_state, -of_last]])
+                assert np.abs(np.linalg.eigvals(held)).max() < 1
+                # [x; xhat, dhat; v_last] with tau = v - dhat
+                law = np.concatenate([np.zeros(4), -of_state, [-1.0, -of_last]])
+                arm = np.hstack([a, np.zeros((4, 6))]) + np.outer(b, law)
+                predicted = np.hstack([np.zeros((5, 4)), extended, np.zeros((5, 1))]) + np.outer([*b, 0.0], law)
+                corrected = predicted + np.outer(filters[other], arm[0] - measured @ predicted)
+                last = law + np.eye(10)[8]  # v = tau + dhat
+                assert np.abs(np.linalg.eigvals(np.vstack([arm, corrected, last]))).max() < 1
+
+    @pytest.mark.parametrize("latency", [0.0, 0.75, 1.5, 2.9])
+    @pytest.mark.parametrize("k", [0, 20, 45])
+    def test_feedback_on_the_state_ahead_is_as_good_as_on_the_actuators_states(self, latency: float, k: int):
+        params = replace(design_model(), command_latency=latency * CONTROL_PERIOD, belt_stiffening=0.0)
+        weights, angle = Weights(0.3, 1.0, 30.0), float(ANGLES[k])
+        transition, by_command, _ = sampled_state_space(params, angle)
+        a, b = with_last_torque(transition, by_command[:, 0])
+        c, q = tip_errors(angle), np.zeros_like(a)
+        q[:4, :4] = c.T @ np.diag([1e4, 1e4, weights.velocity / 0.04, weights.velocity / 0.04]) @ c
+        q[-1, -1] = weights.torque
+        to_go = solve_discrete_are(a, b[:, None], q, np.array([[weights.change]]))
+        late = dead_time(params) / CONTROL_PERIOD
+        step = np.linalg.matrix_power(a, int(late))  # with the last command held
+        ahead = step + (late - int(late)) * (a @ step - step)
+        gain = feedback_gains(params, weights)[k] + [0, 0, 0, 0, 1]
+        gain = gain[:4] @ ahead[:4] + gain[4] * np.eye(len(a))[-1]
+        closed = a - np.outer(b, gain)
+        cost = solve_discrete_lyapunov(closed.T, q + weights.change * np.outer(gain, gain))
+        pushed = np.zeros(len(a))
+        pushed[:4] = 0.01, 1.0, 1e-3, 0.05
+        assert 1 - 1e-9 < pushed @ cost @ pushed / (pushed @ to_go @ pushed) < 1.0001
+
+    def test_feedback_on_the_state_now_bears_no_late_command(self):
+        params = replace(design_model(), command_latency=1.5 * CONTROL_PERIOD)
+        weights, k = Weights(0.3, 0.01, 0.01), 20
+        transition, by_command, _ = sampled_state_space(params, float(ANGLES[k]))
+        gain = np.zeros(len(transition))
+        gain[:4] = feedback_gains(params, weights)[k, :4]
+        assert np.abs(np.linalg.eigvals(transition - np.outer(by_command[:, 0], gain))).max() > 1.01
+        law = LqgController(LqgGains(velocity_weight=0.3, torque_weight=0.01, change_weight=0.01), params)
+        assert np.abs(closed_poles(loop_at(law, k))).max() < 1
+
+
+def random_problem(generator: np.random.Generator, steps: int, limit: float):
+    """A problem over random dynamics and weights."""
+    problem = empty_problem(steps)
+    problem.transition[:] = np.eye(SIZE) + 0.2 * generator.normal(size=(steps, SIZE, SIZE))
+    problem.transition[:, 4] = np.eye(SIZE)[4]
+    problem.offset[:] = 0.3 * generator.normal(size=(steps, SIZE))
+    problem.offset[:, 4] = 0.0
+    roots = generator.normal(size=(steps + 1, SIZE, 2))
+    weights = roots @ roots.transpose(0, 2, 1)
+    problem.weight[:], problem.final[:] = weights[:-1], weights[-1]
+    problem.target[:] = generator.normal(size=SIZE)
+    problem.low[:], problem.high[:] = -limit, 0.8 * limit
+    return problem
+
+
+def condensed(problem, change_weight: float, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same cost as |matrix u - vector|^2, by following the dynamics under unit inputs."""
+
+    def residuals(u: np.ndarray) -> np.ndarray:
+        z, rows = first.copy(), []
+        for k in range(len(u)):
+            rows.append([np.sqrt(change_weight) * (u[k] - z[4])])
+            z = problem.transition[k] @ z + problem.transition[k, :, 4] * (u[k] - z[4]) + problem.offset[k]
+            rows.append(np.real(sqrtm(problem.weight[k])) @ z)
+        rows.append(np.real(sqrtm(problem.final)) @ (z - problem.target))
+        return np.concatenate(rows)
+
+    steps = len(problem.constant)
+    at_zero = residuals(np.zeros(steps))
+    return np.stack([residuals(unit) - at_zero for unit in np.eye(steps)], axis=1), -at_zero
+
+
+@pytest.mark.filterwarnings("ignore:Matrix is singular")
+@pytest.mark.parametrize("limit", [np.inf, 2.0, 0.5, 0.1])
+def test_active_set_finds_the_minimum_of_the_quadratic_program(limit: float):
+    generator = np.random.default_rng(0)
+    for _ in range(5):
+        problem, first, u = random_problem(generator, 12, limit), generator.normal(size=SIZE), np.empty(12)
+        first[4] = 0.1
+        rounds = minimise(problem, 0.7, first, u)
+        exact = lsq_linear(*condensed(problem, 0.7, first), (problem.low, problem.high), method="bvls", tol=1e-14)
+        assert rounds <= MOST_ROUNDS and (rounds == 1 or limit < np.inf)
+        np.testing.assert_allclose(u, exact.x, atol=1e-6)
+
+
+def test_without_limits_in_reach_the_plan_is_lqr():
+    ahead = horizon(ArmParams(), Weights(0.3, 2.0, 1.0), np.ones(30, np.int64))
+    row = 28
+    move = np.array([[0.1, ANGLES[row], 0.7, 0.15]])
+    z = np.array([0.1, 0.2, 1e-3, 0.01, 0.02])
+    states = z[None, :4] + [88 * ANGLES[row], 0, 0, 0]
+    planned = plan(ahead, states, z[4:], np.ones(1), move, 0.0)[0]
+    transition = ahead.transition[0, row]
+    problem = empty_problem(30)
+    _set_up(problem, ahead, MoveShape(*move[0]), 1.0, 0.0)
+    cost = ahead.final[row] + problem.weight[0]
+    by_change = transition[:, 4]
+    gain = by_change @ cost @ transition / (1.0 + by_change @ cost @ by_change)
+    assert np.abs(planned).max() < 0.3
+    for torque in planned:
+        v = -gain @ z
+        assert torque == pytest.approx(z[4] + v, abs=1e-12)
+        z = transition @ z + by_change * v
+
+
+def test_prediction_is_the_arm_without_friction():
+    params = ArmParams(coulomb_friction=0.0)
+    ahead = horizon(params, Weights(0.3, 0.0, 1.0))
+    move, time = MoveShape(0.3, 1.2, 0.8, 0.2), 0.1
+    problem = empty_problem(len(ahead.lengths))
+    _set_up(problem, ahead, move, time, 0.0)
+    simulation = ArmSimulation(params)
+    for k, length in enumerate(ahead.lengths):
+        reference = reference_at(TRAPEZOID, move, time)
+        around = np.array([88 * reference.angle, 88 * reference.speed, 0.0, 0.0])
+        deviation, torque = np.array([0.5, 3.0, 0.004, 0.05]), 0.15
+        state = around + deviation
+        for _ in range(length):
+            state = simulation.advance(state[None], np.array([torque]))[0]
+        time += length * CONTROL_PERIOD
+        reference = reference_at(TRAPEZOID, move, time)
+        predicted = problem.transition[k] @ [*deviation, torque] + problem.offset[k]
+        actual = state - [88 * reference.angle, 88 * reference.speed, 0.0, 0.0]
+        assert (np.abs(predicted[:4] - actual) < [1e-5, 1e-3, 3e-5, 3e-3]).all()  # the nonlinear arm moves 100-fold
+
+
+def test_torque_limit_is_planned_for():
+    tight = 0.1  # the move needs more for a while
+    options = {
+        "params": {"torque_limit": tight},
+        "move": {"start": 0.2, "goal": 1.3, "duration": 0.9, "ramp_time": 0.2},
+    }
+    controller = MpcController(params=ArmParams(torque_limit=tight))
+    planned = rollout(controller, 1, seed=SEED, options=options)
+    controller._ahead = controller._ahead._replace(plant=controller._ahead.plant._replace(torque_limit=np.inf))
+    cut = rollout(controller, 1, seed=SEED, options=options)
+    for run in (planned, cut):
+        assert np.abs(run.torque).max() == pytest.approx(tight)
+        assert run.metrics()["saturated_share"][0] > 0.05
+    assert planned.cost[0] < 0.97 * cut.cost[0]
+
+
+DESIGN, WEIGHTS, NOISE = design_model(), Weights(1.0, 10.0, 20.0), Noise(5e-3, 0.3, 1e-3)
+WRONG = Noise(0.014, 1.7, 0.01)
+"""Noise of a filter with which LQG does not hold all arms."""
+
+
+class TestArms:
+    def test_those_around_the_design_model_are_the_corners(self):
+        arms = arms_around(DESIGN)
+        for name, corner in CORNERS.items():
+            near = [
+                all(np.isclose(getattr(arm, field), getattr(corner, field), rtol=1e-9) for field in LOOP_FIELDS)
+                for arm in arms
+            ]
+            assert any(near), name
+
+    def test_late_ones_come_with_a_sample_more_too(self):
+        latencies = sorted({round(arm.command_latency / CONTROL_PERIOD, 6) for arm in arms_around(DESIGN)})
+        assert latencies == [0.0, 0.75, 1.5, 2.5]
+
+    def test_those_around_another_arm_are_arms(self):
+        for arm in arms_around(ArmParams()):
+            assert arm.gear_ratio == 88.0 and arm.command_latency >= 0
+
+
+class TestLoops:
+    @pytest.mark.parametrize("k", [0, 20, 45])
+    def test_they_have_the_poles_of_the_law_on_each_arm(self, k: int):
+        controller = RobustController()
+        g = controller.gains
+        loops = loops_at(DESIGN, k, g.weights(), g.noise(), 0.1)
+        matrices = closed(controller.feedback[k], loops)
+        for arm, matrix in zip(arms_around(DESIGN), matrices, strict=True):
+            expected = closed_poles(loop_at(controller, k, arm))
+            actual = np.linalg.eigvals(matrix)
+            for pole in expected[np.abs(expected) > 0.05]:
+                assert np.abs(actual - pole).min() < 1e-6
+
+    def test_lyapunovs_equation_is_solved_as_scipy_does(self):
+        loops = loops_at(DESIGN, 20, WEIGHTS, NOISE, 0.1)
+        a = closed(feedback_gains(DESIGN, WEIGHTS)[20], loops)
+        actual = lyapunov(a, loops.noise)
+        assert actual is not None
+        for single, matrix, noise in zip(actual, a, loops.noise, strict=True):
+            expected = solve_discrete_lyapunov(matrix, noise)
+            scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal())) + 1e-30
+            assert (np.abs(single - expected) / scale).max() < 1e-6
+
+    def test_there_is_no_solution_for_an_unstable_loop(self):
+        assert lyapunov(np.array([[[1.001, 0.0], [0.0, 0.5]]]), np.eye(2)[None]) is None
+        assert mean_cost(-feedback_gains(DESIGN, WEIGHTS)[20], loops_at(DESIGN, 20, WEIGHTS, NOISE, 0.1))[0] == np.inf
+
+    @pytest.mark.parametrize("shrunk", [1.0, 0.99])
+    def test_slope_is_that_of_the_cost(self, shrunk: float):
+        loops, gain = loops_at(DESIGN, 12, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[12]
+        _, slope = mean_cost(gain, loops, shrunk)
+        for i, step in enumerate(1e-5 * np.diag(np.abs(gain))):
+            after, before = (mean_cost(gain + sign * step, loops, shrunk)[0] for sign in (1, -1))
+            assert (after - before) / (2 * step[i]) == pytest.approx(slope[i], rel=1e-3)
+
+
+class TestGain:
+    @pytest.mark.parametrize("k", [0, 20, 45])
+    def test_costs_less_over_the_corners_than_lqgs_and_no_step_aside_costs_less(self, k: int):
+        loops, start = loops_at(DESIGN, k, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[k]
+        gain = least_cost_gain(start, loops)
+        cost = mean_cost(gain, loops)[0]
+        assert cost < 0.99 * mean_cost(start, loops)[0]
+        for step in 0.1 * np.diag(start):
+            assert all(mean_cost(gain + sign * step, loops)[0] > 0.999 * cost for sign in (1, -1))
+
+    def test_does_not_depend_on_where_the_descent_begins_nor_then_on_how_a_processor_rounds(self):
+        loops, start = loops_at(DESIGN, 45, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
+        gain, other = least_cost_gain(start, loops), least_cost_gain(1.01 * start, loops)
+        assert other == pytest.approx(gain, rel=1e-7)
+
+    def test_a_slope_of_zero_where_loops_are_unstable_ends_no_descent(self, monkeypatch: pytest.MonkeyPatch):
+        loops, start = loops_at(DESIGN, 45, WEIGHTS, NOISE, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
+        monkeypatch.setattr(robust, "root", lambda *_, **__: OptimizeResult(x=np.full(5, 1e6), success=True))
+        assert np.isfinite(mean_cost(least_cost_gain(start, loops), loops)[0])
+
+    def test_is_found_from_one_that_does_not_hold_all_arms(self):
+        loops, start = loops_at(DESIGN, 45, WEIGHTS, WRONG, 0.1), feedback_gains(DESIGN, WEIGHTS)[45]
+        assert mean_cost(start, loops)[0] == np.inf
+        assert np.isfinite(mean_cost(least_cost_gain(start, loops), loops)[0])
+
+    def test_holds_every_corner_at_every_angle_where_lqg_with_the_same_weights_does_not(self):
+        weights = {"velocity_weight": 1.0, "torque_weight": 10.0, "change_weight": 20.0}
+        noise = {f"{name.name}_noise": getattr(WRONG, name.name) for name in fields(WRONG)}
+        worst = {}
+        for kind in (RobustController, LqgController):
+            controller = kind(RobustGains(**weights, **noise))
+            loops = [loop_at(controller, k, arm) for k in (0, 23, 45) for arm in CORNERS.values()]
+            worst[kind] = max(float(np.abs(closed_poles(loop)).max()) for loop in loops)
+        assert worst[RobustController] < 1 < worst[LqgController]
+
+
+class TestKept:
+    def test_they_are_what_the_design_finds(self, tmp_path: Path):
+        design, anew = CONTROLLERS["robust"]().design, tmp_path / "robust.json"
+        design_command.run(design_command.Config(anew))
+        actual, expected = (kept.kept_gains(design.content(), path) for path in (anew, kept.FILE))
+        assert expected is not None, "robust.json is of another design: run `python baselines/design.py`"
+        assert actual == pytest.approx(expected, rel=1e-6), "run `python baselines/design.py`"
+
+    def test_they_are_of_one_design_alone(self):
+        design = CONTROLLERS["robust"]().design
+        others = [
+            design._replace(params=replace(design.params, payload_mass=0.11)),
+            design._replace(weights=design.weights._replace(change=201.0)),
+            design._replace(noise=replace(design.noise, torque=0.011)),
+            design._replace(stopped=0.2),
+        ]
+        assert all(kept.kept_gains(other.content()) is None for other in others)
+
+    def test_what_is_not_kept_is_designed(self, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setattr(robust.Design, "gains", lambda design: np.full((10, 5), design.stopped))
+        assert np.all(robust_gains(CONTROLLERS["robust"]().design._replace(stopped=0.123)) == 0.123)
+
+    def test_what_is_written_is_read_bit_for_bit(self, tmp_path: Path):
+        gains = np.random.default_rng(0).normal(size=(3, 5)) / 3
+        kept.keep({"stopped": 0.1}, gains, tmp_path / "robust.json")
+        actual = kept.kept_gains({"stopped": 0.1}, tmp_path / "robust.json")
+        assert actual is not None and np.array_equal(actual, gains)
+
+    @pytest.mark.parametrize(
+        "content", ["", "[]", "{}", '{"design": {}, "gains": [[1, 2]]}', '{"design": {}, "gains": [[1, 2, 3, 4, NaN]]}']
+    )
+    def test_a_damaged_file_is_named_with_a_remedy(self, content: str, tmp_path: Path):
+        (tmp_path / "robust.json").write_text(content)
+        with pytest.raises(ValueError, match=r"robust\.json is damaged .*: restore it, or remove it"):
+            kept.kept_gains({}, tmp_path / "robust.json")

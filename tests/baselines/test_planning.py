@@ -1,0 +1,237 @@
+"""Plans: optimal for their linear problem, improved for the task's own cost, and made anew."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple
+
+import control
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from baselines.models.linear import at_angle, linear_arm
+from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque, replanned
+from baselines.planning.replanning import STEPS, PlanCache, Situation
+from baselines.planning.task_plan import anchor, improve, plan_room, plan_squares, plan_task, problem_of
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
+from beltarm_env.arm import params_table, plant_of
+from beltarm_env.physics.kinematics import tip_errors
+from beltarm_env.simulation import ArmSimulation
+from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
+from beltarm_env.task.reference import MoveShape, sampled_moves
+
+Floats = NDArray[np.float64]
+GEAR = 88.0
+MOVE = np.array([[0.3, 1.1, 0.8, 0.2]])
+WEIGHTS = Weights(0.3, 2.0, 20.0)
+
+
+def linear_run(torques: Floats | None, gains: float = 1.0, weights: Weights = WEIGHTS) -> tuple[float, Floats]:
+    """Cost of the plan's own problem, by simulating its linear model along the move: independent of its recursion."""
+    arm = ArmParams()
+    plan = planned(MOVE[0], arm.row(), weights)
+    tables = linear_arm(arm)
+    times = CONTROL_PERIOD * np.arange(EPISODE_STEPS + 1)
+    env = BeltArmVectorEnv(1, autoreset_mode="Disabled")
+    env.reset(options={"move": dict(zip(("start", "goal", "duration", "ramp_time"), MOVE[0].tolist(), strict=True))})
+    references = np.array([np.ravel(env.reference(float(t)))[:2] for t in times])
+    x, cost, applied, last = np.array([GEAR * MOVE[0, 0], 0.0, 0.0, 0.0]), 0.0, np.empty(EPISODE_STEPS), 0.0
+    for k in range(EPISODE_STEPS):
+        angle, speed = references[k]
+        a, b, e = (at_angle(part, np.array([angle]))[0] for part in tables)
+        m2 = 0.01 + 0.06 * math.sin(angle) ** 2
+        torque = plan[k, TORQUE] - gains * plan[k, GAIN:TORQUE] @ np.append(x - plan[k, :GAIN], last)
+        torque = torque if torques is None else torques[k]
+        x = a @ x + b * torque + e * 0.06 * math.sin(angle) * math.cos(angle) * speed**2 / m2
+        applied[k] = torque
+        angle, speed = references[k + 1]
+        z = x - [GEAR * angle, GEAR * speed, 0.0, 0.0]
+        dphi, dphi_dot = z[0] / GEAR - z[2], z[1] / GEAR - z[3]
+        reach, slope = 0.5 * math.cos(angle) + 0.1, -0.5 * math.sin(angle)
+        position = slope * dphi, reach * z[2]
+        velocity = slope * dphi_dot - 0.5 * math.cos(angle) * speed * dphi, reach * z[3] + slope * speed * z[2]
+        cost += np.square(position).sum() / 0.01**2 + 0.3 * np.square(velocity).sum() / 0.2**2
+        cost += weights.torque * torque**2 + weights.change * (torque - last) ** 2
+        last = torque
+    return float(cost), applied
+
+
+class TestPlan:
+    def test_is_the_optimum_of_its_problem(self):
+        best, torques = linear_run(None)
+        rng = np.random.default_rng(0)
+        for _ in range(4):
+            other = rng.normal(0, 1e-3, EPISODE_STEPS)
+            costs = [linear_run(torques + s * other)[0] for s in (-1, 1)]
+            assert min(costs) > best
+            assert costs[0] - best == pytest.approx(costs[1] - best, rel=1e-3), "stationary: no slope, only curvature"
+        assert linear_run(None, gains=0.8)[0] > best
+
+    def test_gain_at_rest_is_that_of_the_infinite_horizon(self):
+        plan = planned(np.array([0.3, 0.8, 0.5, 0.1]), ArmParams().row(), WEIGHTS)
+        tables = linear_arm(ArmParams())
+        by_state, by_torque = (at_angle(part, np.array([0.8]))[0] for part in tables[:2])
+        a, b = np.eye(5), np.append(by_torque, 1.0)  # the last torque as fifth state, its change as input
+        a[:4, :4], a[:4, 4] = by_state, by_torque
+        radial, reach = 0.5 * math.sin(0.8), 0.5 * math.cos(0.8) + 0.1
+        of_angles = [[-radial / GEAR, 0, radial, 0], [0, 0, reach, 0]]
+        c = np.array([*of_angles, [0, -radial / GEAR, 0, radial], [0, 0, 0, reach]])
+        q = np.zeros((5, 5))
+        q[:4, :4], q[4, 4] = c.T @ np.diag([1e4, 1e4, 0.3 / 0.04, 0.3 / 0.04]) @ c, WEIGHTS.torque
+        state_cost = a.T @ q @ a
+        state_cost = (state_cost + state_cost.T) / 2
+        price = np.array([[WEIGHTS.change + b @ q @ b]])
+        gain, _, _ = control.dlqr(a, b[:, None], state_cost, price, (a.T @ q @ b)[:, None])
+        np.testing.assert_allclose(plan[500, GAIN:TORQUE], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
+
+    def test_is_read_between_samples(self):
+        table = params_table([ArmParams()])
+        plans = replanned(None, np.ones(1, np.bool_), MOVE, table, WEIGHTS)
+        x, last = np.array([[GEAR * 0.4, 30.0, 0.01, 0.0]]), np.array([0.05])
+
+        def torque(time: float) -> float:
+            return float(planned_torque(plans, np.array([time]), x, last)[0])
+
+        row = plans[0][100]
+        assert torque(100.0) == pytest.approx(row[9] - row[4:9] @ np.append(x[0] - row[:4], last), rel=1e-12)
+        assert torque(100.5) == pytest.approx(0.5 * (torque(100.0) + torque(101.0)), abs=1e-3)
+        assert torque(1199.0) == torque(1300.0)
+
+    def test_every_arm_has_its_own(self):
+        table = params_table([ArmParams(), ArmParams(payload_mass=0.2)])
+        moves = np.repeat(MOVE, 2, axis=0)
+        both, second = (
+            replanned(None, np.ones(2, np.bool_), moves, table, Weights()),
+            planned(MOVE[0], table[1], Weights()),
+        )
+        np.testing.assert_array_equal(both[1], second)
+        assert np.abs(both[0] - both[1])[:, TORQUE].max() > 1e-3
+
+
+MOVES = np.array([[0.2, 1.0, 0.7, 0.2], [1.3, 0.3, 0.8, 0.25], [0.05, 0.7, 0.6, 0.16]])
+ARM = ArmParams(coulomb_friction=0.0)
+TABLE = np.repeat(params_table([ARM]), len(MOVES), axis=0)
+TASK_WEIGHTS = Weights(0.5, 10.0, 0.0)
+ALL = np.ones(len(MOVES), np.bool_)
+
+
+def task_plans(steps: int, time: float = 0.0) -> Plans:
+    """Plans after some steps of improvement, for arms that rest at their start at that time."""
+    plans, rest = [], np.array([ARM.gear_ratio, 0.0, 0.0, 0.0])
+    for move, row in zip(MOVES, TABLE, strict=True):
+        plans.append(np.empty((1200, 10)))
+        plan_task(MoveShape(*move), row, plan_cost(TASK_WEIGHTS), time, move[0] * rest, steps, plan_room(), plans[-1])
+    return plans
+
+
+def simulated_costs(plans) -> np.ndarray:
+    """Costs, as the task has them, of the plans' laws on the nonlinear arm, by the environment's integrator."""
+    simulation, states = ArmSimulation([ARM] * len(MOVES)), np.zeros((len(MOVES), 4))
+    states[:, 0] = ARM.gear_ratio * MOVES[:, 0]
+    tasks = sampled_moves(MOVES)
+    costs, last = np.zeros(len(MOVES)), np.zeros(len(MOVES))
+    for k in range(1000):
+        torque = planned_torque(plans, np.full(len(MOVES), float(k)), states, last)
+        torque = np.clip(torque, -ARM.torque_limit, ARM.torque_limit)
+        states = simulation.advance(states, torque)
+        for i in range(len(MOVES)):
+            (error,) = tip_errors(states[i : i + 1], tasks[i, k + 1 : k + 2, :2], plant_of(TABLE[i]))
+            costs[i] += np.hypot(error[0], error[1]) / POSITION_SCALE + np.hypot(error[2], error[3]) / VELOCITY_SCALE
+        costs += TORQUE_RATE_WEIGHT * np.abs(torque - last) / ARM.torque_limit
+        last = torque
+    return costs
+
+
+def test_improvement_lowers_the_tasks_cost_on_the_nonlinear_arm():
+    before, after = simulated_costs(task_plans(0)), simulated_costs(task_plans(6))
+    assert (after < 0.97 * before).all(), (before, after)
+
+
+def test_improved_plans_keep_within_the_torque_limit():
+    for plan in task_plans(30):
+        assert np.abs(plan[:-1, 9]).max() <= ARM.torque_limit
+
+
+def test_anchoring_changes_nothing_about_the_law():
+    rng = np.random.default_rng(3)
+    before = replanned(None, ALL, MOVES, TABLE, TASK_WEIGHTS)
+    time = np.array([40.3, 200.0, 610.8])
+    there = np.array([plan[int(t), :4] for plan, t in zip(before, time, strict=True)])
+    there += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], there.shape)
+    after, room = [plan.copy() for plan in before], plan_room()
+    for arm, move in enumerate(MOVES):
+        plan_squares(MoveShape(*move), TABLE[arm], plan_cost(TASK_WEIGHTS), 0, room, np.empty((1200, 10)))
+        anchor(after[arm], time[arm], there[arm], problem_of(MoveShape(*move), TABLE[arm]), room.model)
+    for later in (1, 2, 100):
+        whole = np.floor(time) + later
+        x = np.array([plan[int(t), :4] for plan, t in zip(before, whole, strict=True)])
+        x += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], x.shape)
+        torques = [planned_torque(plans, whole, x, np.zeros(3)) for plans in (before, after)]
+        np.testing.assert_allclose(*torques, rtol=1e-9)
+    for arm, plan in enumerate(after):
+        k, share = int(time[arm]), time[arm] % 1
+        now = plan[k, :4] + share * (plan[k + 1, :4] - plan[k, :4])
+        assert (np.abs(now - there[arm]) < [0.02, 0.3, 1e-4, 5e-3]).all()
+
+
+def test_what_is_past_stays():
+    (before, *_), room, move = task_plans(0), plan_room(), MoveShape(*MOVES[0])
+    plan_squares(move, TABLE[0], plan_cost(TASK_WEIGHTS), 0, room, np.empty((1200, 10)))
+    after = before.copy()
+    assert improve(after, 101, problem_of(move, TABLE[0]), room)
+    assert (after[:101, 9] == before[:101, 9]).all() and (after[:102, :4] == before[:102, :4]).all()
+    assert not (after[101:, 9] == before[101:, 9]).all()
+
+
+def test_nothing_is_left_to_improve_at_the_end():
+    for plan, squares in zip(task_plans(6, 1199.0), replanned(None, ALL, MOVES, TABLE, TASK_WEIGHTS), strict=True):
+        assert (plan == squares).all()
+
+
+class TestReplanning:
+    @staticmethod
+    def situation(step: int, logs: np.ndarray) -> Situation:
+        steps = np.full(3, step)
+        rest = np.column_stack([ARM.gear_ratio * MOVES[:, 0], np.zeros((3, 3))])
+        return Situation(MOVES, steps, steps + 1.4, rest, logs, TABLE)
+
+    @staticmethod
+    def begun(steps: int = STEPS) -> PlanCache:
+        nothing = np.zeros((3, 1))
+        return PlanCache.empty(nothing).begun(ALL, TestReplanning.situation(0, nothing), TASK_WEIGHTS, steps)
+
+    def test_first_plan_is_that_of_the_tasks_cost(self):
+        before, after = simulated_costs(self.begun(0).plans), simulated_costs(self.begun().plans)
+        assert (after < 0.97 * before).all(), (before, after)
+
+    def test_arms_that_begin_alike_share_a_plan(self):
+        """One whose command acts later, or that begins no episode, has another."""
+        nothing, now = np.zeros((6, 1)), self.situation(0, np.zeros((3, 1)))
+        twice = Situation(*(np.concatenate([part, part]) for part in astuple(now)))
+        twice.time[4] += 0.1
+        begins = np.array([True, True, True, True, True, False])
+        plans = PlanCache.empty(nothing).begun(begins, twice, TASK_WEIGHTS).plans
+        assert plans[3] is plans[0] and plans[4] is not plans[1] and plans[5].size == 0
+        for plan, alone in zip(plans[:3], self.begun().plans, strict=True):
+            assert plan.tobytes() == alone.tobytes()
+        later = self.situation(0, np.zeros((3, 1)))
+        later.time[1] += 0.1
+        expected = PlanCache.empty(np.zeros((3, 1))).begun(ALL, later, TASK_WEIGHTS).plans[1]
+        assert plans[4].tobytes() == expected.tobytes() != plans[1].tobytes()
+
+    def test_plans_are_made_anew_where_the_arm_is_another(self):
+        before = self.begun()
+        after = before.renewed(self.situation(20, np.array([[0.03], [0.01], [-0.03]])), TASK_WEIGHTS)
+        assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
+        assert after.logs.tolist() == [[0.03], [0.0], [-0.03]]
+
+    def test_what_does_not_begin_stays(self):
+        begins, before = np.array([True, False, True]), self.begun()
+        after = before.begun(begins, self.situation(0, np.ones((3, 1))), TASK_WEIGHTS)
+        assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
+        assert after.logs.tolist() == [[1.0], [0.0], [1.0]]
+
+    def test_plans_are_not_made_anew_between_times(self):
+        before = self.begun()
+        assert before.renewed(self.situation(19, np.full((3, 1), 0.5)), TASK_WEIGHTS) is before

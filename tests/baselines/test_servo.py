@@ -1,0 +1,292 @@
+"""Servos by themselves: the paper's law, its retuned one, PID, the disturbance observer, flat motions and ADRC."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from baselines import rigid_controller
+from baselines.loops.laws import law_of
+from baselines.models.actuator import dead_time
+from baselines.models.flatness import CORNERS, SpreadGains, write_corners
+from baselines.models.linear import ANGLES
+from baselines.models.rigid_arm import inertia_at
+from baselines.reading import read
+from baselines.servo.adrc import AdrcController, AdrcGains, ExtendedState, feedback, observe, observer_gains
+from baselines.servo.disturbance import FAST_LOAD, LOAD, DisturbanceController, DisturbanceGains
+from baselines.servo.disturbance import KNOWN as KNOWN_TORQUE
+from baselines.servo.flat import FlatController, FlatGains, joint_motion
+from baselines.servo.paper import TORSION, TORSION_RATE, PaperController, next_torsion
+from baselines.servo.pid import INTEGRAL, PidGains
+from baselines.servo.retuned import RetunedController, RetunedGains
+from baselines.servo.smooth import SmoothController, SmoothGains
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
+from beltarm_env.observation import decode
+from beltarm_env.rollout import Recording, rollout
+from beltarm_env.task.ranges import design_model
+from beltarm_env.task.reference import MoveShape
+
+NOMINAL = ArmParams()
+MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
+
+
+def over_the_range(controller: Any, **settings: Any) -> Recording:
+    """Moves all over the workspace, each in a time that its length allows."""
+    start, goal = MOVES.T
+    duration = 0.6 + 0.3 * np.abs(goal - start)
+    move = {"start": start, "goal": goal, "duration": duration, "ramp_time": 0.3 * duration}
+    return rollout(controller, len(MOVES), seed=5_000_000, options={"move": move, **settings})
+
+
+def observations(count: int = 5, steps: int = 250, seed: int = 5_000_000) -> np.ndarray:
+    """What a few arms observe under random torques, shape (steps, count, size)."""
+    env = BeltArmVectorEnv(count, randomization="ideal")
+    seen = [env.reset(seed=seed)[0]]
+    torques = np.random.default_rng(0).uniform(-0.4, 0.4, (steps, count, 1)).repeat(10, axis=0)[:steps]
+    seen += [env.step(torque)[0] for torque in torques]
+    return np.stack(seen)
+
+
+class TestPaper:
+    def test_first_torque_is_equation_11_with_table_2(self):
+        seen = observations(steps=1)[0]
+        action, memory = PaperController().predict(seen)
+        now = decode(seen)
+        u_1 = 88 * now["reference_acceleration"] + 20 * now["motor_speed_error"] + 25 * now["motor_angle_error"]
+        torque = 6.3e-5 * u_1 + 3.5e-4 * now["motor_speed"] + 0.032 * np.sign(now["reference_speed"])
+        np.testing.assert_allclose(action[:, 0], torque / 0.3, atol=1e-7)
+        assert (memory[:, TORSION] == 0).all()
+
+    def test_vibration_feedback_is_k4_times_the_simulated_rate(self):
+        paper, rigid = PaperController(), rigid_controller()
+        memory = other = None
+        for seen in observations():
+            with_feedback, memory = paper.predict(seen, memory)
+            without, other = rigid.predict(seen, other)
+            free = (np.abs(with_feedback) < 1) & (np.abs(without) < 1)
+            expected = without[:, 0] - 0.15 * memory[:, TORSION_RATE] / 0.3
+            np.testing.assert_allclose(with_feedback[free[:, 0], 0], expected[free[:, 0]], atol=1e-6)
+        assert memory is not None and np.abs(memory[:, TORSION_RATE]).max() > 0.01
+
+    def test_torsion_simulation_solves_the_arm_behind_the_belt(self):
+        # Joint speed constant within each sample, as the simulation assumes; M2 at the joint angle, its slope left out.
+        damping = 2 * 0.05 * np.sqrt(33 * 0.07)
+        plant = ArmParams(belt_damping_ratio=0.05).plant()
+        joint, last, torsion, rate, exact = 0.8, 0.0, 0.0, 0.0, np.zeros(2)
+        for speed in np.random.default_rng(1).uniform(-2, 2, 40):
+            joint += speed * CONTROL_PERIOD
+            torsion, rate = next_torsion(torsion, rate, speed - last, joint, plant)
+            m2 = 0.01 + 0.06 * np.sin(joint) ** 2
+            exact[1] += speed - last
+            system = np.array([[0, 1], [-33 / m2, -damping / m2]])
+            exact, last = expm(CONTROL_PERIOD * system) @ exact, speed
+        np.testing.assert_allclose([torsion, rate], exact, rtol=1e-8)
+
+    def test_simulated_torsion_follows_the_true_one_on_the_nominal_arm(self):
+        env = BeltArmVectorEnv(8, autoreset_mode="Disabled")
+        seen, _ = env.reset(seed=3)
+        controller, memory, torsions = PaperController(), None, []
+        for _ in range(300):
+            action, memory = controller.predict(seen, memory)
+            torsions.append((env.state[:, 2], memory[:, TORSION]))
+            seen, *_ = env.step(action)
+        true, simulated = np.moveaxis(np.array(torsions), 1, 0)
+        assert np.std(true - simulated) < 0.3 * np.std(true)
+
+
+class TestRetuned:
+    def test_torque_is_equation_11(self):
+        p, gains = NOMINAL, RetunedGains(torsion_speed=0.2, angle=30.0, speed=15.0, friction=1.0)
+        controller, memory = RetunedController(gains, NOMINAL), None
+        for seen in observations(steps=60):
+            action, memory = controller.predict(seen, memory)
+            now = read(seen, p)
+            u_1 = 88 * now.reference_acceleration + 15 * (88 * now.reference_speed - now.motor_speed)
+            u_1 += 30 * (88 * now.reference_angle - now.motor_angle)
+            sine, cosine = np.sin(now.reference_angle), np.cos(now.reference_angle)
+            inertia = 6.3e-5 + (0.01 + 0.06 * sine**2) / 88**2
+            torque = inertia * u_1 + 0.06 * sine * cosine * now.reference_speed**2 / 88 + 3.5e-4 * now.motor_speed
+            torque += 0.032 * np.sign(now.reference_speed) - 0.2 * memory[:, TORSION_RATE]
+            moving = now.reference_speed != 0
+            assert moving.all() or now.step[0] == 0
+            np.testing.assert_allclose(action[moving, 0], np.clip(torque / 0.3, -1, 1)[moving], atol=1e-6)
+
+    def test_friction_compensation_ends_the_stuck_motors_error(self):
+        # Stiction would hold a PD of K_p = 50 up to tau_c / (M_a1 K_p) = 10 rad from its goal.
+        errors = {}
+        for share in (0.0, 0.95):
+            run = over_the_range(RetunedController(RetunedGains(angle=50.0, friction=share)))
+            errors[share] = np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1])
+        assert np.median(errors[0.0]) > 2.0
+        assert np.median(errors[0.95]) < 0.25 * np.median(errors[0.0])
+
+
+class TestPid:
+    def test_integral_holds_still_while_the_torque_is_at_its_limit(self):
+        seen = observations(count=2, steps=1)[0]
+        seen[:, observation.index("motor_angle_error")] = (-1.0, 1e-3)  # far ahead, next to nothing
+        gains = replace(SmoothGains(), angle=50_000.0)
+        controller = SmoothController(gains)
+        _, memory = controller.predict(seen)
+        assert memory[0, INTEGRAL] == 0.0 and memory[1, INTEGRAL] != 0.0
+
+    def test_push_is_the_proportional_gain_times_inertia_and_error(self):
+        seen = observations(count=1, steps=1)[0]
+        base = PidGains()
+        torques = {}
+        for error in (0.0, 0.2):
+            seen[:, observation.index("motor_angle_error")] = error / 1.5
+            action, _ = SmoothController(SmoothGains(friction=0.0), NOMINAL).predict(seen)
+            torques[error] = 0.3 * action[0, 0]
+        inertia = inertia_at(read(seen, NOMINAL).reference_angle[0], NOMINAL.plant())
+        assert torques[0.2] - torques[0.0] == pytest.approx(inertia * base.angle * 0.2, rel=1e-4)
+
+
+class LoadedBy:
+    """A controller whose motor carries a constant torque that it is not told of; it sees its own torque alone."""
+
+    def __init__(self, controller: Any, load: float) -> None:
+        self._controller, self._share = controller, load / NOMINAL.torque_limit
+
+    def predict(self, observed, state=None, episode_start=None, deterministic=True):
+        reported = observed.copy()
+        reported[:, observation.index("last_command")] += self._share * (
+            reported[:, observation.index("elapsed_time")] > 0
+        )
+        action, state = self._controller.predict(reported, state, episode_start, deterministic)
+        return action - np.float32(self._share), state
+
+
+class TestDisturbanceObserver:
+    @pytest.mark.parametrize("load", [-0.03, 0.03])
+    def test_a_constant_load_leaves_no_error(self, load: float):
+        errors = []
+        for observer in (0.1, 15.0):
+            run = over_the_range(LoadedBy(DisturbanceController(DisturbanceGains(observer=observer)), load))
+            errors.append(np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1]))
+        without, with_observer = errors
+        assert np.median(without) > 1.0
+        assert with_observer.max() < 0.35  # 4 mrad at the joint
+        assert np.median(with_observer) < 0.1 * np.median(without)
+
+    def test_estimate_follows_a_step_as_its_filter_does(self):
+        # The motor turns at constant speed; the torque steps by 0.1 N m, which must be a load.
+        gains = DisturbanceGains(observer=20.0, reaction=200.0, friction=0.0)
+        controller, memory = DisturbanceController(gains), None
+        seen = np.zeros((1, observation.size()), np.float32)
+        seen[:, [observation.index(name) for name in ("motor_speed", "reference_speed", "duration", "ramp_time")]] = 1.0
+        loads = []
+        for k in range(101):
+            held = 0.0 if memory is None else memory[0, KNOWN_TORQUE] + 0.1
+            seen[:, observation.index("last_command")] = held / 0.3
+            _, memory = controller.predict(seen, memory, np.array([k == 0]))
+            loads.append(memory[0, [LOAD, FAST_LOAD]])
+        time = CONTROL_PERIOD * np.arange(101)[:, None]
+        np.testing.assert_allclose(loads, 0.1 * (1 - np.exp(-time * [20.0, 200.0])), atol=1e-6)
+
+    def test_estimate_is_frozen_while_the_motor_is_meant_to_stick(self):
+        controller = DisturbanceController(DisturbanceGains(rest_width=0.3))
+        seen = np.zeros((1, observation.size()), np.float32)
+        seen[:, [observation.index("duration"), observation.index("ramp_time")]] = 1.0
+        _, memory = controller.predict(seen)
+        seen[:, observation.index("last_command")] = 0.05
+        _, after = controller.predict(seen, memory)
+        assert after[0, LOAD] == memory[0, LOAD] == 0.0
+
+
+KNOWN = replace(design_model(), coulomb_friction=0.0, belt_stiffening=0.0)
+"""An arm as the flat motion has it, behind a drive."""
+MOVE = {"start": 0.2, "goal": 1.4, "duration": 0.9, "ramp_time": 0.25}
+
+
+class TestFlat:
+    @staticmethod
+    def corners(gains: SpreadGains) -> np.ndarray:
+        """Corners of `MOVE`, shape (CORNERS,)."""
+        corners = np.empty(CORNERS)
+        write_corners(MoveShape(**MOVE), KNOWN.plant(), gains.first_spread, gains.spread, corners)
+        return corners
+
+    def error(self, controller: FlatController) -> np.ndarray:
+        """Motor's error from the flat motion on an arm that is known in all but its friction, shape (1200,)."""
+        run = rollout(controller, 1, options={"params": asdict(KNOWN), "move": MOVE}, encoder_counts=10_000_000)
+        corners = self.corners(controller.gains)
+        wanted = [joint_motion(corners, time, KNOWN.plant()).angle for time in run.time]
+        return run.state[:, 0, 0] - 88 * np.array(wanted)
+
+    def test_motion_is_that_of_its_own_derivatives(self):
+        times, corners = np.linspace(0.01, 1.0, 2000), self.corners(SpreadGains(0.4, 0.7))
+        angle, speed, acceleration = np.array([joint_motion(corners, time, KNOWN.plant()) for time in times]).T
+        np.testing.assert_allclose(np.gradient(angle, times)[1:-1], speed[1:-1], atol=2e-3)
+        off = np.abs(np.gradient(speed, times) - acceleration)
+        assert np.median(off) < 2e-3 and (off < 0.1).mean() > 0.98  # but where the link's fourth derivative jumps
+
+    def test_a_known_arm_follows_with_hardly_any_feedback(self):
+        weak = FlatGains(angle=10.0, speed=5.0, integral=0.01, friction=0.0)
+        error = np.abs(self.error(FlatController(weak, KNOWN))).max()
+        assert error < 0.05  # of 106 rad
+        late = FlatController(weak, replace(KNOWN, command_latency=KNOWN.command_latency + CONTROL_PERIOD))
+        assert np.abs(self.error(late)).max() > 3 * error
+
+
+class TestExtendedState:
+    @pytest.mark.parametrize("bandwidth", [1.0, 30.0, 400.0])
+    def test_its_poles_lie_where_the_bandwidth_says(self, bandwidth: float):
+        gains = observer_gains(bandwidth)
+        step = [observe(ExtendedState(*row), 0.0, 0.0, gains) for row in np.eye(3)]
+        poles = np.linalg.eigvals(np.array(step).T)
+        np.testing.assert_allclose(poles, np.exp(-bandwidth * CONTROL_PERIOD), atol=2e-4)
+
+    def test_finds_a_constant_acceleration(self):
+        z, times = ExtendedState(0.0, 0.0, 0.0), CONTROL_PERIOD * np.arange(1, 400)
+        for time in times:
+            z = observe(z, 2.0, 0.5 * 5.0 * time**2, observer_gains(60.0))
+        np.testing.assert_allclose(z, [2.5 * times[-1] ** 2, 5.0 * times[-1], 3.0], rtol=1e-6)
+
+    def test_law_cancels_what_is_found_and_places_two_poles(self):
+        h, z = 1e-4, np.array([1.0, 0.0, 7.0])
+        transition = np.eye(3) + h * np.array([[0, 1, 0], [0, 0, 1], [0, 0, 0]])
+        transition[1] += h * np.array([feedback(ExtendedState(*unit), 20.0) for unit in np.eye(3)])
+        for _ in range(20_000):
+            z = transition @ z
+        np.testing.assert_allclose(z, [0, 0, 7], atol=1e-9)
+        poles = np.sort(np.linalg.eigvals(transition[:2, :2]).real)
+        np.testing.assert_allclose(np.log(poles) / h, -20.0, rtol=2e-3)
+
+
+class TestAdrc:
+    @pytest.mark.parametrize(("known", "actual"), [(True, (0.0, 1e-9)), (False, (10.0, 1000.0))])
+    def test_commands_on_their_way_are_no_disturbance(self, known: bool, actual: tuple[float, float]):
+        """On a motor that is an inertia behind the drive's dead time, pushed at will, the observer finds nothing."""
+        params = KNOWN if known else replace(KNOWN, command_latency=0.0, current_loop_time_constant=0.0)
+        law = law_of(AdrcController(AdrcGains(observer=200.0), params), 20)
+        inertia = inertia_at(ANGLES[20], KNOWN.plant())
+        whole, rest = divmod(dead_time(KNOWN) / CONTROL_PERIOD, 1.0)
+        memory, error, rate, largest = np.zeros(law.size), 0.0, 0.0, 0.0
+        pushes = 0.02 * np.sin(0.2 * np.arange(-3, 300)) * (np.arange(-3, 300) >= 0)
+        for k in range(3, 300):
+            acting = (pushes[k - int(whole)] * (1 - rest) + pushes[k - int(whole) - 1] * rest) / inertia
+            error += CONTROL_PERIOD * (rate + 0.5 * CONTROL_PERIOD * acting)
+            rate += CONTROL_PERIOD * acting
+            _, memory = law.step(error, rate, float(pushes[k]), memory)
+            largest = max(largest, abs(float(memory[2])))
+        assert actual[0] <= largest < actual[1]
+
+    def test_gets_rid_of_a_constant_torque(self):
+        weak = replace(KNOWN, torque_constant_error=-0.1, motor_viscous_friction=2 * KNOWN.motor_viscous_friction)
+        left = {}
+        for observer in (1.0, 40.0):
+            gains = AdrcGains(friction=0.0, observer=observer)
+            options = {"params": asdict(weak), "move": MOVE}
+            run = rollout(AdrcController(gains, KNOWN), 1, options=options, encoder_counts=10_000_000)
+            left[observer] = np.abs(run.state[400:560, 0, 0] - 88 * (0.2 + 1.2 * (run.time[400:560] - 0.125) / 0.65))
+        assert left[40.0].mean() < 0.5 * left[1.0].mean()
+
+    def test_a_motor_that_rests_on_its_goal_is_left_alone(self):
+        run = rollout(AdrcController(), 16, seed=5_000_000, randomization="train")
+        assert np.median(run.metrics()["torque_reversals_hz"]) < 10
+        assert (np.abs(run.state[-100:, :, 1]).max(axis=0) == 0).mean() > 0.3

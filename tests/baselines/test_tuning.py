@@ -1,0 +1,479 @@
+"""The tuner: the search on small problems, its margins, the file of gains, and the command as a user runs it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import mistake
+
+from baselines import TUNABLE, PaperController, PaperGains
+from baselines.engines.parallel import Channel, Interrupted, StopRequest
+from baselines.gains import Gains, Tunable, read_file, tunable, tuned, write_entry
+from baselines.loops.condition import MarginCondition
+from baselines.servo.retuned import RetunedController, RetunedGains
+from baselines.tune import Config, main
+from baselines.tuning import run
+from baselines.tuning.race import MAX_CHOICE_ARMS, MIN_BUDGET, RUNGS, charged, estimate, hopeless, split_budget
+from baselines.tuning.search import SearchProgress, SearchResult, search
+from baselines.tuning.study import begin_anew, open_study, rounded, space
+from beltarm_env import EPISODE_STEPS
+from beltarm_env.jit import ANNOUNCEMENT
+from beltarm_env.task.seeds import GAIN_CHOICE, GAIN_SEARCH
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = tuple(TUNABLE)[:2]
+BATCH = RUNGS[0] * EPISODE_STEPS
+
+
+@dataclass(frozen=True)
+class OneGain(Gains):
+    vibration: float = tunable(0.05, 0.01, 1.0, log=True)
+
+
+class Counting:
+    """The paper's controller, counting the steps of single arms that it sees."""
+
+    steps = 0
+
+    def __init__(self, gains: OneGain) -> None:
+        self._controller = PaperController(gains=PaperGains(torsion_speed=gains.vibration, angle=400, speed=40))
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        Counting.steps += len(observation)
+        return self._controller.predict(observation, state, episode_start, deterministic)
+
+
+class Fragile(Counting):
+    """Raises with some gains and returns NaN with others."""
+
+    def __init__(self, gains: OneGain) -> None:
+        super().__init__(gains)
+        if gains.vibration > 0.3:
+            raise RuntimeError("no solution")
+        self._offset = math.nan if gains.vibration < 0.03 else 0.0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        action, state = super().predict(observation, state, episode_start, deterministic)
+        return action + np.float32(self._offset), state
+
+
+@dataclass(frozen=True)
+class BadGain(Gains):
+    vibration: float = tunable(0.5, 0.01, 1.0)
+
+
+@dataclass(frozen=True)
+class TwoGains(Gains):
+    angle: float = tunable(60.0, 10.0, 10_000.0, log=True)
+    torsion_speed: float = tunable(0.001, 1e-4, 0.2, log=True)
+
+
+@dataclass(frozen=True)
+class WildGains(TwoGains):
+    torsion_speed: float = tunable(0.1, 1e-4, 0.2, log=True)
+
+
+class Watched(RetunedController):
+    """The retuned controller with two gains free, keeping the margins of all that is simulated."""
+
+    simulated: list[float] = []  # noqa: RUF012
+
+    def __init__(self, gains: TwoGains) -> None:
+        super().__init__(RetunedGains(angle=gains.angle, torsion_speed=gains.torsion_speed, speed=30.0))
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        if state is None:
+            Watched.simulated.append(MarginCondition().shortfall(self))
+        return super().predict(observation, state, episode_start, deterministic)
+
+
+class Lawless(Counting):
+    """A controller without a linear law."""
+
+    def __init__(self, gains: TwoGains) -> None:
+        super().__init__(OneGain())
+
+
+KIND, GUARDED = Tunable(Counting, OneGain), Tunable(Watched, TwoGains)
+
+
+def interrupted_after(calls: int) -> Channel:
+    """Channel that interrupts a search at a report of its progress."""
+    reports = iter(range(calls))
+
+    def interrupt(_: SearchProgress) -> None:
+        if next(reports, None) is None:
+            raise KeyboardInterrupt
+
+    return Channel(interrupt)
+
+
+@pytest.mark.parametrize("budget", [MIN_BUDGET, 3 * MIN_BUDGET + 1])
+def test_budget_is_kept_and_counted(budget: int, tmp_path: Path):
+    Counting.steps = 0
+    reported: list[SearchProgress] = []
+    actual = search(Tunable(Counting, OneGain), budget, 0, tmp_path / "journal", Channel(reported.append))
+    assert actual.steps == Counting.steps == reported[-1].steps <= budget
+    assert split_budget(budget).search - BATCH < reported[-1].steps
+    assert actual.cost <= actual.cost_untuned
+    assert actual.trials == reported[-1].trials and actual.failed == 0
+
+
+def test_same_seed_finds_the_same_gains_and_tuning_helps(tmp_path: Path):
+    first, second = (search(Tunable(Counting, OneGain), 3 * MIN_BUDGET, 3, tmp_path / name) for name in "ab")
+    assert (first.gains, first.cost, first.trials) == (second.gains, second.cost, second.trials)
+    assert first.cost < first.cost_untuned
+    assert 0 < first.pruned < first.trials
+
+
+def test_interrupted_search_goes_on(tmp_path: Path):
+    """Wherever it is interrupted, at the first of its draws too: nothing is simulated or drawn twice."""
+    journal = tmp_path / "journal"
+    for calls in (0, 2, 3):
+        with pytest.raises(KeyboardInterrupt):
+            search(KIND, 4 * MIN_BUDGET, 0, journal, interrupted_after(calls))
+    Counting.steps = 0
+    result = search(KIND, 4 * MIN_BUDGET, 0, journal)
+    assert 5 * BATCH <= result.steps - Counting.steps <= 6 * BATCH  # all but the batches that were interrupted
+    assert result.steps <= 4 * MIN_BUDGET
+    gains = [trial.params["vibration"] for trial in open_study(OneGain, 0, journal).get_trials()]
+    drawn = [gain for gain in gains if gain != OneGain().vibration]
+    assert len(set(drawn)) == len(drawn) > 3 and OneGain().vibration in gains
+    Counting.steps = 0
+    assert search(KIND, 4 * MIN_BUDGET, 0, journal) == result
+    assert Counting.steps == 0
+    for budget, seed, words in ((MIN_BUDGET, 0, "--budget"), (4 * MIN_BUDGET, 1, "another seed")):
+        with pytest.raises(ValueError, match=words):
+            search(KIND, budget, seed, journal)
+
+
+def test_search_interrupted_in_its_first_trial_begins_with_the_untuned_gains(tmp_path: Path):
+    with pytest.raises(KeyboardInterrupt):
+        search(KIND, MIN_BUDGET, 0, tmp_path / "journal", interrupted_after(0))
+    result = search(KIND, MIN_BUDGET, 0, tmp_path / "journal")
+    assert result.gains == asdict(OneGain()) and result.trials == 1
+
+
+def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path):
+    journal = tmp_path / "journal"
+    result = search(KIND, MIN_BUDGET, 0, journal)
+    written = journal.read_bytes()
+    for end in (len(written) - 1, written.index(b"\n") + 100, written.index(b"\n") - 1):
+        journal.write_bytes(written[:end])
+        assert all(search(KIND, MIN_BUDGET, 0, journal).gains == result.gains for _ in range(2))
+    for damage in ("notes of somebody", "not a journal\n" * 2):
+        journal.write_text(damage)
+        with pytest.raises(ValueError, match=r"journal is damaged"):
+            search(KIND, MIN_BUDGET, 0, journal)
+        assert journal.read_text() == damage
+
+
+def test_search_that_is_asked_to_stop_does_so_after_the_batch(tmp_path: Path):
+    stop = StopRequest()
+    stop.made = True
+    Counting.steps = 0
+    with pytest.raises(Interrupted):
+        search(Tunable(Counting, OneGain), MIN_BUDGET, 0, tmp_path / "journal", Channel(stop=stop))
+    assert Counting.steps == BATCH
+
+
+def test_journal_of_another_search_is_left_alone(tmp_path: Path):
+    """Its journal, and the lock by which Optuna writes to it."""
+    journal, optuna_lock = tmp_path / "journal", tmp_path / "journal.lock"
+    code = f"""
+import sys, time
+sys.path.insert(0, {str(ROOT)!r})
+from pathlib import Path
+from baselines.tuning.study import own
+with own(Path({str(journal)!r})):
+    print("held", flush=True)
+    time.sleep(300)
+"""
+    other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert other.stdout is not None and other.stdout.readline() == "held\n"
+    journal.write_text("theirs")
+    optuna_lock.write_text("")
+    for attempt in (lambda: search(Tunable(Counting, OneGain), MIN_BUDGET, 0, journal), lambda: begin_anew(journal)):
+        with pytest.raises(ValueError, match=r"another process tunes with .*journal: wait for it"):
+            attempt()
+    assert journal.read_text() == "theirs" and optuna_lock.exists()
+    other.kill()
+    other.communicate()
+    begin_anew(journal)
+    assert not journal.exists() and not optuna_lock.exists()
+
+
+def test_controllers_that_fail_are_survived(tmp_path: Path):
+    actual = search(Tunable(Fragile, OneGain), 4 * MIN_BUDGET, 0, tmp_path / "journal")
+    assert actual.failed > 0
+    assert 0.03 <= actual.gains["vibration"] <= 0.3
+    assert actual.steps <= 4 * MIN_BUDGET
+
+
+@pytest.mark.parametrize(
+    ("controller", "gains", "words"),
+    [
+        (Fragile, BadGain, "untuned gains: no solution"),
+        (Watched, WildGains, r"modulus=0\.0.*WildGains"),
+        (Lawless, TwoGains, "LAWS.*--no-margins"),
+    ],
+)
+def test_search_cannot_begin_with_untuned_gains_that_fail(controller: Any, gains: Any, words: str, tmp_path: Path):
+    condition = None if controller is Fragile else MarginCondition()
+    with pytest.raises(ValueError, match=words):
+        search(Tunable(controller, gains), MIN_BUDGET, 0, tmp_path / "journal", condition=condition)
+
+
+class TestMargins:
+    @pytest.mark.slow
+    def test_nothing_that_falls_short_is_simulated(self, tmp_path: Path):
+        Watched.simulated.clear()
+        progress: list[SearchProgress] = []
+        condition = MarginCondition()
+        result = search(GUARDED, 3 * MIN_BUDGET, 0, tmp_path / "journal", Channel(progress.append), condition)
+        assert result.refused > 0
+        assert set(Watched.simulated) == {0.0}
+        assert condition.shortfall(Watched(TwoGains(**result.gains))) == 0
+        assert progress[-1].trials == result.trials and progress[-1].steps == result.steps
+        assert any(before.steps == after.steps for before, after in itertools.pairwise(progress)), (
+            "a refusal costs none"
+        )
+
+    def test_an_interrupted_search_goes_on(self, tmp_path: Path):
+        condition, journal = MarginCondition(), tmp_path / "journal"
+        with pytest.raises(KeyboardInterrupt):
+            search(GUARDED, 2 * MIN_BUDGET, 0, journal, interrupted_after(11), condition)
+        result = search(GUARDED, 2 * MIN_BUDGET, 0, journal, condition=condition)
+        assert result.refused > 0 and result.steps <= 2 * MIN_BUDGET
+        assert condition.shortfall(Watched(TwoGains(**result.gains))) == 0
+        assert search(GUARDED, 2 * MIN_BUDGET, 0, journal, condition=condition) == result
+        for other in (None, MarginCondition(modulus=0.3)):
+            with pytest.raises(ValueError, match="other margins"):
+                search(GUARDED, 2 * MIN_BUDGET, 0, journal, condition=other)
+
+    def test_the_number_of_refusals_is_bounded(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setattr("baselines.tuning.search.MAX_REFUSED", 3)
+        result = search(GUARDED, 4 * MIN_BUDGET, 0, tmp_path / "j", condition=MarginCondition())
+        assert result.refused == 3 and result.trials < 20
+
+
+def test_estimate_takes_the_difficulty_of_the_arms_out():
+    best = np.random.default_rng(0).lognormal(6, 1, RUNGS[-1])
+    assert estimate(best[: RUNGS[0]] + 10, best) == pytest.approx(best.mean() + 10)
+    assert estimate(best + 10, best) == pytest.approx(best.mean() + 10)
+    assert estimate(best[: RUNGS[0]], np.empty(0)) == best[: RUNGS[0]].mean()
+
+
+def test_only_what_is_clearly_worse_is_hopeless():
+    best = np.random.default_rng(0).lognormal(6, 1, RUNGS[-1])
+    noise = np.tile([-100.0, 100.0], RUNGS[0] // 2)
+    assert hopeless(best[: RUNGS[0]] + noise + 50, best)
+    assert not hopeless(best[: RUNGS[0]] + noise + 5, best)
+    assert not hopeless(best[: RUNGS[0]] - 50, best)
+    assert not hopeless(best[: RUNGS[0]] + 1000, np.empty(0))
+
+
+def test_torques_that_reverse_often_are_charged_in_proportion():
+    costs = charged(np.array([100.0, 100.0, 100.0]), np.array([0.0, 10.0, 25.0]))
+    np.testing.assert_allclose(costs, [100.0, 100.0, 250.0])
+
+
+def test_arms_are_those_of_tuning():
+    assert RUNGS[-1] <= GAIN_SEARCH.size and MAX_CHOICE_ARMS <= GAIN_CHOICE.size
+
+
+@pytest.mark.parametrize("name", TUNABLE)
+def test_every_controller_can_be_searched(name: str):
+    kind = TUNABLE[name].gains
+    assert set(space(kind)) == {gain.name for gain in fields(kind)}
+    assert rounded(asdict(kind()), kind) == kind()
+
+
+def test_gains_are_rounded_within_their_range():
+    assert rounded({"vibration": 0.123456789}, OneGain) == OneGain(0.123457)
+    assert rounded({"vibration": 0.99999999}, OneGain) == OneGain(1.0)
+
+
+class TestFile:
+    def test_entry_is_written_beside_the_others(self, tmp_path: Path):
+        path = tmp_path / "gains.json"
+        write_entry("b", OneGain(0.5), {"seed": 1}, path)
+        write_entry("a", OneGain(0.25), {}, path)
+        write_entry("b", OneGain(0.75), {"seed": 2}, path)
+        with pytest.raises(TypeError):
+            write_entry("a", OneGain(0.5), {"seed": object()}, path)
+        assert list(read_file(path).items()) == [
+            ("a", {"gains": {"vibration": 0.25}, "provenance": {}}),
+            ("b", {"gains": {"vibration": 0.75}, "provenance": {"seed": 2}}),
+        ]
+        assert [file.name for file in tmp_path.iterdir()] == ["gains.json"]
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ('{"vibrating": {"gains": {"K": 1}}}', "K .*vibration"),
+            ('{"vibrating": {"gains": {"vibration": 2}}}', "OneGain.vibration .* 2;"),
+            ('{"vibrating": {"gains": {"vibration": "1"}}}', "OneGain.vibration .* '1';"),
+            *((text, "gains.json is damaged") for text in ('{"vibrating": {}}', "[]", '{"vibrating": ', "\udcff")),
+        ],
+    )
+    def test_gains_that_do_not_fit(self, text: str, words: str, tmp_path: Path):
+        path = tmp_path / "gains.json"
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+        with pytest.raises(ValueError, match=words):
+            tuned("vibrating", OneGain, path)
+
+    def test_controller_that_has_not_been_tuned_has_its_defaults(self):
+        assert tuned("no such controller", OneGain) == OneGain()
+        assert isinstance(tuned("no such controller", Gains), Gains)
+
+    @pytest.mark.parametrize("arguments", [(2, 0, 1), (0, 1, 2), (0, 0, 1, True), (math.nan, 0, 1)])
+    def test_gains_without_a_range_are_refused(self, arguments: tuple[Any, ...]):
+        with pytest.raises(ValueError, match=str(arguments[0])):
+            tunable(*arguments)
+
+
+# The command
+
+
+@pytest.fixture
+def tune(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., dict[str, Any]]]:
+    """The command in a folder of its own, within this process: its words, to the entries of the file of gains."""
+    monkeypatch.chdir(tmp_path)
+    before = signal.getsignal(signal.SIGTERM)
+
+    def run(*words: str) -> dict[str, Any]:
+        monkeypatch.setattr(sys, "argv", ["tune.py", *words])
+        main()
+        return read_file(tmp_path / "gains.json")
+
+    yield run
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.slow
+def test_command_writes_gains_with_their_provenance(tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]):
+    other = {"gains": {"x": 1.0}, "provenance": {"seed": 4}}
+    (tmp_path / "gains.json").write_text(json.dumps({"another": other}))
+    budget = MIN_BUDGET + BATCH
+    options = ("--budget", str(budget), "--seed", "7", "--out", "gains.json")
+    entries = tune(*NAMES, *options)
+    assert entries.pop("another") == other and set(entries) == set(NAMES)
+    for name in NAMES:
+        TUNABLE[name].gains(**entries[name]["gains"])
+        origin = entries[name]["provenance"]
+        assert origin["command"] == f"python baselines/tune.py {' '.join((*NAMES, *options))}"
+        assert (origin["seed"], origin["budget"]) == (7, budget)
+        assert 0 < origin["steps"] <= budget and origin["trials"] >= 1 and origin["seconds"] > 0
+        assert origin["cost"] <= origin["cost_untuned"]
+        assert {"pruned", "failed", "refused", "measured_on", "date", "version", "commit"} <= set(origin)
+        wanted, reached = origin["margins"], origin["margins"]["reached"]
+        assert reached["modulus"] >= wanted["modulus"] == 0.4 and reached["delay_samples"] >= wanted["delay"] == 1.0
+        assert reached["modulus_at"].rsplit(", ", 1)[0] in wanted["arms"]
+    assert capsys.readouterr().err.replace(f"{ANNOUNCEMENT}\n", "") == ""
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["gains.json", "results"]
+
+
+def test_all_gains_name_the_commit_that_they_were_searched_at(
+    tmp_path: Path, tune: Any, monkeypatch: pytest.MonkeyPatch
+):
+    """Not one that the first gains, written while the others are searched, have changed."""
+    out = tmp_path / "gains.json"
+    monkeypatch.setattr(run, "commit", lambda: "changed" if out.exists() else "as searched")
+    results = [SearchResult(asdict(TUNABLE[name].gains()), 2.0, 3.0, 8, 100, 1, 0, 0, 0, 1.0) for name in NAMES]
+    monkeypatch.setattr(run, "run_side_by_side", lambda *_, **__: (pair for pair in zip(NAMES, results, strict=True)))
+    entries = tune(*NAMES, "--no-margins", "--out", "gains.json")
+    assert [entries[name]["provenance"]["commit"] for name in NAMES] == ["as searched"] * len(NAMES)
+
+
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_interrupted_command_leaves_the_file_and_goes_on(
+    interrupt: signal.Signals, tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]
+):
+    name, out, journal = NAMES[0], tmp_path / "gains.json", tmp_path / "results" / "tune" / f"{NAMES[0]}.journal"
+    out.write_text("{}")
+    script = [sys.executable, str(ROOT / "baselines/tune.py"), name, "--out", "gains.json"]
+    process = subprocess.Popen(script, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 300
+    while not (journal.exists() and '"costs"' in journal.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(interrupt)
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
+    assert errors.replace(f"{ANNOUNCEMENT}\n", "") == ""
+    assert f"python baselines/tune.py {name} --out gains.json --resume" in output
+    assert out.read_text() == "{}"
+    size, budget = journal.stat().st_size, 5 * MIN_BUDGET
+    entries = tune(name, "--out", "gains.json", "--resume", "--budget", str(budget))
+    assert capsys.readouterr().err == ""
+    assert journal.stat().st_size > size and entries[name]["provenance"]["steps"] <= budget
+
+
+def test_a_resumed_search_keeps_the_options_that_it_is_not_given(
+    tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]
+):
+    """Its budget, the margins that it does without, and the file of its gains."""
+    name, other = NAMES
+    options = ("--no-margins", "--budget", str(MIN_BUDGET + BATCH), "--seed", "3", "--out", "gains.json")
+    first = tune(name, *options)[name]
+    output, errors = capsys.readouterr()
+    assert errors == "" and name in output and str(MIN_BUDGET + BATCH) in output
+    assert (first["provenance"]["margins"], first["provenance"]["refused"]) == ("not asked for", 0)
+    (tmp_path / "gains.json").unlink()
+    again = tune(name, "--resume")[name]
+    assert again["gains"] == first["gains"]
+    for kept in ("budget", "seed", "steps", "margins"):
+        assert again["provenance"][kept] == first["provenance"][kept]
+    tune(other, "--no-margins", "--budget", str(MIN_BUDGET), "--out", "gains.json")
+    Path(f"results/tune/{other}.json").unlink()  # else the search goes on without margins
+    capsys.readouterr()
+    for words, named in (
+        ((name, "--seed", "4"), ["seed"]),
+        (NAMES, NAMES),
+        ((other, "--budget", "99999"), ["margins"]),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            tune(*words, "--resume")
+        errors = capsys.readouterr().err
+        assert all(word in errors for word in named)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "--all"),
+        ((NAMES[0], "--all"), "--all"),
+        ((NAMES[0] + "x",), f"'{NAMES[0]}'"),
+        (("qqqqqq",), "'qqqqqq'"),
+        ((NAMES[0], "--budget", "1000"), "--budget"),
+        ((NAMES[0], "--seed", "-1"), "--seed"),
+        ((NAMES[0], "--jobs", "0"), "--jobs"),
+        ((NAMES[0], "--resume"), "--resume"),
+        ((NAMES[0], "--out", "/dev/null/gains.json"), "/dev/null"),
+        ((NAMES[0], "--journals", "/dev/null/x"), "/dev/null/x"),
+        ((NAMES[0], "--out", "damaged.json"), "damaged.json"),
+    ],
+)
+def test_bad_options(arguments: tuple[str, ...], words: str, tmp_path: Path):
+    (tmp_path / "damaged.json").write_text("{")
+    assert words in mistake(main, arguments, tmp_path)
+    assert [file.name for file in tmp_path.iterdir() if file.suffix == ".json"] == ["damaged.json"]
+
+
+def test_all_is_every_controller_and_names_count_once():
+    assert Config(all=True).chosen() == list(TUNABLE)
+    assert Config(names=(NAMES[0], NAMES[0])).chosen() == [NAMES[0]]

@@ -1,0 +1,279 @@
+"""The event-located solutions and LuGre friction of `eval/reference`, against what is known without solving them."""
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+from driven_arms import GEAR, LOSSLESS, MODELS, UPPER_ENDS, at_rest, drawn_arms, full_arm_at, push, random_params, stops
+
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
+from eval.reference.event_located import EventLocatedArm, tip
+from eval.reference.lugre import LuGreArms
+from eval.reference.symbolic_arm import compiled, derive, masses_of
+
+CONSERVATIVE = {
+    **LOSSLESS,
+    **{"torque_ripple": 0.006, "torque_ripple_order": 7, "torque_ripple_phase": 1.0},
+    **{"kinematic_error": 0.0005, "kinematic_error_phase": 2.0, "belt_stiffening": 0.25},
+}
+EACH_MODEL = pytest.mark.parametrize("model", MODELS)
+
+
+class TestDrive:
+    def test_friction_breaks_away_slides_more_easily_and_drifts(self):
+        params = ArmParams(static_friction_excess=0.5, friction_variation=0.25, friction_variation_phase=1.0)
+        start, level = np.array([60.0, 0.0, 0.0, 0.0]), 0.032 * (1 + 0.25 * math.sin(121.0))
+        for share, moves in ((1.4999, False), (1.5001, True)):
+            arm = EventLocatedArm(params, start)
+            arm.advance(share * level, 0.05)
+            assert (arm.state[0] > 60) == moves
+        sliding = EventLocatedArm(params, start + np.array([0, 3, 0, 0]))
+        assert sliding.dry_friction(np.array([60 / GEAR, 0, 3 / GEAR, 0])) == pytest.approx(1.25 * level)
+        arm, levels = EventLocatedArm(ArmParams(friction_drift=0.15), start), []
+        for _ in range(EPISODE_STEPS):
+            arm.sample(0.0)
+            levels.append(arm.dry_friction(arm._y))
+        expected = 0.032 * (1 + 0.15 * (np.arange(EPISODE_STEPS) + 0.5) / 1200)
+        np.testing.assert_allclose(levels, expected, rtol=1e-14)
+
+
+class TestEquations:
+    @EACH_MODEL
+    def test_follow_from_the_energy(self, model: str):
+        """Lagrange's equations in (alpha, phi), with theta_1 = alpha + e sin(2 G alpha + phi_e) put into the energy."""
+        params = ArmParams(kinematic_error=0.001, kinematic_error_phase=0.7, payload_mass=0.1, arm_inertia_swing=0.08)
+        matrix, bias = lagrange(model, params)
+        rng = np.random.default_rng(0)
+        for _ in range(50):
+            alpha, phi, alpha_rate, phi_rate = rng.uniform([-0.5, -0.5, -3, -3], [2, 2, 3, 3])
+            x = np.array([GEAR * alpha, GEAR * alpha_rate, alpha - phi, alpha_rate - phi_rate])
+            arm = EventLocatedArm(params, x, model)
+            terms = arm.equations(np.array([alpha, phi, alpha_rate, phi_rate]))
+            np.testing.assert_allclose(arm.mass_matrix(), matrix(alpha, phi, alpha_rate, phi_rate), rtol=1e-11)
+            np.testing.assert_allclose([terms.c1, terms.c2], bias(alpha, phi, alpha_rate, phi_rate), atol=1e-10)
+
+    def test_masses_of_the_parameters(self):
+        for swing in (0.02, 0.06, 0.2):
+            params = ArmParams(arm_inertia_swing=swing, payload_mass=0.3, link_length=0.3)
+            for phi in (0.0, 0.4, math.pi / 2):
+                total = GEAR**2 * 6.3e-5 + 0.01 + (swing + 4 * 0.3**2 * 0.3) * math.sin(phi) ** 2
+                assert full_arm_at(params, 0.1, phi).mass_matrix().sum() == pytest.approx(total, rel=1e-12)
+        nominal = masses_of(ArmParams())
+        assert (nominal.rod, nominal.end, nominal.pulley) == pytest.approx((0.48, 0.0, 0.0)), "a uniform rod alone"
+        rng = np.random.default_rng(0)
+        for _ in range(100):
+            matrix = full_arm_at(random_params(rng), *rng.uniform(-math.pi, math.pi, 2)).mass_matrix()
+            assert np.linalg.eigvalsh(matrix).min() > 0
+
+    def test_kinetic_energy_of_moving_parts(self):
+        # Link 2's kinetic energy from two points that stand for a uniform rod: at its middle +- l / sqrt(12), half the
+        # mass each. Their speeds by finite differences of the positions.
+        params, rng = ArmParams(arm_inertia_swing=0.09, payload_mass=0.2), np.random.default_rng(1)
+        masses = masses_of(params)
+
+        def points(q: np.ndarray) -> np.ndarray:
+            joint_2, along = np.exp(1j * q[0]), np.exp(1j * (q[0] - 2 * q[1]))
+            spread = np.array([0.5 - 12**-0.5, 0.5 + 12**-0.5, 1.0])
+            return masses.link * (joint_2 + spread * along)
+
+        for _ in range(20):
+            q, u = rng.uniform(-1, 1, 2), rng.uniform(-2, 2, 2)
+            speeds = np.abs(points(q + 1e-6 * u) - points(q - 1e-6 * u)) / 2e-6
+            expected = 0.5 * (masses.motor * u[0] ** 2 + speeds**2 @ [masses.rod / 2, masses.rod / 2, masses.end])
+            assert compiled()(*q, *u, *masses)[5] == pytest.approx(expected, rel=1e-8)
+
+    def test_the_tip_turns_with_the_belts_torsion(self):
+        params = ArmParams(kinematic_error=0.0005, kinematic_error_phase=0.7)
+        torsion, phi = 0.02 + 0.0005 * math.sin(120.7), 60 / GEAR - 0.02
+        reach = 0.5 * math.cos(phi) + 0.1
+        expected = [reach * math.cos(torsion), reach * math.sin(torsion)]
+        np.testing.assert_allclose(tip(params, np.array([60.0, 0.0, 0.02, 0.0])), expected, atol=1e-15)
+
+
+@cache
+def lagrange(model: str, params: ArmParams) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Mass matrix and bias as functions of alpha, phi and their rates."""
+    q = alpha, phi = sympy.symbols("alpha phi", real=True)
+    u = alpha_rate, phi_rate = sympy.symbols("alpha_rate phi_rate", real=True)
+    theta_1 = alpha + params.kinematic_error * sympy.sin(2 * GEAR * alpha + params.kinematic_error_phase)
+    if model == "lumped":
+        swing = params.arm_inertia_swing + (2 * params.link_length) ** 2 * params.payload_mass
+        links = (params.arm_inertia + swing * sympy.sin(phi) ** 2) * phi_rate**2 / 2
+    else:
+        derived = derive()
+        put = dict(zip(derived.masses, masses_of(params)._replace(motor=0.0), strict=True))
+        motion = (theta_1, phi, theta_1.diff(alpha) * alpha_rate, phi_rate)
+        put |= dict(zip((*derived.angles, *derived.rates), motion, strict=True))
+        links = derived.kinetic_energy.subs(put, simultaneous=True)
+    energy = sympy.Matrix([params.motor_inertia * GEAR**2 * alpha_rate**2 / 2 + links])
+    momentum = energy.jacobian(u)
+    bias = momentum.jacobian(q) * sympy.Matrix(u) - energy.jacobian(q).T
+    arguments = (*q, *u)
+    return sympy.lambdify(arguments, momentum.jacobian(u), "numpy"), sympy.lambdify(arguments, list(bias), "numpy")
+
+
+class TestMotion:
+    @EACH_MODEL
+    def test_ideal_drive_holds_the_command(self, model: str):
+        params = ArmParams(payload_mass=0.2, coulomb_friction=0.05)
+        arms = [EventLocatedArm(params, np.array([60.0, 0.0, 0.02, 0.0]), model) for _ in range(2)]
+        for k in range(200):
+            arms[0].sample(push(k))
+            arms[1].advance(push(k), CONTROL_PERIOD)
+            np.testing.assert_array_equal(arms[0].state, arms[1].state)
+            assert arms[0].motor_torque == push(k)
+        assert arms[0].mode_changes == arms[1].mode_changes
+
+    @EACH_MODEL
+    @pytest.mark.parametrize("more", [{}, {"kinematic_error": 0.005, "belt_stiffening": 0.9, "payload_mass": 0.2}])
+    def test_energy_is_conserved_without_losses(self, more: dict[str, float], model: str):
+        arm = EventLocatedArm(ArmParams(**{**CONSERVATIVE, **more}), np.array([0.5 * GEAR, 30.0, 0.06, -1.0]), model)
+        before, angles = arm.energy, []
+        for _ in range(400):
+            arm.sample(0.0)
+            angles.append(arm.state[0])
+            assert arm.energy == pytest.approx(before, rel=2e-10)
+        assert np.ptp(angles) > 2 * math.pi, "more than a turn of the motor"
+
+    @EACH_MODEL
+    def test_work_of_the_drive_is_stored_and_lost(self, model: str):
+        """Energy less the motor's work falls by what friction and belt take, integrated beside it on a fine grid."""
+        arm = EventLocatedArm(ArmParams(**UPPER_ENDS), np.array([60.0, 0.0, 0.0, 0.0]), model)
+        stored, balance = arm.energy, 0.0
+        for k in range(300):
+            arm._drifted = 1 + 0.15 * (k + 0.5) / 1200
+            for duration, torque in arm._actuator.pieces(push(k)):
+                for j in range(8):
+                    before, first = arm.state, arm._y.copy()
+                    share = duration / 8
+                    arm._pass(lambda t, j=j, share=share, torque=torque: torque(t + j * share), share)
+                    turned = arm.state[0] - before[0]
+                    mean = np.mean([torque((j + s) * share) for s in (0.0, 1.0)])
+                    speeds, ys = (before[1], arm.state[1]), (first, arm._y)
+                    friction = [arm.dry_friction(y) * abs(w) for y, w in zip(ys, speeds, strict=True)]
+                    viscous = [arm._drifted * 3.5e-4 * w * w for w in speeds]
+                    rates = [arm.equations(y).slope * y[2] - y[3] for y in ys]
+                    belt = [arm._damping * r * r for r in rates]
+                    balance += mean * turned - share * np.mean(np.array(friction) + viscous + belt)
+        assert arm.energy - stored == pytest.approx(balance, abs=2e-5)
+        assert stops(arm) >= 2
+
+    @pytest.mark.parametrize("number", range(2))
+    def test_many_small_steps_of_the_equations_as_written_lead_there(self, number: int):
+        params, start = ArmParams(**drawn_arms(2, seed=8)[number]), at_rest(0.7, 0.02)
+        arm, commands = EventLocatedArm(params, start), [push(k) for k in range(300)]
+        for command in commands:
+            arm.sample(command)
+        assert stops(arm) >= 1
+        ends = [tip(params, stepped(params, start, commands, steps)) for steps in (10, 100)]
+        distances = [np.linalg.norm(tip(params, arm.state) - end) for end in ends]
+        assert distances[1] < 3e-8 and distances[1] < 0.2 * distances[0]
+
+    def test_a_stiff_belt_moves_like_a_rigid_one(self):
+        # Rigid and unforced but for the motor: 1/2 (I_1 + M0 + S sin^2(phi)) phi'^2 = G tau_m (phi - phi_0).
+        params = ArmParams(**LOSSLESS | {"belt_stiffness": 3e5, "belt_damping_ratio": 1.0})
+        arm = EventLocatedArm(params, np.zeros(4), "lagrangian")
+        arm.advance(0.2, 0.3)
+        (theta_1, phi), (omega_1, _) = arm.angles, arm.rates(0.2, 0.0)[0][:2]
+        inertia = params.motor_inertia * GEAR**2 + 0.01 + 0.06 * math.sin(phi) ** 2
+        assert theta_1 > 0.5
+        assert omega_1 == pytest.approx(math.sqrt(2 * GEAR * 0.2 * theta_1 / inertia), rel=1e-3)
+
+    @pytest.mark.parametrize(("share", "mode"), [(0.99, "stuck"), (1.01, "backward")])
+    def test_what_holds_a_stuck_motor(self, share: float, mode: str):
+        # At rest with link 2 folded onto link 1 (phi = 90 deg): its own inertia, a rod's 4/3 m2 l^2 for phi, couples to
+        # the motor by 1/3 m2 l^2. The motor feels the belt's torque and a quarter more.
+        torsion = share * GEAR * 0.032 / (1.25 * 33.0)
+        arm = EventLocatedArm(ArmParams(), at_rest(math.pi / 2 + torsion, torsion), "lagrangian")
+        assert arm.holding_torque(0.0) == pytest.approx(-share * 0.032, rel=1e-12)
+        arm.advance(0.0, CONTROL_PERIOD / 10)
+        assert [new for _, new in arm.mode_changes] == [mode]
+        assert (arm.state[1] < 0) == (mode == "backward")
+
+
+def stepped(p: ArmParams, state: np.ndarray, commands: list[float], steps: int) -> np.ndarray:
+    """State of the lumped arm after some commands, in steps of Runge and Kutta that know of no events.
+
+    A step at whose beginning the motor rests and is held leaves it at rest; one in which it would reverse ends at rest.
+    """
+    dt, swing = CONTROL_PERIOD / steps, p.arm_inertia_swing + 4 * p.link_length**2 * p.payload_mass
+    damping = 2 * p.belt_damping_ratio * math.sqrt(p.belt_stiffness * (p.arm_inertia + p.arm_inertia_swing))
+
+    def pull(x: np.ndarray) -> tuple[float, float, float]:
+        angle, speed, phi, phi_rate, torque = x.tolist()
+        phase = 2 * angle + p.kinematic_error_phase
+        g = 1 / p.gear_ratio + 2 * p.kinematic_error * math.cos(phase)
+        torsion = angle / p.gear_ratio + p.kinematic_error * math.sin(phase) - phi
+        share = torsion**2 / (torsion**2 + p.belt_stiffening_torsion**2)
+        stiffness = p.belt_stiffness * (1 - p.belt_stiffening + 2 * p.belt_stiffening * share)
+        belt = stiffness * torsion + damping * (g * speed - phi_rate)
+        own = p.torque_ripple * math.sin(p.torque_ripple_order * angle + p.torque_ripple_phase)
+        level = p.coulomb_friction * (1 + p.friction_variation * math.sin(2 * angle + p.friction_variation_phase))
+        return torque + own - g * belt, level, belt
+
+    def rates(x: np.ndarray, direction: float, drift: float, target: float) -> np.ndarray:
+        _, speed, phi, phi_rate, torque = x.tolist()
+        drive, level, belt = pull(x)
+        excess = p.static_friction_excess / (1 + (speed / p.stribeck_speed) ** 2)
+        slides = drive - drift * (p.motor_viscous_friction * speed + direction * level * (1 + excess))
+        m2 = p.arm_inertia + swing * math.sin(phi) ** 2
+        arm = (belt - 0.5 * swing * math.sin(2 * phi) * phi_rate**2) / m2
+        motor = slides / p.motor_inertia if direction else 0.0
+        return np.array([speed, motor, phi_rate, arm, (target - torque) / p.current_loop_time_constant])
+
+    x = np.array([state[0], state[1], state[0] / GEAR - state[2], state[1] / GEAR - state[3], 0.0])
+    late = p.command_latency / CONTROL_PERIOD
+    for j in range(len(commands) * steps):
+        drift = 1 + p.friction_drift * (j // steps + 0.5) * CONTROL_PERIOD / 1.8
+        given = math.floor((j + 0.5) / steps - late)
+        target = (1 + p.torque_constant_error) * (commands[given] if given >= 0 else 0.0)
+        direction = np.sign(x[1])
+        if direction == 0:
+            drive, level, _ = pull(x)
+            direction = np.sign(drive) if abs(drive) > drift * level * (1 + p.static_friction_excess) else 0.0
+        first = rates(x, direction, drift, target)
+        second = rates(x + 0.5 * dt * first, direction, drift, target)
+        third = rates(x + 0.5 * dt * second, direction, drift, target)
+        fourth = rates(x + dt * third, direction, drift, target)
+        x = x + dt / 6 * (first + 2 * second + 2 * third + fourth)
+        if direction * x[1] < 0:
+            x[1] = 0.0
+    return np.array([x[0], x[1], x[0] / GEAR - x[2], x[1] / GEAR - x[3]])
+
+
+def lugre_motion(deflection: float | None, samples: int = 200, steps: int = 60) -> np.ndarray:
+    """States of three arms of the training ranges that are pushed back and forth, shape (samples, 3, 4)."""
+    env = BeltArmVectorEnv(3, randomization="train", autoreset_mode="Disabled")
+    if deflection is not None:
+        env._batch.engine = LuGreArms(env._batch, deflection, steps)
+    env.reset(seed=4_200_900)
+    states = np.empty((samples, 3, 4))
+    for k in range(samples):
+        env.step(np.full((3, 1), push(k) / 0.3, np.float32))
+        states[k] = env.state
+    return states
+
+
+class TestLuGre:
+    def test_located_friction_is_the_limit_of_a_stiff_bristle(self):
+        located = lugre_motion(None)
+        assert np.ptp(located[:, :, 0], axis=0).min() > 1 and (located[100:, :, 1] == 0).any(), "moves and sticks"
+        apart = [np.abs(lugre_motion(deflection) - located)[:, :, 0].max() for deflection in (3e-3, 3e-4, 3e-5)]
+        assert apart[1] < 0.5 * apart[0] and apart[2] < 0.5 * apart[1]
+        assert apart[2] < 0.01 * np.ptp(located[:, :, 0], axis=0).max()
+
+    def test_bristle_gives_way_by_its_deflection(self):
+        """Half the breakaway torque, slowly, turns a motor at rest by ln 2 times the deflection."""
+        env = BeltArmVectorEnv(1, autoreset_mode="Disabled")
+        env._batch.engine = LuGreArms(env._batch, 2e-3)
+        env.reset(seed=0, options={"params": {"belt_stiffness": 1e-3, "motor_viscous_friction": 0.0}})
+        start, params = env.state[0, 0], env.params[0]
+        pull = 0.5 * params.coulomb_friction / params.torque_limit
+        for k in range(300):
+            env.step(np.full((1, 1), pull * min(k / 200, 1.0), np.float32))
+        # dz/dtheta_a = 1 - z / z_max on the way: the bristle is at z_max / 2 when the motor has turned by z_max ln 2
+        assert env.state[0, 0] - start == pytest.approx(2e-3 * np.log(2), rel=0.01)

@@ -1,0 +1,346 @@
+"""The MuJoCo model of the full arm against the derived equations, and `BeltArmMuJoCo-v0` beside the other engines."""
+
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from driven_arms import GEAR, UPPER_ENDS, Command, at_rest, full_arm_at, push, random_params, stops, wave
+from episodes import assert_as_alone
+from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
+
+from baselines import PaperController
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.arm import DRIVE_EFFECTS
+from beltarm_env.physics.drive import DRIVE_COLUMNS
+from beltarm_env.rollout import rollout
+from beltarm_env.task.ranges import DRIVE_RANGES
+from eval.reference.event_located import EventLocatedArm, tip
+
+mujoco: Any = pytest.importorskip("mujoco")
+
+from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
+from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
+
+Floats = NDArray[np.float64]
+ROOT = Path(__file__).parents[2]
+OPENGL = {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": str(ROOT)}
+NO_COULOMB = {"coulomb_friction": 0.0}
+
+
+def mujoco_mass_matrix(model: Any, theta_1: float, phi: float) -> Floats:
+    """Of (theta_1, phi), from that of MuJoCo's joints (theta_1, -2 phi)."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = theta_1, -2 * phi
+    mujoco.mj_forward(model, data)
+    columns = np.zeros((2, 2))
+    for column, unit in zip(columns, np.eye(2), strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    jacobian = np.diag([1.0, -2.0])
+    return jacobian @ columns @ jacobian
+
+
+def run_both(
+    params: dict[str, float], state: Floats, command: Command, substeps: int = 2, steps: int = 1200, **settings: Any
+) -> tuple[float, EventLocatedArm]:
+    """Worst distance [m] of the two tips over an episode, and the event-located arm at its end."""
+    arm = EventLocatedArm(ArmParams(**params), state, "lagrangian")
+    model = load_model(arm.params, CONTROL_PERIOD / substeps, **settings)
+    data, worst = mujoco.MjData(model), 0.0
+    write_state(data, arm.params, state)
+    for k in range(steps):
+        data.ctrl[0] = command(k, arm)
+        mujoco.mj_step(model, data, substeps)
+        arm.advance(command(k, arm), CONTROL_PERIOD)
+        ends = tip(arm.params, read_state(data, arm.params)), tip(arm.params, arm.state)
+        worst = max(worst, float(np.linalg.norm(ends[0] - ends[1])))
+    return worst, arm
+
+
+class TestModel:
+    def test_mass_matrix_and_forces_are_the_derived_ones(self):
+        rng = np.random.default_rng(0)
+        for _ in range(30):  # with a hand beside link 2, or a pulley
+            params = replace(random_params(rng), coulomb_friction=0.0)
+            model, (theta_1, phi) = load_model(params), rng.uniform(-math.pi, math.pi, 2)
+            derived = full_arm_at(params, theta_1, phi).mass_matrix()
+            assert np.abs(mujoco_mass_matrix(model, theta_1, phi) - derived).max() < 1e-10 * np.abs(derived).max()
+            # Same accelerations, so the same Coriolis, belt, friction and motor torques.
+            state = np.array([params.gear_ratio * 0.5, 40.0, 0.05, 3.0]) * rng.uniform(-1, 1, 4)
+            data, arm = mujoco.MjData(model), EventLocatedArm(params, state, "lagrangian")
+            write_state(data, params, state)
+            data.ctrl[0] = 0.2
+            mujoco.mj_forward(model, data)
+            assert data.qacc * [1, -0.5] == pytest.approx(arm.rates(0.2, 0.0)[0][2:], rel=1e-9)
+
+    def test_state_energy_and_torque(self):
+        params, state = ArmParams(arm_inertia_swing=0.09, payload_mass=0.1), np.array([61.0, -3.0, 0.04, 1.5])
+        model = load_model(params)
+        model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+        data = mujoco.MjData(model)
+        write_state(data, params, state)
+        assert read_state(data, params) == pytest.approx(state, rel=1e-14)
+        mujoco.mj_forward(model, data)
+        assert data.ten_length == pytest.approx(0.04) and data.ten_velocity == pytest.approx(1.5)
+        energy = EventLocatedArm(params, state, "lagrangian").energy
+        assert data.energy.sum() == pytest.approx(energy, rel=1e-12)
+        for error, limit in ((0.0, 0.2), (0.1, 0.22)):
+            data = mujoco.MjData(load_model(ArmParams(torque_limit=0.2, torque_constant_error=error)))
+            data.ctrl[0] = 5.0
+            mujoco.mj_forward(data.model, data)
+            assert data.qfrc_actuator[0] == pytest.approx(GEAR * limit)
+
+    def test_the_file_alone_is_the_nominal_arm(self):
+        file = mujoco.MjModel.from_xml_path(str(ROOT / "beltarm_env/mujoco/belt_arm.xml"))
+        loaded = load_model(ArmParams())
+        for field in (
+            *("body_mass", "body_inertia", "body_pos", "body_ipos", "dof_armature", "dof_damping", "dof_frictionloss"),
+            *("dof_solref", "dof_solimp", "tendon_stiffness", "tendon_damping", "actuator_gear", "actuator_ctrlrange"),
+            *("geom_size", "geom_pos", "geom_quat", "geom_group", "site_pos"),
+        ):
+            assert getattr(file, field) == pytest.approx(getattr(loaded, field), rel=1e-9, abs=1e-9), field
+        assert (file.opt.timestep, file.opt.integrator) == (loaded.opt.timestep, loaded.opt.integrator)
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [
+            *(("timestep", 0.0), ("timestep", math.nan), ("friction_rate", -1.0), ("friction_impedance", 1.0)),
+            ("integrator", "rk5"),
+        ],
+    )
+    def test_settings_out_of_range(self, name: str, value: Any):
+        with pytest.raises(ValueError, match=rf"{name} .*got {value!r}"):
+            load_model(ArmParams(), **{name: value})
+
+    def test_hand_and_reference_are_where_the_tips_are(self):
+        params = ArmParams(link_length=0.3, hand_length=0.2)
+        data = mujoco.MjData(load_model(params))
+        write_state(data, params, np.array([0.8 * GEAR, 0.0, 0.05, 0.0]))
+        place_hand(data, params, 0.5)
+        assert data.site("tip").xpos[:2] == pytest.approx(tip(params, read_state(data, params)), abs=1e-12)
+        assert data.site("joint_3").xpos[:2] == pytest.approx(data.body("hand").xpos[:2], abs=1e-12)
+        assert data.body("reference").xpos == pytest.approx([0.6 * math.cos(0.5) + 0.2, 0, 0])
+
+    def test_a_warning_of_mujoco_leaves_no_file(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ):
+        monkeypatch.chdir(tmp_path)
+        data = mujoco.MjData(model := load_model(ArmParams()))
+        data.qvel[0] = np.nan
+        mujoco.mj_step(model, data)
+        assert list(tmp_path.iterdir()) == []
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("MuJoCo: ") and "QVEL" in line
+
+
+class TestMotion:
+    @pytest.mark.parametrize(
+        ("params", "command"),
+        [
+            pytest.param({}, wave(0.06, 4), id="nominal"),
+            pytest.param({"payload_mass": 0.5}, wave(0.058, 4), id="payload 0.5 kg"),
+            pytest.param({"coulomb_friction": 0.1}, wave(0.15, 3), id="friction 3x"),
+        ],
+    )
+    def test_stick_slip(self, params: dict[str, float], command: Command):
+        worst, arm = run_both(params, at_rest(0.785), command)
+        assert stops(arm) >= 8
+        assert worst < 3e-6
+        # With the friction that MuJoCo has by default, the tip is two orders of magnitude further off.
+        usual: dict[str, Any] = {"friction_impedance": 0.9, "friction_rate": 95.0}
+        assert run_both(params, at_rest(0.785), command, steps=600, **usual)[0] > 1e-4
+
+    @pytest.mark.parametrize(("impedance", "rate"), [(0.9, 100.0), (0.9999, 2000.0)])
+    def test_a_stuck_motor_creeps_as_documented(self, impedance: float, rate: float):
+        params, torque = ArmParams(), 0.02
+        model = load_model(params, friction_impedance=impedance, friction_rate=rate)
+        data = mujoco.MjData(model)
+        data.ctrl[0] = torque
+        mujoco.mj_step(model, data, 2400)
+        before = data.qpos[0]
+        mujoco.mj_step(model, data, 2400)
+        inverse_inertia = np.linalg.inv(full_arm_at(params, 0.0, 0.0).mass_matrix())[0, 0]
+        creep = (1 - impedance) / rate * inverse_inertia * GEAR * torque
+        assert (data.qpos[0] - before) / (2400 * model.opt.timestep) == pytest.approx(creep, rel=0.02)
+
+
+def distance_of_engines(params: dict[str, float], samples: int = 800) -> float:
+    """Largest distance of the tips in the two engines [m], given the same commands."""
+    engine, kernel = BeltArmEnv(model="mujoco"), BeltArmEnv(model="lagrangian")
+    for env in (engine, kernel):
+        env.reset(seed=0, options={"params": params, "state": at_rest(math.pi / 4, 0.02)})
+    worst = 0.0
+    for k in range(samples):
+        action = np.array([push(k) / 0.3])
+        assert not engine.step(action)[2] and not kernel.step(action)[2]
+        worst = max(worst, float(np.linalg.norm(tip(engine.params, engine.state) - tip(kernel.params, kernel.state))))
+    return worst
+
+
+class TestEnvironment:
+    def test_spaces_and_starts_are_those_of_the_other_models(self):
+        env, other = gym.make("BeltArmMuJoCo-v0", randomization="ideal"), gym.make("BeltArm-v0", randomization="ideal")
+        assert env.observation_space == other.observation_space and env.action_space == other.action_space
+        for seed in (1, 2):
+            np.testing.assert_array_equal(env.reset(seed=seed)[0], other.reset(seed=seed)[0])
+        check_env(gym.make("BeltArmMuJoCo-v0").unwrapped, skip_render_check=True)
+
+    def test_two_engines_agree_under_the_papers_controller(self):
+        settings: dict[str, Any] = {"seed": 3, "randomization": "ideal"}
+        engine = rollout(PaperController(), 3, model="mujoco", **settings)
+        kernel, lumped = (rollout(PaperController(), 3, model=model, **settings) for model in ("lagrangian", "lumped"))
+        np.testing.assert_array_equal(engine.moves, kernel.moves)
+        # In closed loop an encoder count that falls the other way changes the torque: hence not nanometres.
+        assert np.abs(engine.tip_error - kernel.tip_error).max() < 2e-4
+        assert np.abs(engine.tip_error - lumped.tip_error).max() > 2e-3
+        np.testing.assert_allclose(engine.metrics()["cost"], kernel.metrics()["cost"], rtol=0.01)
+
+    @pytest.mark.parametrize(
+        "drive",
+        [
+            *({name: UPPER_ENDS[name]} for name in EXPRESSIBLE),
+            *({"command_latency": samples * CONTROL_PERIOD} for samples in (0.3, 1.0, 3.0)),
+            {"current_loop_time_constant": 0.01},
+            {name: DRIVE_RANGES[name][0] for name in EXPRESSIBLE},
+        ],
+    )
+    def test_two_engines_agree_about_a_drive(self, drive: dict[str, float]):
+        # Coulomb friction is soft in MuJoCo. Without it, what is left is the mean torque that stands for a lag.
+        assert distance_of_engines({**NO_COULOMB, **drive}) < 2e-6
+        assert distance_of_engines(drive) < 3e-4
+
+    def test_arms_are_as_alone_and_drives_begin_anew_with_each_episode(self):
+        settings: Any = {"randomization": {name: (0.5 * UPPER_ENDS[name], UPPER_ENDS[name]) for name in EXPRESSIBLE}}
+        batch = gym.make_vec("BeltArmMuJoCo-v0", num_envs=2, autoreset_mode="SameStep", **settings).unwrapped
+        assert isinstance(batch, BeltArmVectorEnv)
+        singles: list[Any] = [gym.make("BeltArmMuJoCo-v0", **settings).unwrapped for _ in range(2)]
+        actions = np.random.default_rng(0).uniform(0.2, 1.5, (300, 2, 1)).astype(np.float32)
+        assert assert_as_alone(batch, singles, actions, 5) >= 2
+        assert assert_as_alone(batch, [singles[1], singles[0]], actions[:60], 5) == 0, "after other episodes"
+
+    def test_state_and_parameters_can_be_set(self):
+        env, state = BeltArmEnv(model="mujoco"), at_rest(0.7, 0.05)
+        env.reset(options={"state": state, "params": {"belt_stiffness": 20.0}})
+        np.testing.assert_allclose(env.state, state)
+        env.step(np.zeros(1, np.float32))
+        assert env.params.belt_stiffness == 20.0 and env.state[2] != state[2]
+        with pytest.raises(ValueError, match=r"mujoco.*steps of its own"):
+            env.set_integration_steps(4)
+
+    @pytest.mark.parametrize("name", [name for name in DRIVE_EFFECTS if name not in EXPRESSIBLE])
+    def test_an_effect_that_mujoco_cannot_express_is_refused(self, name: str):
+        value = UPPER_ENDS[name]
+        message = rf'mujoco.* {name}={value:g}: .*randomization="ideal".*model="lagrangian"$'
+        with pytest.raises(ValueError, match=message):
+            BeltArmEnv(model="mujoco", randomization={name: (0.0, value)})
+        with pytest.raises(ValueError, match=rf"{name}={value:g}"):
+            load_model(ArmParams(**{name: value}))
+        env = BeltArmVectorEnv(2, model="mujoco")
+        env.reset(seed=1)
+        before = env.state
+        with pytest.raises(ValueError, match=message):
+            env.reset(seed=2, options={"params": {name: np.array([0.0, value])}})
+        np.testing.assert_array_equal(env.state, before)
+        assert not env.params_table[:, DRIVE_COLUMNS].any()
+
+
+def run(code: str, cwd: Path, **changes: str | None) -> str:
+    """Output of a process of its own: which OpenGL MuJoCo uses is settled when it is imported."""
+    environment = {name: value for name, value in {**OPENGL, **changes}.items() if value is not None}
+    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    if done.stdout.startswith("no GL:"):
+        pytest.skip(f"MuJoCo cannot draw here: {done.stdout}")
+    return done.stdout
+
+
+PICTURES = """
+import gymnasium, numpy as np, beltarm_env
+env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
+heights = []
+for joint in (0.0, 0.8, 1.57):
+    env.reset(seed=0, options={"state": [88 * joint, 0, 0, 0]})
+    try:
+        pixels = env.render()
+    except gymnasium.error.DependencyNotInstalled as error:
+        print("no GL:", error)
+        raise SystemExit
+    assert (pixels.shape, pixels.dtype) == ((480, 640, 3), np.uint8)
+    red, blue = pixels[..., 0].astype(int), pixels[..., 2].astype(int)
+    edge = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]]).astype(int)
+    print((blue > red + 60).sum() > 1000, (red > blue + 80).sum() > 30, np.ptp(edge, axis=1).max() < 30)
+    heights.append(np.nonzero(blue > red + 60)[0].min())
+print(heights[0] > heights[1] + 40)
+env.close()
+vector = gymnasium.make_vec("BeltArmMuJoCo-v0", num_envs=2, render_mode="rgb_array")
+vector.reset(seed=0)
+print(len(vector.render()))
+vector.close()
+"""
+WITHOUT_OPENGL = """
+import mujoco
+attempts = []
+def broken(*_):
+    attempts.append(1)
+    raise RuntimeError("no display")
+mujoco.Renderer = broken
+import gymnasium, beltarm_env
+for _ in range(2):
+    env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    try:
+        env.render()
+    except gymnasium.error.DependencyNotInstalled as error:
+        print("MUJOCO_GL=egl" in str(error) and "lagrangian" in str(error))
+    env.close()
+print(len(attempts))
+"""
+WITHOUT_DISPLAY = """
+import sys
+import gymnasium, beltarm_env
+gymnasium.make("BeltArm-v0", model="lagrangian").reset()
+print("mujoco" in sys.modules)
+for _ in range(2):
+    env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    try:
+        env.render()
+    except gymnasium.error.DependencyNotInstalled:
+        pass
+"""
+WITHOUT_MUJOCO = """
+import sys
+sys.modules["mujoco"] = None
+import importlib.util
+find_spec = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name == "mujoco" else find_spec(name, *rest)
+import gymnasium, beltarm_env
+print("BeltArmMuJoCo-v0" in gymnasium.registry, "BeltArm-v0" in gymnasium.registry)
+try:
+    gymnasium.make("BeltArm-v0", model="mujoco")
+except ModuleNotFoundError as error:
+    print("beltarm-env[mujoco]" in str(error))
+"""
+
+
+class TestInProcessesOfTheirOwn:
+    def test_pictures_show_the_arm_where_it_is(self, tmp_path: Path):
+        lines = run(PICTURES, tmp_path).splitlines()
+        assert lines == [*["True True True"] * 3, "True", "2"], "blue links, an orange tip, nothing of the arm cut off"
+
+    def test_without_opengl_the_way_out_is_named(self, tmp_path: Path):
+        # MuJoCo aborts the process when asked a second time.
+        assert run(WITHOUT_OPENGL, tmp_path) == "True\nTrue\n1\n"
+
+    def test_without_a_display_nothing_aborts_and_without_need_mujoco_is_not_imported(self, tmp_path: Path):
+        assert run(WITHOUT_DISPLAY, tmp_path, MUJOCO_GL=None, DISPLAY=None).splitlines()[0] == "False"
+
+    def test_without_mujoco_it_is_not_registered_and_the_extra_is_named(self, tmp_path: Path):
+        assert run(WITHOUT_MUJOCO, tmp_path) == "False True\nTrue\n"

@@ -1,0 +1,67 @@
+"""Episodes for the tests: torques, everything that an episode returns, and arms of a batch beside arms alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from beltarm_env import BeltArmEnv, BeltArmVectorEnv
+
+
+def torques(steps: int, seed: int = 0, hold: int = 40) -> NDArray[np.float32]:
+    """Random torques, each held for a while: enough to slide, stick and reverse, shape (steps, 1)."""
+    levels = np.random.default_rng(seed).uniform(-1, 1, (-(-steps // hold), 1))
+    return np.repeat(levels, hold, axis=0)[:steps].astype(np.float32)
+
+
+def play(env: gym.Env[Any, Any], actions: NDArray[np.float32], **reset: Any) -> list[tuple[Any, ...]]:
+    """Everything that an episode returns, observations as bytes so that lists compare bit for bit."""
+    observation, info = env.reset(**reset)
+    record: list[tuple[Any, ...]] = [(observation.tobytes(), info)]
+    for action in actions:
+        observation, *rest = env.step(action)
+        record.append((observation.tobytes(), *rest))
+        if rest[1] or rest[2]:
+            break
+    return record
+
+
+def assert_as_alone(
+    batch: BeltArmVectorEnv,
+    alone: Sequence[BeltArmEnv],
+    actions: Iterable[NDArray[np.float32]],
+    seed: int,
+    arms: Sequence[int] | None = None,
+) -> int:
+    """Assert that arms of a batch in the mode SameStep are environments alone, bit for bit and across resets.
+
+    Args:
+        batch: The batch.
+        alone: Environments, one for each of `arms`.
+        actions: Those of the batch, each of shape (num_envs, 1).
+        seed: Of the first arm.
+        arms: Which arms of the batch are compared, all by default.
+
+    Returns:
+        How many episodes ended.
+    """
+    arms = range(batch.num_envs) if arms is None else arms
+    pairs, ends = list(zip(arms, alone, strict=True)), 0
+    first, _ = batch.reset(seed=seed)
+    for arm, env in pairs:
+        assert first[arm].tobytes() == env.reset(seed=seed + arm)[0].tobytes()
+    for action in actions:
+        observations, rewards, *_ = batch.step(action)
+        for arm, env in pairs:
+            observation, reward, terminated, truncated, _ = env.step(action[arm])
+            if terminated or truncated:
+                ends, observation = ends + 1, env.reset()[0]
+            assert observations[arm].tobytes() == observation.tobytes() and rewards[arm] == reward
+    for arm, env in pairs:
+        assert batch.state[arm].tobytes() == env.state.tobytes()
+        assert batch.motor_torques[arm] == env.motor_torque
+    return ends
