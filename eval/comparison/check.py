@@ -286,8 +286,8 @@ class Times:
 def measure_times(controller: Controller, batch: int, seed: int) -> Times:
     """Time a controller on one arm of the training ranges, and on a batch of them, seeded from `seed` on.
 
-    Of one arm the same episode is run several times, and the shortest time of each action counts: what else the machine
-    does is left out.
+    One arm plays the same episode several times, and the shortest time of each action counts, without other work of the
+    machine.
     """
     alone = np.min([_times(controller, 1, EPISODE_STEPS, seed, randomization="train") for _ in range(_REPETITIONS)], 0)
     began = time.perf_counter()

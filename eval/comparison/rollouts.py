@@ -39,12 +39,7 @@ def shipped_controller(name: str) -> Controller:
 
 
 class Recorder(Generic[Note]):
-    """Controller that keeps a note about its memory for each sample.
-
-    Args:
-        controller: Controller of the rollout.
-        note: Makes the note, from the memory after a sample.
-    """
+    """Controller that keeps a note for each sample, which `note` makes from its memory after it."""
 
     def __init__(self, controller: Any, note: Callable[[Any], Note]) -> None:
         self.params, self.notes = controller.params, list[Note]()
@@ -60,26 +55,13 @@ class Recorder(Generic[Note]):
 def side_by_side(
     title: str, work: Callable[..., Result], cases: Sequence[Case], jobs: int | None
 ) -> dict[Case, Result]:
-    """Call `work` with the arguments of each case, in processes side by side.
-
-    Args:
-        title: Name of the progress that is shown.
-        work: Function of a module, so that a process can import it.
-        cases: Arguments of each call, all different.
-        jobs: Number of processes; None for one per core.
-
-    Returns:
-        Results by case, in the order of the cases.
-
-    Raises:
-        Exception: As of `calls_side_by_side`.
-    """
+    """Results of `work`, a function of a module, by its arguments, a case each; see `calls_side_by_side`."""
     results = calls_side_by_side(title, {str(k): partial(work, *case) for k, case in enumerate(cases)}, jobs)
     return dict(zip(cases, results.values(), strict=True))
 
 
 def calls_side_by_side(title: str, calls: Mapping[str, Callable[[], Result]], jobs: int | None) -> dict[str, Result]:
-    """Results of calls that run in processes side by side, by name and in their order; see `side_by_side`.
+    """Results of calls by name, in their order: they run in processes, by default one per core, under a progress title.
 
     Raises:
         OSError: If a process died.

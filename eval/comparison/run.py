@@ -149,9 +149,12 @@ def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioS
 
 def _joined(results: Sequence[Metrics | Failure]) -> Metrics | Failure:
     """Results of a method on a split, from those of its parts: the first failure, if there is one."""
-    if failures := [result for result in results if isinstance(result, Failure)]:
-        return failures[0]
-    return {name: np.concatenate([metrics[name] for metrics in results], axis=1) for name in results[0]}
+    sound = []
+    for result in results:
+        if isinstance(result, Failure):
+            return result
+        sound.append(result)
+    return {name: np.concatenate([metrics[name] for metrics in sound], axis=1) for name in sound[0]}
 
 
 # Verification

@@ -24,7 +24,7 @@ from eval.comparison import splits
 from eval.comparison.methods import Kind
 from eval.comparison.results import PAIRED_METRICS, Against, Comparison, Mark, MethodOutcome
 from eval.comparison.sets import SetLabel
-from eval.comparison.statistics import Paired, tail_mean
+from eval.comparison.statistics import LEAST_OF_TAIL, Paired, worst_mean
 
 _REMEDY = "they cannot be merged: remove it, or choose another folder"
 AGAINST: tuple[Against, ...] = get_args(Against)
@@ -59,7 +59,6 @@ def to_json(
 
 def _row(outcome: MethodOutcome, marks: dict[str, dict[str, Mark]]) -> dict[str, Any]:
     name, costs = outcome.name, outcome.metrics["cost"]
-    worst = tail_mean(costs)
     return {
         "method": name,
         "kind": outcome.method.kind,
@@ -69,7 +68,7 @@ def _row(outcome: MethodOutcome, marks: dict[str, dict[str, Mark]]) -> dict[str,
         "median_seed": outcome.median_seed,
         "metrics": {metric: asdict(value) for metric, value in outcome.estimates.items() if isfinite(value.iqm)},
         "cost_mean": float(costs.mean()),
-        **({"cost_worst": worst} if isfinite(worst) else {}),
+        **({"cost_worst": worst_mean(costs)} if costs.shape[1] >= LEAST_OF_TAIL else {}),
         "marks": {metric: of_metric[name] for metric, of_metric in marks.items() if name in of_metric},
         "failures": outcome.failures,
         "action_us": {"p50": outcome.action_times[0], "p99": outcome.action_times[1]},

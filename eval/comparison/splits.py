@@ -165,7 +165,8 @@ def draw_arms(name: str, of: str, seeds: Sequence[int]) -> Split:
     definition = SPLITS[name]
     env = BeltArmVectorEnv(len(seeds), randomization=definition.ranges)
     env.reset(seed=seeds)
-    delays = _delays(definition, seeds)
+    low, high = definition.delay  # its draws come from the pair (seed, 1), those of the arm from the seed alone
+    delays = low + (high - low) * np.array([np.random.default_rng((seed, 1)).random() for seed in seeds])
     return make_split(name, of, seeds[0], definition.settings, env.params_table, env.moves, delays)
 
 
@@ -179,13 +180,6 @@ def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
     if place + spacing > seeds.size:
         raise ValueError(f"split {name} needs {place + spacing} seeds, its range has {seeds.size}: enlarge it")
     return seeds.first + place
-
-
-def _delays(definition: Definition, seeds: Sequence[int]) -> Floats:
-    """Draw a delay for each arm; the arm's own draws come from the seed alone, these from the pair (seed, 1)."""
-    uniforms = [np.random.default_rng((seed, 1)).random() for seed in seeds]
-    low, high = definition.delay
-    return low + (high - low) * np.array(uniforms)
 
 
 def make_split(

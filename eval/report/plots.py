@@ -69,7 +69,7 @@ def _intervals(results: Results, note: str) -> Figure:
             axis.set(xlabel=heading(name), yticks=[])
         row[0].set_yticks(range(len(ranking)), [record["method"] for record in ranking], fontsize=8)
         row[0].set_title(split, loc="left", fontsize=11)
-    _finish(figure, f"{note}: interquartile means with 95 % intervals; further left is better", axes.flat)
+    _finish(figure, f"{note}: interquartile means with 95 % intervals; further left is better", list(axes.flat))
     return figure
 
 

@@ -49,10 +49,9 @@ def record_scenes(
         for split in comparison.splits()
     ]
     recorded, failures = record([*notable, *traces], comparison, splits, _shown(comparison), jobs)
-    sound = [
-        [scene for scene in part if scene.motions] for part in (recorded[: len(notable)], recorded[len(notable) :])
-    ]
-    return *sound, failures
+    shown = [scene for scene in recorded[: len(notable)] if scene.motions]
+    traced = [scene for scene in recorded[len(notable) :] if scene.motions]
+    return shown, traced, failures
 
 
 def _median(values: np.ndarray) -> int:

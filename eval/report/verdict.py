@@ -175,7 +175,7 @@ def _everywhere(tests: Mapping[str, PairwiseTest]) -> str:
 
 def _by_result(tests: Mapping[str, PairwiseTest]) -> dict[Result, list[str]]:
     """Splits by result; only results that there are."""
-    results = [result for result in _RESULTS if any(test.result == result for test in tests.values())]
+    results: list[Result] = [result for result in _RESULTS if any(test.result == result for test in tests.values())]
     return {result: [split for split, test in tests.items() if test.result == result] for result in results}
 
 

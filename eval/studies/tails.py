@@ -49,14 +49,10 @@ DISTRIBUTIONS = ("cost", "tip_rms_mm", "tip_max_mm", "residual_pp_mm", "settling
 """Metrics with a table of their own."""
 MEASURED = (*DISTRIBUTIONS, *TORQUE_QUALITY)
 DRAWN = ("cost", "tip_max_mm")
-SHARES = (0.5, 0.9, 0.99, 0.999)
-"""Of the percentiles that are shown."""
-OF_DIFFERENCE = (0.001, 0.01, 0.5, 0.99, 0.999)
-"""Of those of the difference between two methods."""
-WORST = 0.001
-"""Share of all scenarios that counts as the tail."""
-CASES = 5
-"""Worst scenarios that are named."""
+SHARES = (0.5, 0.9, 0.99, 0.999)  # of the percentiles that are shown
+OF_DIFFERENCE = (0.001, 0.01, 0.5, 0.99, 0.999)  # of those of the difference between two methods
+WORST = 0.001  # share of all scenarios that counts as the tail
+CASES = 5  # worst scenarios that are named
 QUICK = {"episodes": 60}
 _KEPT = Path("results/compare")  # where `eval/compare.py` keeps its parts too
 _POINTS = 200  # of a drawn distribution
@@ -248,7 +244,7 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
     tail = f"worst {100 * WORST:g} %"
     shares = [f"{100 * share:g} %" for share in SHARES]
     titles = ["mean", "IQM", "median", *shares[1:], tail, "worst"]
-    learned = [name for name, of in methods.items() if of["kind"] == "learned"]
+    learned = [name for name, entry in methods.items() if entry["kind"] == "learned"]
     challenger = min(learned, key=lambda name: methods[name]["tails"]["cost"]["iqm"])
     rare = [methods[name]["tails"]["cost"]["percentiles"][-1] for name in (challenger, data["best"])]
     return {
@@ -267,22 +263,22 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "first": _table(
             [f"{share}, {which}" for which in (f"first {EPISODES}", "all") for share in (*shares[-2:], "worst")],
             methods,
-            lambda of: _percentiles(of["few"], -2) + _percentiles(of["tails"]["cost"], -2),
+            lambda entry: _percentiles(entry["few"], -2) + _percentiles(entry["tails"]["cost"], -2),
         ),
         "failures": _table(
             ["left the workspace (%)", "did not arrive (%)", "never settled (%)"],
             methods,
-            lambda of: [_percent(of[name]) for name in ("left", "not_arrived", "not_settled")],
+            lambda entry: [_percent(entry[name]) for name in ("left", "not_arrived", "not_settled")],
         ),
         "against": _table(
             ["costs more (%)", "mean difference", *(f"{100 * share:g} %" for share in OF_DIFFERENCE), "most"],
-            {name: of for name, of in methods.items() if name != data["best"]},
-            lambda of: _differences(of["against"]),
+            {name: entry for name, entry in methods.items() if name != data["best"]},
+            _differences,
         ),
         "policies": _table(
             ["mean cost", *shares[1:], "worst"],
-            {f"{name}, {k}": policy for name, of in methods.items() for k, policy in enumerate(of["policies"])},
-            lambda of: [_mean(of), *_percentiles(of, 1)],
+            {f"{name}, {k}": policy for name, entry in methods.items() for k, policy in enumerate(entry["policies"])},
+            lambda entry: [_mean(entry), *_percentiles(entry, 1)],
         ),
         "torques": _table(
             [f"{heading(name)}, {which}" for name in TORQUE_QUALITY for which in ("mean", shares[-1])],
@@ -292,12 +288,12 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "tail_size": tail_size(data["episodes"]),
         "distinguishing": _distinguishing(methods),
         "cases": _cases(methods),
-        "commands": [_watching(data, of) for of in methods.values()],
+        "commands": [_watching(data, entry) for entry in methods.values()],
     }
 
 
 def _table(titles: Sequence[str], methods: Mapping[str, Any], cells: Any) -> str:
-    return markdown_table(["method", *titles], [[f"`{name}`", *cells(of)] for name, of in methods.items()])
+    return markdown_table(["method", *titles], [[f"`{name}`", *cells(entry)] for name, entry in methods.items()])
 
 
 def _with_nan(value: Any) -> Any:
@@ -319,9 +315,9 @@ def _percent(interval: Sequence[float]) -> str:
     return f"{point} [{low}, {high}]"
 
 
-def _tail(of: dict[str, Any], metric: str) -> list[str]:
+def _tail(entry: dict[str, Any], metric: str) -> list[str]:
     """Mean, IQM, percentiles, mean of the tail and largest value of a metric."""
-    tail, digits = of["tails"][metric], KNOWN[metric].digits
+    tail, digits = entry["tails"][metric], KNOWN[metric].digits
     percentiles = [_interval(metric, value) for value in tail["percentiles"]]
     ends = [rounded(metric, tail[name]) for name in ("worst_mean", "worst")]
     return [_mean(tail, digits), number(tail["iqm"], digits + 1), *percentiles, *ends]
@@ -332,25 +328,26 @@ def _percentiles(tail: dict[str, Any], first: int) -> list[str]:
     return [*(_interval("cost", value) for value in tail["percentiles"][first:]), rounded("cost", tail["worst"])]
 
 
-def _torques(of: dict[str, Any]) -> list[str]:
-    pairs = [(name, of["tails"][name]) for name in TORQUE_QUALITY]
+def _torques(entry: dict[str, Any]) -> list[str]:
+    pairs = [(name, entry["tails"][name]) for name in TORQUE_QUALITY]
     return [rounded(name, v) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
 
 
-def _differences(against: dict[str, Any]) -> list[str]:
+def _differences(entry: dict[str, Any]) -> list[str]:
+    against = entry["against"]
     ends = (_interval("cost", value) for value in against["percentiles"])
     return [_percent(against["dearer"]), _mean(against), *ends, rounded("cost", against["most"])]
 
 
-def _mean(of: dict[str, Any], digits: int = 0) -> str:
-    return f"{number(of['mean'], digits + 1)} ± {number(of['error'], digits + 2)}"
+def _mean(entry: dict[str, Any], digits: int = 0) -> str:
+    return f"{number(entry['mean'], digits + 1)} ± {number(entry['error'], digits + 2)}"
 
 
 def _distinguishing(methods: Mapping[str, Any], most: int = 3) -> str:
     rows = [
-        [f"`{name}`", entry["name"], f"{entry['median']:.3g}", f"{entry['usual']:.3g}", f"{entry['distance']:.2f}"]
-        for name, of in methods.items()
-        for entry in of["distinguishing"][:most]
+        [f"`{name}`", shown["name"], f"{shown['median']:.3g}", f"{shown['usual']:.3g}", f"{shown['distance']:.2f}"]
+        for name, entry in methods.items()
+        for shown in entry["distinguishing"][:most]
     ]
     return markdown_table(["method", "parameter", "median in the tail", "median of all", "distance"], rows, "llrrr")
 
@@ -360,22 +357,22 @@ def _cases(methods: Mapping[str, Any]) -> str:
         [
             f"`{name}`",
             str(case["scenario"]),
-            str(case["policy"]) if of["policies"] else "",
+            str(case["policy"]) if entry["policies"] else "",
             *(rounded(metric, case[metric]) for metric in DRAWN),
             f"{degrees(case['start'])} to {degrees(case['goal'])}",
         ]
-        for name, of in methods.items()
-        for case in of["worst"]
+        for name, entry in methods.items()
+        for case in entry["worst"]
     ]
     return markdown_table(["method", "scenario", "training seed", *map(heading, DRAWN), "move"], rows, "lrrrrl")
 
 
-def _watching(data: dict[str, Any], of: dict[str, Any]) -> str:
+def _watching(data: dict[str, Any], entry: dict[str, Any]) -> str:
     """Command that shows the worst scenario of a method."""
-    worst = of["worst"][0]
-    option = "policy" if of["kind"] == "learned" else "controller"
+    worst = entry["worst"][0]
+    option = "policy" if entry["kind"] == "learned" else "controller"
     where = f"--scenario-seed {data['scenario_seed']} --split {data['split']} --scenario {worst['scenario']}"
-    return f"python eval/watch.py {where} --{option} {of['sources'][worst['policy']]}"
+    return f"python eval/watch.py {where} --{option} {entry['sources'][worst['policy']]}"
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
@@ -386,8 +383,8 @@ def pictures(data: dict[str, Any]) -> Pictures:
 def _draw(methods: Mapping[str, Any]) -> Figure:
     figure, axes = plt.subplots(1, len(DRAWN), figsize=(10.5, 4.8), sharey=True, layout="constrained")
     for axis, metric in zip(axes, DRAWN, strict=True):
-        for (name, of), colour in zip(methods.items(), COLOURS, strict=False):
-            values, shares = (np.array(of["curves"][metric][key]) for key in ("values", "shares"))
+        for (name, entry), colour in zip(methods.items(), COLOURS, strict=False):
+            values, shares = (np.array(entry["curves"][metric][key]) for key in ("values", "shares"))
             axis.plot(values, 100 * shares, color=colour, lw=1.8, label=name)
             axis.plot(values[-1:], 100 * shares[-1:], "o", color=colour, ms=4)
         axis.axhline(100 / EPISODES, color="0.45", lw=0.9, ls=(0, (4, 3)))

@@ -94,7 +94,7 @@ CASES: dict[str, tuple[type, str, str]] = {
 }
 
 
-def failed(kind: type) -> list[Finding]:
+def failed(kind: Callable[[], Any]) -> list[Finding]:
     return [finding for finding in findings(kind) if not finding.passed]
 
 

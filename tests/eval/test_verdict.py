@@ -303,9 +303,9 @@ def test_four_scenarios_are_no_verdict():
 
 def test_only_what_the_protocol_knows_was_frozen_before():
     shipped = outcome("adaptive", "classical", 100.0)
-    for name, told in (("test", True), ("development", False), ("seed 7", False)):
+    for name, noted in (("test", True), ("development", False), ("seed 7", False)):
         label = SetLabel(name, "0" * 64)
         own = [[], [still(0.0)]]
         known, other = (Results(content_of(make_comparison([shipped, *more], [], label, ORIGIN))) for more in own)
         assert known.note == label.note
-        assert ("Zero" in other.note and "--scenarios development" in other.note) == told
+        assert ("Zero" in other.note and "--scenarios development" in other.note) == noted
