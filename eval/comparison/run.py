@@ -215,9 +215,9 @@ def verify(
     """
     path = folder / "results.json"
     claimed = read_results(path)
+    scenarios, episodes = _claimed_scenarios(claimed, path), claimed["rows"][0]["episodes"]
     methods = _claimed_methods(claimed, path, policies, added, time_limit)
     with TemporaryDirectory(prefix="beltarm-") as temporary:
-        scenarios, episodes = _claimed_scenarios(claimed, path), claimed["rows"][0]["episodes"]
         comparison = compare(methods, scenarios, episodes, Path(temporary), jobs, done=done)
     for failure in comparison.failures:
         raise ValueError(f"{failure.method} failed on {failure.split}: {failure.message}")
@@ -237,10 +237,7 @@ def verify(
 def _claimed_methods(
     claimed: dict[str, Any], path: Path, policies: Sequence[str], added: Sequence[str], time_limit: float
 ) -> list[Method]:
-    """Methods that results are of, from a commit without changes."""
-    commit = claimed["provenance"]["commit"]
-    if commit == "unknown" or commit.endswith("-dirty"):
-        raise ValueError(f"{path} was measured with files that no commit has ({commit}): commit them, and run it again")
+    """Methods that results are of, which must be there."""
     names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
     words = list(pairwise(shlex.split(claimed["provenance"]["command"])))
     project = {*CONTROLLERS, PRIVILEGED, *(method.name for method in learned_methods(shipped_policies()))}
@@ -258,7 +255,10 @@ def _claimed_methods(
 
 
 def _claimed_scenarios(claimed: dict[str, Any], path: Path) -> ScenarioSet:
-    """Scenarios that results are of, which this checkout must have."""
+    """Scenarios that results of a commit without changes are of, which this checkout must have."""
+    commit = claimed["provenance"]["commit"]
+    if commit == "unknown" or commit.endswith("-dirty"):
+        raise ValueError(f"{path} was measured with files that no commit has ({commit}): commit them, and run it again")
     label = SetLabel(**claimed["scenario_set"])
     fresh = re.fullmatch(r"seed (\d+)", label.name)
     known = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)

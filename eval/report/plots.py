@@ -36,7 +36,7 @@ def _motions(draw: Draw, traces: Sequence[Scene], colours: dict[str, str], note:
     down = -(-len(traces) // across)
     with panel_style():
         figure = plt.figure(figsize=(4.2 * across, 3.3 * down + 0.7), layout="constrained")
-        parts = figure.subfigures(down, across, squeeze=False).flat
+        parts = list(figure.subfigures(down, across, squeeze=False).flat)
         for part, scene in zip(parts, traces, strict=False):
             start, goal = next(iter(scene.motions.values())).moves[0, :2]
             part.suptitle(f"{scene.split}: {scene.title}, {degrees(start)} to {degrees(goal)}", fontsize=10)

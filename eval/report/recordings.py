@@ -61,8 +61,8 @@ def _median(values: np.ndarray) -> int:
 def _shown(comparison: Comparison) -> list[str]:
     """Methods in all pictures: the same in each, so that a colour is one method.
 
-    The best challenger, the best classical controller of each split, the challenger's base or else the first method,
-    and as far as there is room the next challenger and the next classical ones.
+    The best challenger, its base, the first method, the best classical controller of each split, and as far as there is
+    room the next challenger and the next classical ones.
     """
     home = comparison.main_split
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
@@ -71,7 +71,7 @@ def _shown(comparison: Comparison) -> list[str]:
     best = [outcome for split in comparison.splits() if (outcome := comparison.best_classical(split))]
     classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
     by_cost = sorted(classical, key=lambda outcome: outcome.cost)
-    needed = dict.fromkeys(outcome.name for outcome in [*challengers[:1], *best, *(bases or ranked[:1])])
+    needed = dict.fromkeys(outcome.name for outcome in [*challengers[:1], *bases, *ranked[:1], *best])
     wanted = dict.fromkeys([*needed, *(outcome.name for outcome in [*challengers[1:2], *by_cost])])
     return list(wanted)[: max(_USUALLY, min(len(needed), len(COLOURS)))]
 
