@@ -31,7 +31,7 @@ from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, verify
 from eval.comparison.scenarios import choose_set
-from eval.comparison.sets import ScenarioSet, enlarged_set
+from eval.comparison.sets import ScenarioSet
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.report import summary
 from eval.report.publish import print_results, publish
@@ -114,9 +114,7 @@ class Config(SideBySide):
         if not 4 <= self.count <= most:
             more = f"; --scenario-seed 1 draws up to {MOST}" if self.scenario_seed is None else ""
             raise ValueError(f"--episodes must lie within 4 and {most}, got {self.count}{more}")
-        if self.scenario_seed is not None and self.count > EPISODES:
-            return enlarged_set(self.scenario_seed, splits, self.count)
-        return known.only(splits)
+        return known.only(splits, self.count)
 
 
 def run(config: Config) -> None:

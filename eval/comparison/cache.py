@@ -13,7 +13,7 @@ import hashlib
 import json
 import platform
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -73,7 +73,8 @@ def parts_of(method: Method, split: Split, episodes: int) -> list[Part]:
     """Cut the first scenarios of a split into parts of at most `EPISODES`."""
     if episodes <= EPISODES:
         return [Part(method, split, episodes)]
-    return [Part(method, cut, len(cut.table), first) for first, cut in split.cut(EPISODES, episodes)]
+    cuts = [slice(first, min(first + EPISODES, episodes)) for first in range(0, episodes, EPISODES)]
+    return [Part(method, split.part(cut), cut.stop - cut.start, cut.start) for cut in cuts]
 
 
 def key_of(method: Method, *others: str | int) -> str:
@@ -154,12 +155,7 @@ def run_parts(
 ) -> list[Metrics | Failure]:
     """Return the results of all parts, in their order: kept ones are read, the others run, and kept by this process.
 
-    Args:
-        parts: What to run.
-        folder: Where to keep it.
-        jobs: Number of processes, by default one per core.
-        done: Called with the number of parts that are there, and of all.
-        engine: What runs the parts.
+    `done` is called with the number of parts that are there, and of all.
 
     Raises:
         OSError: If a result cannot be written, or a part broke off its process again and again.
@@ -170,9 +166,10 @@ def run_parts(
     }
     done(len(results), len(parts))
     tasks = _tasks(parts, [k for k in range(len(parts)) if k not in results])
-    sent = _sent_along((parts[task[0]].method for task in tasks), engine)
+    methods = {parts[task[0]].method.name: parts[task[0]].method for task in tasks}
+    belongings = {name: {} if engine.name == "local" else method.belongings() for name, method in methods.items()}
     left = {
-        str(number): partial(_run_task, [parts[k] for k in task], sent[parts[task[0]].method.name])
+        str(number): partial(_run_task, [parts[k] for k in task], belongings[parts[task[0]].method.name])
         for number, task in enumerate(tasks)
     }
     try:
@@ -201,32 +198,26 @@ def kept_count(parts: Sequence[Part], folder: Path) -> int:
 def _tasks(parts: Sequence[Part], left: list[int]) -> list[list[int]]:
     """Group the parts that are left into tasks: few arms of a method, on splits that run beside one another.
 
-    Those with most runs come first, so that none is left over at the end.
+    A user's controller runs alone, so that its failure affects nothing else. Tasks with most runs come first, so that
+    none is left over at the end.
     """
+
+    def runs(task: list[int]) -> int:
+        return sum(len(parts[k].method.sources) * parts[k].count for k in task)
+
+    def fits(task: list[int], k: int) -> bool:
+        part, other = parts[k], parts[task[0]]
+        alike = part.method == other.method and part.split.kind_of_batch == other.split.kind_of_batch
+        return alike and part.method.kind != "added" and runs([*task, k]) <= LARGEST_BATCH
+
     tasks: list[list[int]] = []
     for k in left:
-        task = next((task for task in tasks if _fits([parts[other] for other in task], parts[k])), None)
+        task = next((task for task in tasks if fits(task, k)), None)
         if task is None:
             tasks.append([k])
         else:
             task.append(k)
-    return sorted(tasks, key=lambda task: -sum(_runs(parts[k]) for k in task))
-
-
-def _runs(part: Part) -> int:
-    return len(part.method.sources) * part.count
-
-
-def _fits(task: list[Part], part: Part) -> bool:
-    """Whether a part runs in a batch with others. A user's controller runs alone: its failure affects nothing else."""
-    alike = part.method == task[0].method and part.split.runs_beside(task[0].split)
-    return alike and part.method.kind != "added" and sum(map(_runs, [*task, part])) <= LARGEST_BATCH
-
-
-def _sent_along(methods: Iterable[Method], engine: parallel.Engine) -> dict[str, dict[str, Carried]]:
-    """Belongings of methods, by name, that tasks take with them to other machines."""
-    by_name = {method.name: method for method in methods}
-    return {name: {} if engine.name == "local" else method.belongings() for name, method in by_name.items()}
+    return sorted(tasks, key=lambda task: -runs(task))
 
 
 def _run_task(parts: list[Part], belongings: dict[str, Carried], _: parallel.Channel) -> list[Metrics | Failure]:

@@ -10,17 +10,16 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff
 from baselines.tools.command import this_python
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
-from beltarm_env.arrays import Flags, Singles
+from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
@@ -49,39 +48,12 @@ class Finding:
     trace: str = ""  # of a failed one: the whole traceback
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
+class Session(NamedTuple):
     """Recorded observations, episode starts and actions of some arms."""
 
     observations: Singles  # (T, n, size)
     starts: Flags  # which arms begin an episode     (T, n)
     actions: Singles  # (T, n, 1)
-
-
-class _Strict:
-    """Controller that must return finite float32 of shape (n, 1) and leave its observations as they are."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self._sample = -1
-
-    def predict(self, observation: Singles, *rest: Any, **options: Any) -> Any:
-        """Call the controller; see `Controller`."""
-        self._sample += 1
-        given = observation.copy()
-        action, memory = self._controller.predict(given, *rest, **options)
-        self._check(action)
-        if not np.array_equal(given, observation):
-            raise ValueError(f"it changes the observation that it is given, in sample {self._sample}")
-        return action, memory
-
-    def _check(self, action: object) -> None:
-        if not isinstance(action, np.ndarray) or action.shape != (_ARMS, 1) or action.dtype != np.float32:
-            got = f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-            raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {got}")
-        if not np.isfinite(action).all():
-            torques = action.ravel().tolist()
-            raise ValueError(f"in sample {self._sample} it returns {torques}: torques must be finite")
 
 
 def record(controller: Controller) -> Session:
@@ -90,9 +62,21 @@ def record(controller: Controller) -> Session:
     Raises:
         ValueError: If it returns anything but finite float32 of shape (n, 1), or changes what it observes.
     """
-    driven = drive(_Strict(controller), _ARMS, _STEPS, _SEED, randomization="train")
-    samples = [(observation, start, action.copy()) for observation, start, action in driven]
+    samples = []
+    for k, sample in enumerate(drive(controller, _ARMS, _STEPS, _SEED, randomization="train")):
+        _require_torques(sample.action, k)
+        if not np.array_equal(sample.given, sample.observation):
+            raise ValueError(f"it changes the observation that it is given, in sample {k}")
+        samples.append((sample.observation, sample.start, sample.action.copy()))
     return Session(*map(np.array, zip(*samples, strict=True)))
+
+
+def _require_torques(action: object, sample: int) -> None:
+    if not isinstance(action, np.ndarray) or action.shape != (_ARMS, 1) or action.dtype != np.float32:
+        got = f"{action.dtype} of shape {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
+        raise ValueError(f"for {_ARMS} arms it must return an array of float32 of shape ({_ARMS}, 1), got {got}")
+    if not np.isfinite(action).all():
+        raise ValueError(f"in sample {sample} it returns {action.ravel().tolist()}: torques must be finite")
 
 
 def replayed(controller: Controller, observations: Singles, starts: Flags) -> Singles:
@@ -207,14 +191,9 @@ def findings_of(spec: str) -> list[Finding]:
 
 
 def isolated_findings(spec: str, time_limit: float) -> list[Finding]:
-    """Check a controller in a process of its own; the end of that is a failed check.
+    """Check a controller, as `findings_of` does, in a process of its own.
 
-    Args:
-        spec: See `eval.comparison.custom`.
-        time_limit: Time that all checks together may take [s].
-
-    Raises:
-        ValueError: If it cannot be imported or made.
+    If that process ends, or takes longer than `time_limit` [s], a check has failed.
     """
     spec = custom.absolute(spec)
     try:
@@ -223,11 +202,21 @@ def isolated_findings(spec: str, time_limit: float) -> list[Finding]:
         return [Finding("runs to the end", False, str(end))]
 
 
-def failures(methods: Iterable[Method]) -> dict[str, Failure]:
-    """Check a user's controllers among some methods; by name the first failure of each that does not pass."""
-    added = [method for method in methods if method.kind == "added"]
-    results = {method.name: run_controller(method, "", partial(_first_failure, method)) for method in added}
-    return {name: failure for name, failure in results.items() if failure is not None}
+def times_of(methods: Iterable[Method]) -> dict[str, ActionTimes | Failure]:
+    """Time per action of each method, by name; a failure where it fails on one arm, or breaks the protocol.
+
+    Only a user's controllers are checked.
+    """
+    results: dict[str, ActionTimes | Failure] = {}
+    for method in methods:
+        added = method.kind == "added"
+        failure = run_controller(method, "", partial(_first_failure, method)) if added else None
+        results[method.name] = failure or run_controller(method, "", partial(_time, method), "one arm")
+    return results
+
+
+def _time(method: Method) -> ActionTimes:
+    return action_times(method.controller(0, [ArmParams()]), method.sensors)
 
 
 def _first_failure(method: Method) -> Failure | None:
@@ -244,64 +233,43 @@ def _first_failure(method: Method) -> Failure | None:
 # Time per action
 
 
-def drive(
-    controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any
-) -> Iterator[tuple[Singles, Flags, Singles]]:
-    """Drive some arms for at most an episode; an arm that leaves its workspace begins a new one, as in `rollout`.
+class Sample(NamedTuple):
+    """One call of a controller."""
 
-    Args:
-        controller: What to run.
-        num_arms: Number of arms, run side by side.
-        steps: Number of samples.
-        seed: Arm i is seeded with `seed + i`.
-        **settings: Arguments of `BeltArmVectorEnv`.
+    observation: Singles
+    given: Singles  # copy of the observation that the controller had
+    start: Flags  # which arms begin an episode
+    action: Singles
+    seconds: float  # that the call took
 
-    Yields:
-        In each sample, before the arms move: observations, which arms begin an episode, actions.
+
+def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any) -> Iterator[Sample]:
+    """Yield each sample of some arms, before they move, for at most an episode; `seed` and settings as of `rollout`.
+
+    An arm that leaves its workspace begins a new episode.
     """
     env = BeltArmVectorEnv(num_arms, autoreset_mode=AutoresetMode.DISABLED, **settings)
     observation, _ = env.reset(seed=seed)
     memory: Any = None
     start = np.ones(num_arms, np.bool_)
     for _ in range(steps):
-        action, memory = controller.predict(observation, memory, start)
-        yield observation, start, action
+        given, began = observation.copy(), time.perf_counter()
+        action, memory = controller.predict(given, memory, start)
+        yield Sample(observation, given, start, action, time.perf_counter() - began)
         observation, _, start, truncated, _ = env.step(action)
         if start.any() and not truncated.any():
             observation, _ = env.reset(options={"reset_mask": start})
 
 
-class _Timed:
-    """Controller whose calls are timed."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self.seconds: list[float] = []
-
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        """Call the controller; see `Controller`."""
-        began = time.perf_counter()
-        result = self._controller.predict(*arguments, **named)
-        self.seconds.append(time.perf_counter() - began)
-        return result
+def _times(controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any) -> Floats:
+    """Time of each action [us], shape (steps,)."""
+    return 1e6 * np.array([sample.seconds for sample in drive(controller, num_arms, steps, seed, **settings)])
 
 
 def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> ActionTimes:
     """Time the actions of a controller for one nominal arm."""
-    timed = _Timed(controller)
-    for _ in drive(timed, 1, _TIMED_ACTIONS, seed, sensors=sensors):
-        pass
-    median, slow = np.percentile(1e6 * np.array(timed.seconds), [50, 99])
+    median, slow = np.percentile(_times(controller, 1, _TIMED_ACTIONS, seed, sensors=sensors), [50, 99])
     return float(median), float(slow)
-
-
-def measured_times(methods: Iterable[Method]) -> dict[str, ActionTimes | Failure]:
-    """Measure the times of some methods, by name; a failure where a controller fails on one arm."""
-    return {method.name: run_controller(method, "", partial(_time, method), "one arm") for method in methods}
-
-
-def _time(method: Method) -> ActionTimes:
-    return action_times(method.controller(0, [ArmParams()]), method.sensors)
 
 
 @dataclass(frozen=True)
@@ -318,18 +286,12 @@ class Times:
 def measure_times(controller: Controller, batch: int, seed: int) -> Times:
     """Time a controller on one arm of the training ranges, and on a batch of them, seeded from `seed` on.
 
-    Of one arm the same episode is run several times, and the shortest time of each action counts: what else the machine
-    does is left out.
+    One arm plays the same episode several times, and the shortest time of each action counts, without other work of the
+    machine.
     """
-    alone = np.min([_timed(controller, 1, seed)[0] for _ in range(_REPETITIONS)], axis=0)
-    together, took = _timed(controller, batch, seed)
+    alone = np.min([_times(controller, 1, EPISODE_STEPS, seed, randomization="train") for _ in range(_REPETITIONS)], 0)
+    began = time.perf_counter()
+    together = _times(controller, batch, EPISODE_STEPS, seed, randomization="train")
+    took = time.perf_counter() - began
     median, slow = np.percentile(alone[1:], [50, 99])
     return Times(float(alone[0]), float(median), float(slow), float(np.median(together)) / batch, took)
-
-
-def _timed(controller: Controller, arms: int, seed: int) -> tuple[NDArray[np.float64], float]:
-    """Time of each action of an episode [us], shape (EPISODE_STEPS,), and of the episode [s]."""
-    timed, began = _Timed(controller), time.perf_counter()
-    for _ in drive(timed, arms, EPISODE_STEPS, seed, randomization="train"):
-        pass
-    return 1e6 * np.array(timed.seconds), time.perf_counter() - began

@@ -8,17 +8,16 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 _NAMED = "a controller is named package.module:Class or path/to/file.py:Class"
 _EXAMPLE = "an example is docs/examples/my_controller.py"
-TIME_LIMIT = 3600.0
-"""Time that a controller may take for a batch of episodes unless told otherwise [s]: 500 arms with two runs of each
-move, one arm after the other in real time, take less."""
-LONGEST = 7 * 86_400
-"""Longest such time that can be told [s]: a week."""
+TIME_LIMIT, LONGEST = 3600.0, 7 * 86_400
+"""Time that a controller may take for a batch of episodes [s], by default and at most. In the default 500 arms run one
+after the other in real time, twice."""
 MOST_FILES, MOST_BYTES = 2000, 200_000_000
 """Size of a controller's folder beyond which it is not hashed: a home or a project that holds much else."""
 
@@ -114,19 +113,14 @@ def _home_of_module(spec: str, package: str, *inside: str) -> Path:
 
 
 def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
-    """All files of a controller's folder in their order, but for hidden files and `__pycache__`.
+    """All files of a controller's folder in their order, but for hidden files, `__pycache__` and the results' folder.
 
-    Args:
-        folder: See `home`.
-        results: A folder below it that is left out, because the comparison itself writes there.
-
-    Returns:
-        None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read.
+    None if the folder has more than `MOST_FILES` or `MOST_BYTES`, or a part of it cannot be read.
     """
     skipped = results.resolve() if results else None
     own: list[Path] = []
     entries, size = 0, 0
-    try:
+    with suppress(OSError):
         for root, folders, names in os.walk(folder, onerror=_raise, followlinks=True):
             folders[:] = sorted(name for name in folders if _is_own(name) and Path(root, name).resolve() != skipped)
             files = [path for name in sorted(names) if _is_own(name) and (path := Path(root, name)).is_file()]
@@ -135,24 +129,19 @@ def files_of(folder: Path, results: Path | None = None) -> list[Path] | None:
             if entries > MOST_FILES or size > MOST_BYTES:
                 return None
             own += files
-    except OSError:
-        return None
-    return own
+        return own
+    return None
 
 
 def identity(folder: Path, results: Path | None = None) -> str | None:
     """SHA-256 of all files of a controller's folder, see `files_of`; None if whether they are as before is unknown."""
-    files = files_of(folder, results)
-    if files is None:
-        return None
-    total = hashlib.sha256()
-    try:
-        for path in files:
+    files, total = files_of(folder, results), hashlib.sha256()
+    with suppress(OSError):
+        for path in files or ():
             total.update(f"{path.relative_to(folder).as_posix()}\0".encode())
             total.update(hashlib.sha256(path.read_bytes()).digest())
-    except OSError:
-        return None
-    return total.hexdigest()
+        return None if files is None else total.hexdigest()
+    return None
 
 
 def _is_own(name: str) -> bool:

@@ -63,16 +63,9 @@ def heading(name: str) -> str:
 
 
 def with_effect(table: Floats, name: str, size: float) -> Floats:
-    """Arms whose drive is ideal but for one effect, or for all of them.
+    """Arms whose drive is ideal but for one of `EFFECTS`, in a size over the upper end of its training range.
 
-    Args:
-        table: Arms drawn from the training ranges, columns as `ArmParams`, shape (n, len(FIELDS)); phases, orders,
-            Stribeck speeds and the signs of effects that have one stay as drawn.
-        name: One of `EFFECTS`, or `IDEAL`.
-        size: Over the upper ends of the training ranges.
-
-    Returns:
-        Shape (n, len(FIELDS)).
+    Arms are rows of `table`. Phases, orders, Stribeck speeds and the signs of effects that have one stay as drawn.
     """
     driven = table.copy()
     for field in DRIVE_EFFECTS:

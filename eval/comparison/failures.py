@@ -33,20 +33,16 @@ class Failure:
 
 
 def run_controller(method: Method, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
-    """Run the controllers of a method; an added one's in a process of its own, whose end is a `Failure` as well.
+    """Run the controllers of a method on a split; an added one's in a process of its own, whose end is a `Failure` too.
 
-    Args:
-        method: Whose they are.
-        split: On which they run.
-        run: Picklable.
-        where: Beginning of a failure's message.
+    `run` must be picklable; `where` begins a failure's message.
     """
     if method.kind != "added":
         return attempt(method.name, split, run, where)
     try:
         return run_isolated(partial(attempt, method.name, split, run, where), method.sources[0], method.time_limit)
     except parallel.BrokenOff as end:
-        return Failure(method.name, split, f"{where}{': ' if where else ''}{end}")
+        return Failure(method.name, split, f"{where}: {end}" if where else str(end))
 
 
 def attempt(method: str, split: str, run: Callable[[], _Result], where: str = "") -> _Result | Failure:
@@ -72,8 +68,8 @@ def place(error: BaseException) -> str:
 
 
 def explained(failure: parallel.Failure, jobs: int | None) -> Exception:
-    """Return the error of a task of a comparison, with a remedy where its process died."""
+    """Return the error of a task, with a remedy where its process died."""
     if isinstance(failure.error, parallel.BrokenOff):
         fewer = max(1, (jobs or parallel.default_jobs()) // 2)
-        return OSError(f"{failure.message}; what is done is kept: try again with --jobs {fewer}")
+        return OSError(f"{failure.message}: try again with --jobs {fewer}")
     return failure.error

@@ -67,11 +67,9 @@ class Method:
         return self.controllers(range(seed, seed + 1), arms)
 
     def controllers(self, seeds: range, arms: Sequence[ArmParams]) -> Controller:
-        """Make the controllers of some training seeds as one, for a batch of arms that they share equally.
+        """Make the controllers of some training seeds, one of `batches`, as one, for arms that they share equally.
 
-        Args:
-            seeds: One of `batches`, or a single one.
-            arms: Their constants, which only a privileged controller is given.
+        Only a privileged controller is given the constants of the arms.
 
         Raises:
             ValueError: If it cannot be made.
@@ -151,12 +149,7 @@ def privileged_method() -> Method:
 
 
 def added_method(spec: str, results: Path | None = None, time_limit: float = custom.TIME_LIMIT) -> Method:
-    """A user's own controller, named by its class; nothing of it is executed here.
-
-    Args:
-        spec: See `eval.comparison.custom`.
-        results: The comparison's folder, see `custom.identity`.
-        time_limit: Time that it may take for a batch of episodes [s].
+    """A user's own controller, named by its class; nothing of it is executed here. See `eval.comparison.custom`.
 
     Raises:
         ValueError: If there is no such file or package.
@@ -168,11 +161,9 @@ def added_method(spec: str, results: Path | None = None, time_limit: float = cus
 
 
 def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
-    """Learning methods from policy bundles, one per training seed of a method, in the order in which they are given.
+    """Learning methods from policy bundles, FOLDER or NAME=FOLDER, one per training seed of a method, in their order.
 
-    Args:
-        policies: Folders, or NAME=FOLDER. Shipped ones are called as their folder, others "my" and their algorithm's
-            name, unless they are given one.
+    Without a NAME, shipped ones are called as their folder, others "my" and their algorithm's name.
 
     Raises:
         BundleError: If a bundle is missing or damaged.
@@ -180,29 +171,23 @@ def learned_methods(policies: Iterable[Path | str]) -> list[Method]:
     """
     grouped: dict[str, list[Path]] = {}
     for policy in policies:
-        given, folder = _named(policy)
+        *given, path = str(policy).split("=", 1)
+        folder = Path(path)
+        if folder.suffix == ".zip":
+            raise ValueError(
+                f"{folder} is an archive of Stable-Baselines3, and loading one can execute what is in it: wrap it in a "
+                "controller, and give that with --add (README.md, 'A model of your own')"
+            )
         spec, _ = read_spec(folder)
         if spec.sensors != "encoder":
             raise ValueError(
                 f"{folder} needs sensors={spec.sensors!r}; the comparison gives all methods the encoder alone"
             )
-        name = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
+        usual = f"my-{spec.algorithm}" if spec.base == "paper" else f"my-{spec.algorithm}-{spec.base}"
         if folder.resolve().is_relative_to(POLICIES):  # shipped policies lie in a folder of their method's name
-            name = folder.resolve().parent.name
-        grouped.setdefault(given or name, []).append(folder.resolve())
+            usual = folder.resolve().parent.name
+        grouped.setdefault("".join(given) or usual, []).append(folder.resolve())
     return [_learned(name, members) for name, members in grouped.items()]
-
-
-def _named(policy: Path | str) -> tuple[str, Path]:
-    """Name and folder of a policy, given as FOLDER or NAME=FOLDER."""
-    name, equals, folder = str(policy).partition("=")
-    path = Path(folder if equals else name)
-    if path.suffix == ".zip":
-        raise ValueError(
-            f"{path} is an archive of Stable-Baselines3, and loading one can execute what is in it: wrap it in a "
-            "controller, and give that with --add (README.md, 'A model of your own')"
-        )
-    return (name if equals else ""), path
 
 
 def _learned(name: str, folders: list[Path]) -> Method:
@@ -245,9 +230,7 @@ def policies_of(methods: Iterable[Method]) -> list[str]:
 def methods_side_by_side(controllers: Sequence[str], policies: Sequence[Path]) -> list[tuple[str, Method]]:
     """Single methods with names that tell them apart, where neither is given `paper`, `adaptive` and a shipped policy.
 
-    Args:
-        controllers: Names of classical controllers, or a user's own as package.module:Class or path/to/file.py:Class.
-        policies: Folders of policies, each a method by itself.
+    Controllers are classical ones by name, or a user's own; each policy is a method by itself.
 
     Raises:
         ValueError: If a name is unknown, or a controller or policy cannot be loaded.

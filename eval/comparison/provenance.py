@@ -44,10 +44,10 @@ def python_version() -> str:
     return platform.python_version()
 
 
-def origin(of: dict[str, Any]) -> str:
+def origin(about: dict[str, Any]) -> str:
     """Line about the provenance of data."""
-    python = f"Python {of['python']} on {of['machine']}"
-    return f"`{of['command']}`, beltarm {of['version']} ({of['commit']}), {python}, {of['seconds']:.0f} s."
+    python = f"Python {about['python']} on {about['machine']}"
+    return f"`{about['command']}`, beltarm {about['version']} ({about['commit']}), {python}, {about['seconds']:.0f} s."
 
 
 def inputs_digest(module: str, starts: Iterable[str] = _STARTS) -> str:

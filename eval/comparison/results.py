@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -38,8 +39,8 @@ MOSTLY = 0.95
 """Share of its runs that a method has to arrive in, to be marked in a metric of `OF_ARRIVED`: the average of one that
 arrives on easy arms alone looks better than it is."""
 
-Against = dict[str, dict[str, dict[str, Paired]]]
-"""Comparisons scenario by scenario, by split, method and metric."""
+Against = Literal["best classical", "base"]
+"""Other method of a pair: the classical one of the lowest cost, or the one that a learned method corrects."""
 Mark = Literal["best", "tie"]
 """Of a metric on a split: the lowest of all ranked methods, or not shown to differ from it."""
 
@@ -53,6 +54,16 @@ class MethodOutcome:
     metrics: Metrics  # each (seeds, episodes)
     estimates: dict[str, Estimate]  # of `OF_ARRIVED` over scenarios in which all seeds arrive; not numbers for none
     action_times: tuple[float, float]  # median, 99th percentile [us]
+
+    @property
+    def name(self) -> str:
+        """Name of the method."""
+        return self.method.name
+
+    @property
+    def cost(self) -> float:
+        """Interquartile mean of the cost."""
+        return self.estimates["cost"].iqm
 
     @property
     def seeds(self) -> int:
@@ -115,12 +126,21 @@ def tables_of(method: MethodOutcome, other: MethodOutcome, name: str) -> tuple[F
 
 
 @dataclass(frozen=True, slots=True)
+class Pair:
+    """Paired comparison of a ranked method with another one on a split, by metric."""
+
+    outcome: MethodOutcome
+    other: MethodOutcome
+    against: Against
+    metrics: dict[str, Paired]  # of `PAIRED_METRICS`
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """Outcomes of all methods on all splits, compared with one another."""
 
     outcomes: list[MethodOutcome]
-    against_best: Against  # every ranked method against the classical one of the lowest cost
-    against_base: Against  # every learned method against the controller that it corrects
+    pairs: list[Pair]
     marks: dict[str, dict[str, dict[str, Mark]]]  # by split, metric and method, of `PAIRED_METRICS`
     failures: list[Failure]
     scenario_set: SetLabel  # of the splits
@@ -147,25 +167,19 @@ class Comparison:
         """Split that is asked about first, see `eval.comparison.splits.main_split`."""
         return splits.main_split(self.splits())
 
-    def methods(self) -> list[MethodOutcome]:
-        """One outcome of every method, in order; those that are not ranked last."""
-        first = {outcome.method.name: outcome for outcome in reversed(self.outcomes)}
-        order = dict.fromkeys(outcome.method.name for outcome in self.outcomes)
-        return sorted((first[name] for name in order), key=lambda outcome: not outcome.ranked)
-
     def challengers(self, split: str) -> list[MethodOutcome]:
         """Challengers of the classical controllers on a split, best first: learned methods, or else added ones."""
         kinds = {outcome.method.kind for outcome in self.outcomes}
         wanted = next((kind for kind in ("learned", "added") if kind in kinds), None)
         outcomes = [outcome for outcome in self.on(split) if outcome.method.kind == wanted]
-        return sorted(outcomes, key=lambda outcome: outcome.estimates["cost"].iqm)
+        return sorted(outcomes, key=lambda outcome: outcome.cost)
 
     def primary_pair(self) -> tuple[MethodOutcome, MethodOutcome] | None:
         """Challenger and classical controller of the primary comparison, on the main split; None without both.
 
         Those of the protocol where both took part, or else the ones of the lowest cost.
         """
-        home = {outcome.method.name: outcome for outcome in self.on(self.main_split)}
+        home = {outcome.name: outcome for outcome in self.on(self.main_split)}
         if all(name in home for name in PRIMARY):
             return home[PRIMARY[0]], home[PRIMARY[1]]
         challengers, best = self.challengers(self.main_split), self.best_classical(self.main_split)
@@ -181,79 +195,72 @@ def make_comparison(
 ) -> Comparison:
     """Compare the outcomes with one another."""
     by_split = {split: [o for o in outcomes if o.split == split] for split in dict.fromkeys(o.split for o in outcomes)}
-    best, base = _against(by_split, _best_opponent), _against(by_split, _bases)
-    marks = {split: {name: _marks(o, name, best[split]) for name in PAIRED_METRICS} for split, o in by_split.items()}
-    return Comparison(outcomes, best, base, marks, failures, scenario_set, provenance)
+    best = _pairs(by_split, "best classical", lambda _, of_split: best_classical(of_split))
+    base = _pairs(by_split, "base", lambda o, of_split: {b.name: b for b in of_split}.get(o.method.base or ""))
+    marks = {split: {name: _marks(o, name, best) for name in PAIRED_METRICS} for split, o in by_split.items()}
+    return Comparison(outcomes, [*best, *base], marks, failures, scenario_set, provenance)
 
 
 def best_classical(outcomes: list[MethodOutcome]) -> MethodOutcome | None:
     """Classical method of the lowest cost among the outcomes of one split, if there is any."""
     classical = [outcome for outcome in outcomes if outcome.method.kind == "classical"]
-    return min(classical, key=lambda outcome: outcome.estimates["cost"].iqm, default=None)
+    return min(classical, key=lambda outcome: outcome.cost, default=None)
 
 
-def _best_opponent(outcomes: list[MethodOutcome]) -> dict[str, MethodOutcome]:
-    best = best_classical(outcomes)
-    return {o.method.name: best for o in outcomes if best and o is not best}
-
-
-def _bases(outcomes: list[MethodOutcome]) -> dict[str, MethodOutcome]:
-    by_name = {o.method.name: o for o in outcomes}
-    return {o.method.name: by_name[o.method.base] for o in outcomes if o.method.base in by_name}
-
-
-def _against(
-    by_split: dict[str, list[MethodOutcome]], opponents: Callable[[list[MethodOutcome]], dict[str, MethodOutcome]]
-) -> Against:
-    """Ranked methods against their opponents on every split, by split, method and metric.
+def _pairs(
+    by_split: dict[str, list[MethodOutcome]],
+    against: Against,
+    other_of: Callable[[MethodOutcome, list[MethodOutcome]], MethodOutcome | None],
+) -> list[Pair]:
+    """Ranked methods and their others on every split, compared.
 
     All comparisons in one metric on one split are a family for Holm's correction: one question, asked of every method.
     """
-    pairs = [
+    both = [
         (outcome, other)
         for outcomes in by_split.values()
-        for against in [opponents(outcomes)]
         for outcome in outcomes
-        if outcome.ranked and (other := against.get(outcome.method.name))
+        if outcome.ranked and (other := other_of(outcome, outcomes)) and other is not outcome
     ]
-    compared = iter(all_paired([tables_of(*pair, name) for pair in pairs for name in PAIRED_METRICS]))
-    results: Against = {split: {} for split in by_split}
-    for outcome, _ in pairs:
-        results[outcome.split][outcome.method.name] = {name: next(compared) for name in PAIRED_METRICS}
-    for of_split in results.values():
-        for name in PAIRED_METRICS:
-            adjusted = holm([of_method[name].p for of_method in of_split.values()])
-            for of_method, p in zip(of_split.values(), adjusted, strict=True):
-                of_method[name] = replace(of_method[name], p_holm=p)
-    return results
+    compared = iter(all_paired([tables_of(*pair, name) for pair in both for name in PAIRED_METRICS]))
+    pairs = [Pair(*pair, against, {name: next(compared) for name in PAIRED_METRICS}) for pair in both]
+    for split, name in product(by_split, PAIRED_METRICS):
+        family = [pair.metrics for pair in pairs if pair.outcome.split == split]
+        for metrics, corrected in zip(family, _corrected([metrics[name] for metrics in family]), strict=True):
+            metrics[name] = corrected
+    return pairs
 
 
-def _marks(outcomes: list[MethodOutcome], name: str, against_best: dict[str, dict[str, Paired]]) -> dict[str, Mark]:
+def _corrected(family: Sequence[Paired]) -> list[Paired]:
+    """A family of comparisons after Holm's correction."""
+    adjusted = holm([pair.p for pair in family])
+    return [replace(pair, p_holm=p) for pair, p in zip(family, adjusted, strict=True)]
+
+
+def _marks(outcomes: list[MethodOutcome], name: str, against_best: list[Pair]) -> dict[str, Mark]:
     """Marks of one split in one metric; a tie outlives the paired test against the best, with Holm's correction.
 
     None where there are too few scenarios to say anything.
     """
     ranked = [outcome for outcome in outcomes if outcome.ranked]
-    if name in OF_ARRIVED:
-        ranked = [outcome for outcome in ranked if outcome.not_arrived <= 1 - MOSTLY]
-    best = min(ranked, key=lambda outcome: outcome.estimates[name].iqm, default=None)
+    shown = [outcome for outcome in ranked if name not in OF_ARRIVED or outcome.not_arrived <= 1 - MOSTLY]
+    best = min(shown, key=lambda outcome: outcome.estimates[name].iqm, default=None)
     if best is None or best.metrics[name].shape[1] < LEAST_SCENARIOS:
         return {}
-    shown = {outcome.method.name for outcome in ranked}
-    pairs = {method: of_method[name] for method, of_method in against_best.items()}
+    pairs = {pair.outcome.name: pair.metrics[name] for pair in against_best if pair.outcome.split == best.split}
     classical = best_classical(outcomes)
     if best is not classical:
-        others = [outcome for outcome in outcomes if outcome.ranked and outcome is not best]
+        same = pairs.get(best.name)
+        others = [outcome for outcome in ranked if outcome is not best]
         compared = all_paired([tables_of(other, best, name) for other in others])
-        pairs = {other.method.name: pair for other, pair in zip(others, compared, strict=True)}
-        if classical and best.method.name in against_best:  # a pair has one p value
-            same = against_best[best.method.name][name]
-            pairs[classical.method.name] = replace(pairs[classical.method.name], p=same.p)
-        adjusted = holm([pair.p for pair in pairs.values()])
-        pairs = {method: replace(pair, p_holm=p) for (method, pair), p in zip(pairs.items(), adjusted, strict=True)}
-    marks: dict[str, Mark] = {method: "tie" for method, pair in pairs.items() if not pair.survives and method in shown}
-    marks[best.method.name] = "best"
-    return marks
+        pairs = {other.name: pair for other, pair in zip(others, compared, strict=True)}
+        if classical and same:  # a pair has one p value
+            pairs[classical.name] = replace(pairs[classical.name], p=same.p)
+        pairs = dict(zip(pairs, _corrected(list(pairs.values())), strict=True))
+    marks: dict[str, Mark] = {
+        outcome.name: "tie" for outcome in shown if outcome is not best and not pairs[outcome.name].survives
+    }
+    return {**marks, best.name: "best"}
 
 
 def provenance(

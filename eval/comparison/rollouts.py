@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -13,6 +13,7 @@ from rich.console import Console
 from baselines.engines.parallel import Channel, Failure, run_side_by_side
 from baselines.tools.progress import progress_count
 from beltarm_env.rollout import Controller
+from eval.comparison.failures import explained
 from eval.comparison.methods import Method, chosen, classical_methods, learned_methods, shipped_policies
 
 Case = TypeVar("Case", bound=tuple[Any, ...])
@@ -38,12 +39,7 @@ def shipped_controller(name: str) -> Controller:
 
 
 class Recorder(Generic[Note]):
-    """Controller that keeps a note about its memory for each sample.
-
-    Args:
-        controller: Controller of the rollout.
-        note: Makes the note, from the memory after a sample.
-    """
+    """Controller that keeps a note for each sample, which `note` makes from its memory after it."""
 
     def __init__(self, controller: Any, note: Callable[[Any], Note]) -> None:
         self.params, self.notes = controller.params, list[Note]()
@@ -59,31 +55,28 @@ class Recorder(Generic[Note]):
 def side_by_side(
     title: str, work: Callable[..., Result], cases: Sequence[Case], jobs: int | None
 ) -> dict[Case, Result]:
-    """Call `work` with the arguments of each case, in processes side by side.
+    """Results of `work`, a function of a module, by its arguments, a case each; see `calls_side_by_side`."""
+    results = calls_side_by_side(title, {str(k): partial(work, *case) for k, case in enumerate(cases)}, jobs)
+    return dict(zip(cases, results.values(), strict=True))
 
-    Args:
-        title: Name of the progress that is shown.
-        work: Function of a module, so that a process can import it.
-        cases: Arguments of each call, all different.
-        jobs: Number of processes; None for one per core.
 
-    Returns:
-        Results by case, in the order of the cases.
+def calls_side_by_side(title: str, calls: Mapping[str, Callable[[], Result]], jobs: int | None) -> dict[str, Result]:
+    """Results of calls by name, in their order: they run in processes, by default one per core, under a progress title.
 
     Raises:
         OSError: If a process died.
-        ValueError: If a call is refused.
+        Exception: Whatever a call raises.
     """
-    tasks = {str(k): partial(_call, work, case) for k, case in enumerate(cases)}
+    tasks = {name: partial(_called, call) for name, call in calls.items()}
     results: dict[str, Result] = {}
     with progress_count(title, Console(stderr=True)) as show, closing(run_side_by_side(tasks, jobs)) as outcomes:
         for name, outcome in outcomes:
             if isinstance(outcome, Failure):
-                raise outcome.error
+                raise explained(outcome, jobs)
             results[name] = outcome
             show(len(results), len(tasks))
-    return {case: results[str(k)] for k, case in enumerate(cases)}
+    return {name: results[name] for name in calls}
 
 
-def _call(work: Callable[..., Result], case: tuple[Any, ...], _: Channel) -> Result:
-    return work(*case)
+def _called(call: Callable[[], Result], _: Channel) -> Result:
+    return call()

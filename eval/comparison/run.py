@@ -5,21 +5,21 @@ from __future__ import annotations
 import re
 import shlex
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines import DOMINATED
+from baselines import CONTROLLERS, DOMINATED
 from baselines.engines.options import LOCAL, Engine
 from baselines.tools.files import require_writable
 from baselines.tools.provenance import command_line
-from eval.comparison import check
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
+from eval.comparison.check import ActionTimes, times_of
 from eval.comparison.custom import TIME_LIMIT
 from eval.comparison.failures import Failure
 from eval.comparison.methods import (
@@ -35,9 +35,8 @@ from eval.comparison.methods import (
 )
 from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison, provenance
 from eval.comparison.scenarios import choose_set, require_same_physics
-from eval.comparison.schema import read_results, require_same_set, to_json
-from eval.comparison.sets import ScenarioSet, SetLabel, enlarged_set
-from eval.comparison.splits import EPISODES
+from eval.comparison.schema import read_results, to_json
+from eval.comparison.sets import ScenarioSet, SetLabel
 
 
 def choose_methods(
@@ -49,16 +48,10 @@ def choose_methods(
     guard: bool = False,
     time_limit: float = TIME_LIMIT,
 ) -> list[Method]:
-    """Choose methods by name.
+    """Choose the project's own methods by name, by default all that are not dominated; a user's own always run.
 
-    Args:
-        names: Names of the project's own methods; none for all but those that are dominated, see
-            `baselines.registry.DOMINATED`. Names of the user's own change nothing.
-        policies: Policies beside the shipped ones, see `eval.comparison.methods.learned_methods`. They always run.
-        added: Controllers of the user's own, as package.module:Class or path/to/file.py:Class. They always run.
-        results: Folder of the comparison, see `eval.comparison.custom.identity`.
-        guard: Whether each classical and learned method also runs with the guard.
-        time_limit: Time that a controller of the user's own may take for a batch of episodes [s].
+    See `learned_methods` for `policies`, `added_method` for `added`, `results` and `time_limit` [s]. With `guard` each
+    classical and learned method also runs with the guard.
 
     Raises:
         ValueError: If a name is unknown or given twice, or there is no such file or package.
@@ -73,30 +66,9 @@ def choose_methods(
     methods = [method for method in known if method.name in wanted or not is_shipped(method)]
     if names and [method.name for method in methods] == [PRIVILEGED]:
         raise ValueError(f"--methods names {PRIVILEGED} alone, which is compared with nothing: name another as well")
-    if not guard:
-        return methods
-    return [
-        each
-        for method in methods
-        for each in ((method, method.with_guard()) if method.kind in ("classical", "learned") else (method,))
-    ]
-
-
-def require_no_more_in(path: Path, methods: Sequence[str], splits: Sequence[str], episodes: int) -> None:
-    """Check that a results.json has nothing that results of these methods, splits and scenarios would lose.
-
-    Raises:
-        ValueError: If it has more, or is damaged.
-    """
-    rows = read_results(path)["rows"]
-    more = sorted({row["method"] for row in rows} - {*methods})
-    more += sorted({row["split"] for row in rows} - {*splits})
-    most = max((row["episodes"] for row in rows), default=0)
-    more += [f"{most} scenarios per split"] if most > episodes else []
-    if more:
-        raise ValueError(
-            f"{path} has more ({', '.join(more)}), which this run would lose: give another --out, or remove that file"
-        )
+    with_guard = ("classical", "learned") if guard else ()
+    pairs = ([method, method.with_guard()] if method.kind in with_guard else [method] for method in methods)
+    return [method for pair in pairs for method in pair]
 
 
 def compare(
@@ -110,17 +82,9 @@ def compare(
     fresh: bool = False,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> Comparison:
-    """Run methods on splits and compare their results.
+    """Run methods on splits and compare their results; parts are kept in `folder`, see `run_parts`.
 
-    Args:
-        methods: See `choose_methods`.
-        scenarios: Splits that are run, of one set of scenarios.
-        episodes: Scenarios per split.
-        folder: Where results are kept.
-        jobs: Number of processes, by default one per core.
-        engine: What runs them.
-        fresh: Whether to run everything again.
-        done: Called with the number of parts that are done, and of all.
+    With `fresh` everything is run again.
 
     Raises:
         OSError: If the folder cannot be written to, or a process was killed.
@@ -130,18 +94,13 @@ def compare(
     """
     began = time.perf_counter()
     require_writable(folder)
-    if (folder / "results.json").exists():
-        require_same_set(folder / "results.json", scenarios.label)
-        names = [method.name for method in methods]
-        require_no_more_in(folder / "results.json", names, list(scenarios.splits), episodes)
+    _require_no_loss(folder / "results.json", methods, scenarios, episodes)
     require_same_physics(scenarios)
-    unsound = check.failures(methods)
-    times = check.measured_times(method for method in methods if method.name not in unsound) | unsound
-    able = [method for method in methods if not isinstance(times[method.name], Failure)]
+    times = times_of(methods)
     parts = {
-        (split, method.name): parts_of(method, of_split, episodes)
-        for split, of_split in scenarios.splits.items()
-        for method in able
+        (split.name, method.name): parts_of(method, split, episodes)
+        for split, method in product(scenarios.splits.values(), methods)
+        if not isinstance(times[method.name], Failure)
     }
     in_order = [part for of_pair in parts.values() for part in of_pair]
     if fresh:
@@ -151,27 +110,41 @@ def compare(
     results = iter(run_parts(in_order, folder, jobs, done, engine))
     joined = {pair: _joined([next(results) for _ in of_pair]) for pair, of_pair in parts.items()}
 
-    measured, failures = list[tuple[Method, str, Metrics]](), list[Failure]()
-    for split in scenarios.splits:
-        for method in methods:
-            early = times[method.name]
-            result = replace(early, split=split) if isinstance(early, Failure) else joined[split, method.name]
-            if isinstance(result, Failure):
-                failures.append(result)
-            else:
-                measured.append((method, split, result))
-    if not any(method.kind != "privileged" for method, _, _ in measured):
+    measured, failures = list[tuple[Method, str, Metrics, ActionTimes]](), list[Failure]()
+    for split, method in product(scenarios.splits, methods):
+        early = times[method.name]
+        result = replace(early, split=split) if isinstance(early, Failure) else joined[split, method.name]
+        if isinstance(result, Failure):
+            failures.append(result)
+        elif not isinstance(early, Failure):
+            measured.append((method, split, result, early))
+    if not any(method.kind != "privileged" for method, *_ in measured):
         first = failures[0]
         error = ValueError(f"no method could be run: {first.method} on {first.split}: {first.message}")
         error.add_note(first.trace)
         raise error
+    estimates = estimated([metrics for _, _, metrics, _ in measured])
     outcomes = [
-        MethodOutcome(method, split, metrics, estimates, action_times)
-        for (method, split, metrics), estimates in zip(measured, estimated([of for _, _, of in measured]), strict=True)
-        if not isinstance(action_times := times[method.name], Failure)
+        MethodOutcome(method, split, metrics, of_metrics, action_times)
+        for (method, split, metrics, action_times), of_metrics in zip(measured, estimates, strict=True)
     ]
     origin = provenance(command_line(), time.perf_counter() - began, methods, scenarios.splits)
     return make_comparison(outcomes, failures, scenarios.label, origin | {"pairs_kept_before": kept})
+
+
+def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioSet, episodes: int) -> None:
+    """Check that a results.json, if there is one, has nothing that this run's results would lose."""
+    if not path.exists():
+        return
+    rows = read_results(path, scenarios.label)["rows"]
+    more = sorted({row["method"] for row in rows} - {method.name for method in methods})
+    more += sorted({row["split"] for row in rows} - {*scenarios.splits})
+    most = max((row["episodes"] for row in rows), default=0)
+    more += [f"{most} scenarios per split"] if most > episodes else []
+    if more:
+        raise ValueError(
+            f"{path} has more ({', '.join(more)}), which this run would lose: give another --out, or remove that file"
+        )
 
 
 def _joined(results: Sequence[Metrics | Failure]) -> Metrics | Failure:
@@ -198,7 +171,6 @@ TOLERANCES = {
 Processors round differently, and where a motor sticks is decided by a hair. First torques that differ by 1e-9 N m, more
 than rounding does, changed average costs of `paper`, `mpc`, `adaptive` and a seed of `student` over 500 scenarios of
 each split of the development set (`student`: all but `structural`) by less than a tenth of these tolerances."""
-_SHARES = ("share not settled", "share out of the workspace")
 
 
 class Difference(NamedTuple):
@@ -213,15 +185,13 @@ class Difference(NamedTuple):
     @property
     def excess(self) -> float:
         """Size over the tolerance."""
-        size = abs(self.measured - self.claimed) / (1.0 if self.quantity in _SHARES else abs(self.claimed))
-        return size / TOLERANCES[self.quantity]
+        scale = 1.0 if self.quantity.startswith("share") else abs(self.claimed)
+        return abs(self.measured - self.claimed) / scale / TOLERANCES[self.quantity]
 
     def __str__(self) -> str:
         """The numbers, in words."""
-        numbers = f"claimed {self.claimed:.6g}, here {self.measured:.6g}"
-        return (
-            f"{self.method} on {self.split}, {self.quantity} of the cost: {numbers}, {self.excess:.2g} of the tolerance"
-        )
+        numbers = f"claimed {self.claimed:.6g}, here {self.measured:.6g}, {self.excess:.2g} of the tolerance"
+        return f"{self.method} on {self.split}, {self.quantity}: {numbers}"
 
 
 def verify(
@@ -232,15 +202,9 @@ def verify(
     time_limit: float = TIME_LIMIT,
     done: Callable[[int, int], object] = lambda *_: None,
 ) -> tuple[str, bool]:
-    """Run again what the results.json of a folder claims, in a temporary folder.
+    """Run again what the results.json of a folder claims, in a temporary folder; arguments as of `compare`.
 
-    Args:
-        folder: Of a comparison.
-        policies: See `choose_methods`; by default those of the command that the results name.
-        added: Likewise.
-        jobs: Number of processes, by default one per core.
-        time_limit: Time that a controller of the user's own may take for a batch of episodes [s].
-        done: Called with the number of parts that are done, and of all.
+    Policies and controllers of the user's own are by default those of the command that the results name.
 
     Returns:
         Sentence about the first number that differs by more than its tolerance, or about all; whether all agree.
@@ -251,32 +215,17 @@ def verify(
     """
     path = folder / "results.json"
     claimed = read_results(path)
-    require_clean(claimed, path)
-    scenarios = scenarios_of(claimed, path)
-    names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
-    command = shlex.split(claimed["provenance"]["command"])
-    project = {method.name for method in (*classical_methods(), *learned_methods(shipped_policies()))} | {PRIVILEGED}
-    known = choose_methods(
-        [name for name in project if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
-        policies or _given(command, "--policy"),
-        added or _given(command, "--add"),
-        guard=any(name.endswith("+guard") for name in names),
-        time_limit=time_limit,
-    )
-    methods = {method.name: method for method in known}
-    if missing := [name for name in names if name not in methods]:
-        raise ValueError(f"{path} has results of {missing[0]}, which is not here: give it with --add or --policy")
+    scenarios, episodes = _claimed_scenarios(claimed, path), claimed["rows"][0]["episodes"]
+    methods = _claimed_methods(claimed, path, policies, added, time_limit)
     with TemporaryDirectory(prefix="beltarm-") as temporary:
-        chosen = [methods[name] for name in names]
-        comparison = compare(chosen, scenarios, claimed["rows"][0]["episodes"], Path(temporary), jobs, done=done)
+        comparison = compare(methods, scenarios, episodes, Path(temporary), jobs, done=done)
     for failure in comparison.failures:
         raise ValueError(f"{failure.method} failed on {failure.split}: {failure.message}")
-    measured = {(row["method"], row["split"]): row for row in to_json(comparison)["rows"]}
+    measured = {(row["method"], row["split"]): _quantities(row) for row in to_json(comparison)["rows"]}
     numbers = [
-        Difference(row["method"], row["split"], quantity, value, quantities[quantity])
+        Difference(row["method"], row["split"], quantity, value, measured[row["method"], row["split"]][quantity])
         for row in claimed["rows"]
-        for quantities in [dict(_quantities(measured[row["method"], row["split"]]))]
-        for quantity, value in _quantities(row)
+        for quantity, value in _quantities(row).items()
     ]
     wrong = next((number for number in numbers if number.excess > 1), None)
     if wrong:
@@ -285,45 +234,48 @@ def verify(
     return f"All {len(numbers)} numbers of {path} come out again. Farthest: {farthest}", True
 
 
-def require_clean(content: dict[str, Any], path: Path) -> None:
-    """Check that results are of a commit without changes.
+def _claimed_methods(
+    claimed: dict[str, Any], path: Path, policies: Sequence[str], added: Sequence[str], time_limit: float
+) -> list[Method]:
+    """Methods that results are of, which must be there."""
+    names = list(dict.fromkeys(row["method"] for row in claimed["rows"]))
+    words = list(pairwise(shlex.split(claimed["provenance"]["command"])))
+    project = {*CONTROLLERS, PRIVILEGED, *(method.name for method in learned_methods(shipped_policies()))}
+    known = choose_methods(
+        [name for name in project if name in {each.removesuffix("+guard") for each in names}] or ("paper",),
+        policies or [word for option, word in words if option == "--policy"],
+        added or [word for option, word in words if option == "--add"],
+        guard=any(name.endswith("+guard") for name in names),
+        time_limit=time_limit,
+    )
+    methods = {method.name: method for method in known}
+    if missing := [name for name in names if name not in methods]:
+        raise ValueError(f"{path} has results of {missing[0]}, which is not here: give it with --add or --policy")
+    return [methods[name] for name in names]
 
-    Raises:
-        ValueError: If they are not.
-    """
-    commit = content["provenance"]["commit"]
+
+def _claimed_scenarios(claimed: dict[str, Any], path: Path) -> ScenarioSet:
+    """Scenarios that results of a commit without changes are of, which this checkout must have."""
+    commit = claimed["provenance"]["commit"]
     if commit == "unknown" or commit.endswith("-dirty"):
         raise ValueError(f"{path} was measured with files that no commit has ({commit}): commit them, and run it again")
-
-
-def scenarios_of(content: dict[str, Any], path: Path) -> ScenarioSet:
-    """Return the scenarios that results are of.
-
-    Raises:
-        ValueError: If this checkout has others.
-    """
-    label, episodes = SetLabel(**content["scenario_set"]), content["rows"][0]["episodes"]
+    label = SetLabel(**claimed["scenario_set"])
     fresh = re.fullmatch(r"seed (\d+)", label.name)
     known = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)
     if known.label != label:
         raise ValueError(
             f"{path} is of other scenarios than this checkout's {known.label.title}: they differ in SHA-256"
         )
-    splits = list(dict.fromkeys(row["split"] for row in content["rows"]))
-    return enlarged_set(int(fresh[1]), splits, episodes) if fresh and episodes > EPISODES else known.only(splits)
+    return known.only(list(dict.fromkeys(row["split"] for row in claimed["rows"])), claimed["rows"][0]["episodes"])
 
 
-def _given(command: Sequence[str], option: str) -> list[str]:
-    """Values of an option in a command line."""
-    return [word for before, word in pairwise(command) if before == option]
-
-
-def _quantities(row: dict[str, Any]) -> Iterator[tuple[str, float]]:
+def _quantities(row: dict[str, Any]) -> dict[str, float]:
     """Numbers of a row that have a tolerance."""
+    costs = {"interquartile mean of the cost": row["metrics"]["cost"]["iqm"], "mean cost": row.get("cost_mean")}
+    costs["worst 5 % of the cost"] = row.get("cost_worst")
+    shares = {"share not settled": "not_settled", "share out of the workspace": "left_workspace"}
     failures = row["failures"]
-    yield "interquartile mean of the cost", row["metrics"]["cost"]["iqm"]
-    for quantity, key in (("mean cost", "cost_mean"), ("worst 5 % of the cost", "cost_worst")):
-        if key in row:
-            yield quantity, row[key]
-    for quantity, key in zip(_SHARES, ("not_settled", "left_workspace"), strict=True):
-        yield quantity, failures[key] / failures["runs"]
+    return {
+        **{quantity: cost for quantity, cost in costs.items() if cost is not None},
+        **{quantity: failures[key] / failures["runs"] for quantity, key in shares.items()},
+    }

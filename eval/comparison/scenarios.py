@@ -32,7 +32,7 @@ from eval.comparison.sets import (
     TEST_NAME,
     ScenarioSet,
     development_set,
-    draw_test_set,
+    draw_set,
     fresh_set,
     make_set,
 )
@@ -53,10 +53,6 @@ PROTOCOL = Path(__file__).resolve().parents[2] / "docs" / "benchmark" / "protoco
 RECORD = Path(__file__).with_name("development.json")
 FORMATS = {DEVELOPMENT_NAME: "beltarm-development", TEST_NAME: "beltarm-scenarios"}
 COMMAND, FREEZE = "python eval/scenarios.py --write", "python eval/scenarios.py --freeze-test"
-NOT_DRAWN = (
-    "the test set is not drawn yet: that is done once, after all controllers and agents are frozen, so that none can "
-    "be chosen on it; use --scenarios development, or draw a set of your own with --scenario-seed 1"
-)
 
 _CHECKED = 3  # scenarios of a split whose motion is kept, to notice a changed physics
 _AGREEMENT = 1e-6  # relative, of kept and fresh numbers: far above rounding, far below any change that matters
@@ -66,21 +62,16 @@ def choose_set(name: str | None = None, seed: int | None = None) -> ScenarioSet:
     """Choose a set of scenarios: by its name, by a seed of the user's, or the test set as soon as it is there.
 
     Raises:
-        ValueError: If both are given, the name is unknown, or the test set is not drawn yet or its file damaged.
+        ValueError: If both are given, the name is unknown, or the file of the test set is missing or damaged.
     """
     if seed is not None:
         if name is not None:
             raise ValueError(f"--scenario-seed {seed} draws a set of its own: leave out --scenarios {name}")
         return fresh_set(seed)
-    if name is None:
-        name = TEST_NAME if FILE.exists() else DEVELOPMENT_NAME
+    name = name or (TEST_NAME if FILE.exists() else DEVELOPMENT_NAME)
     if name not in FORMATS:
         raise ValueError(f"--scenarios must be one of {', '.join(FORMATS)}, got {name!r}")
-    if name == DEVELOPMENT_NAME:
-        return development_set()
-    if not FILE.exists():
-        raise ValueError(NOT_DRAWN)
-    return load(FILE)
+    return development_set() if name == DEVELOPMENT_NAME else load(FILE)
 
 
 class _Probe:
@@ -108,31 +99,29 @@ def motions(splits: Sequence[Split]) -> list[list[list[float]]]:
     return [by_place[k] for k in range(len(splits))]
 
 
-def columns_of(split: Split) -> dict[str, NDArray[Any]]:
-    """Columns of a split by name, without the constants that are nominal in all its scenarios."""
-    columns = params_columns(split.table)
-    varied = {name: values for name, values in columns.items() if np.any(values != getattr(NOMINAL, name))}
-    return {**varied, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
-
-
 def content_of(scenarios: ScenarioSet, protocol: str = "") -> dict[str, Any]:
     """Content of the file of a set: of the test set with all numbers and the protocol's commit; else without."""
     name, splits = scenarios.label.name, list(scenarios.splits.values())
     entries = {}
     for split, moved in zip(splits, motions(splits), strict=True):
-        numbers = {key: values.tolist() for key, values in columns_of(split).items()} if name == TEST_NAME else {}
         entries[split.name] = {
             "description": SPLITS[split.name].description,
             "seed": split.seed,
             "settings": split.settings,
-            **({"columns": numbers} if numbers else {}),
+            **({"columns": _columns(split)} if name == TEST_NAME else {}),
             "motions": moved,
             "sha256": split.digest,
         }
-    command = FREEZE if name == TEST_NAME else COMMAND
-    origin = {"command": command, **({"protocol": protocol} if protocol else {})}
+    origin = {"command": FREEZE, "protocol": protocol} if name == TEST_NAME else {"command": COMMAND}
     content = {"format": FORMATS[name], "edition": EDITION, "version": VERSION, **origin, "splits": entries}
     return {**content, "sha256": digest_of(content)}
+
+
+def _columns(split: Split) -> dict[str, list[float]]:
+    """Columns of a split by name, without the constants that are nominal in all its scenarios."""
+    constants = {k: v for k, v in params_columns(split.table).items() if np.any(v != getattr(NOMINAL, k))}
+    columns = {**constants, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
+    return {name: values.tolist() for name, values in columns.items()}
 
 
 def text_of(content: dict[str, Any]) -> str:
@@ -157,7 +146,7 @@ def freeze_test_set(path: Path) -> None:
         raise ValueError(f"{path} is there already: the test set is drawn once, and not again")
     require_same_physics(development_set())
     protocol = last_commit_of(PROTOCOL)
-    write_text(path, text_of(content_of(draw_test_set(protocol), protocol)))
+    write_text(path, text_of(content_of(draw_set(TEST_NAME, arms_chosen_by(protocol)), protocol)))
 
 
 def load(path: Path) -> ScenarioSet:

@@ -20,7 +20,6 @@ from beltarm_env.task.seeds import (
     DEVELOPMENT,
     MAX_FRESH_SEED,
     SeedRange,
-    arms_chosen_by,
     fresh_arms,
     further_arms,
 )
@@ -78,9 +77,12 @@ class ScenarioSet:
     label: SetLabel
     splits: dict[str, Split]
 
-    def only(self, names: Sequence[str]) -> ScenarioSet:
-        """Some of its splits, under the same label."""
-        return ScenarioSet(self.label, {name: self.splits[name] for name in names})
+    def only(self, names: Sequence[str], episodes: int = EPISODES) -> ScenarioSet:
+        """Some of its splits, under the same label; those of a fresh set with more scenarios, if so many are wanted."""
+        if episodes <= EPISODES:
+            return ScenarioSet(self.label, {name: self.splits[name] for name in names})
+        number = int(self.label.name.removeprefix("seed "))
+        return ScenarioSet(self.label, {name: fresh_scenarios(number, name, range(episodes)) for name in names})
 
 
 def make_set(name: str, splits: dict[str, Split]) -> ScenarioSet:
@@ -100,15 +102,6 @@ def development_set() -> ScenarioSet:
     return draw_set(DEVELOPMENT_NAME, DEVELOPMENT)
 
 
-def draw_test_set(protocol: str) -> ScenarioSet:
-    """Draw the test set, for its file alone, from the hash of the commit of the protocol.
-
-    Raises:
-        ValueError: If it is no hash.
-    """
-    return draw_set(TEST_NAME, arms_chosen_by(protocol))
-
-
 @cache
 def fresh_set(number: int) -> ScenarioSet:
     """Draw a set that nobody has seen, by a number of the user's.
@@ -117,22 +110,11 @@ def fresh_set(number: int) -> ScenarioSet:
         ValueError: If there are no seeds for this number.
     """
     _require_seeds(number)
-    return draw_set(_fresh_name(number), fresh_arms(number))
-
-
-def enlarged_set(number: int, names: Sequence[str], episodes: int) -> ScenarioSet:
-    """Draw splits of a fresh set that go on beyond its first `EPISODES` scenarios; the label is that of the set."""
-    splits = {name: fresh_scenarios(number, name, range(episodes)) for name in names}
-    return ScenarioSet(fresh_set(number).label, splits)
+    return draw_set(f"seed {number}", fresh_arms(number))
 
 
 def fresh_scenarios(number: int, split: str, chosen: Sequence[int]) -> Split:
     """Draw some scenarios of a split of a fresh set: the first `EPISODES` are those of `fresh_set`, others go on.
-
-    Args:
-        number: Of the set.
-        split: Name of the split.
-        chosen: Numbers of the scenarios, each below `MOST`.
 
     Raises:
         ValueError: If there are no seeds for this set or scenario.
@@ -142,11 +124,7 @@ def fresh_scenarios(number: int, split: str, chosen: Sequence[int]) -> Split:
         raise ValueError(f"scenarios of a fresh set have the numbers 0 to {MOST - 1}, got {wrong[0]}")
     near, far = first_seed(split, fresh_arms(number)), first_seed(split, further_arms(number), MOST)
     seeds = [(near if scenario < EPISODES else far) + scenario for scenario in chosen]
-    return draw_arms(split, _fresh_name(number), seeds)
-
-
-def _fresh_name(number: int) -> str:
-    return f"seed {number}"
+    return draw_arms(split, f"seed {number}", seeds)
 
 
 def _require_seeds(number: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -118,19 +118,15 @@ class Split:
         late = {"delay": self.delays[chosen]} if self.delays.any() else {}
         return {"seed": self.seed, "options": options, **late, **self.settings}
 
-    def runs_beside(self, other: Split) -> bool:
-        """Whether scenarios of another split can run in a batch with those of this one."""
-        return self.settings == other.settings and self.delays.any() == other.delays.any()
+    @property
+    def kind_of_batch(self) -> tuple[str, bool]:
+        """Key of the splits whose scenarios can run in a batch with those of this one."""
+        return json.dumps(self.settings, sort_keys=True), bool(self.delays.any())
 
     def part(self, rows: slice | NDArray[np.intp]) -> Split:
         """Make a split of some of the scenarios."""
         chosen = self.table[rows], self.moves[rows], self.delays[rows]
         return make_split(self.name, self.of, self.seed, self.settings, *chosen)
-
-    def cut(self, size: int, episodes: int) -> Iterator[tuple[int, Split]]:
-        """Cut the first `episodes` scenarios into splits of at most `size`, each with the number of its first one."""
-        for first in range(0, episodes, size):
-            yield first, self.part(slice(first, min(first + size, episodes)))
 
     def run(self, controller: Controller, scenario: int) -> Recording:
         """Run a controller on one scenario by itself."""
@@ -139,18 +135,14 @@ class Split:
 
 def beside_one_another(splits: Sequence[Split]) -> list[list[int]]:
     """Group splits, by their places, so that those of a group can run in a batch."""
-    groups: list[list[int]] = []
+    groups: dict[tuple[str, bool], list[int]] = {}
     for k, split in enumerate(splits):
-        group = next((group for group in groups if splits[group[0]].runs_beside(split)), None)
-        if group is None:
-            groups.append([k])
-        else:
-            group.append(k)
-    return groups
+        groups.setdefault(split.kind_of_batch, []).append(k)
+    return list(groups.values())
 
 
 def side_by_side(chosen: Sequence[tuple[Split, slice]]) -> Split:
-    """Put scenarios of splits that run beside the first into one that has no name, as they follow one another."""
+    """Put scenarios of splits of one `kind_of_batch` into one split without a name, one after the other."""
     table, moves, delays = (
         np.concatenate([getattr(split, column)[part] for split, part in chosen])
         for column in ("table", "moves", "delays")
@@ -173,17 +165,13 @@ def draw_arms(name: str, of: str, seeds: Sequence[int]) -> Split:
     definition = SPLITS[name]
     env = BeltArmVectorEnv(len(seeds), randomization=definition.ranges)
     env.reset(seed=seeds)
-    delays = _delays(definition, seeds)
+    low, high = definition.delay  # its draws come from the pair (seed, 1), those of the arm from the seed alone
+    delays = low + (high - low) * np.array([np.random.default_rng((seed, 1)).random() for seed in seeds])
     return make_split(name, of, seeds[0], definition.settings, env.params_table, env.moves, delays)
 
 
 def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
-    """Return the seed of a split's first arm in the range of seeds of a set.
-
-    Args:
-        name: Of the split.
-        seeds: Of the set.
-        spacing: Seeds between the first arms of two splits.
+    """Seed of a split's first arm in the range of seeds of a set, where splits begin `spacing` seeds apart.
 
     Raises:
         ValueError: If the range has no room for it.
@@ -192,13 +180,6 @@ def first_seed(name: str, seeds: SeedRange, spacing: int = _SPACING) -> int:
     if place + spacing > seeds.size:
         raise ValueError(f"split {name} needs {place + spacing} seeds, its range has {seeds.size}: enlarge it")
     return seeds.first + place
-
-
-def _delays(definition: Definition, seeds: Sequence[int]) -> Floats:
-    """Draw a delay for each arm; the arm's own draws come from the seed alone, these from the pair (seed, 1)."""
-    uniforms = [np.random.default_rng((seed, 1)).random() for seed in seeds]
-    low, high = definition.delay
-    return low + (high - low) * np.array(uniforms)
 
 
 def make_split(

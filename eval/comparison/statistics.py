@@ -58,11 +58,6 @@ def worst_mean(values: Floats) -> float:
     return float(ordered[-max(1, round(0.05 * ordered.size)) :].mean())
 
 
-def tail_mean(values: Floats) -> float:
-    """Mean of the largest 5 % of a (seeds, episodes) table; not a number for fewer than `LEAST_OF_TAIL` episodes."""
-    return worst_mean(values) if values.shape[1] >= LEAST_OF_TAIL else float("nan")
-
-
 def average(name: str, values: Floats) -> float:
     """Interquartile mean of a metric's values; of shares the plain mean."""
     return float(values.mean()) if METRICS[name].share else interquartile_mean(values)

@@ -22,7 +22,6 @@ Floats = NDArray[np.float64]
 
 BEST_CLASSICAL = "adaptive"
 _POINTS = 200
-_APART = 1.15  # ratio of the heights of two names
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,36 +108,33 @@ def classical_cost(arms: int) -> float:
 def curves_figure(curves: list[Curve], costs: dict[str, float]) -> Figure:
     """Draw curves over samples and over time, with the costs of some controllers as lines."""
     methods = list(dict.fromkeys(curve.method for curve in curves))
-    colours = {method: COLOURS[k % len(COLOURS)] for k, method in enumerate(methods)}
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", sharey=True)
     panels: list[tuple[str, Callable[[Curve], Floats]]] = [
         ("simulated steps (millions)", lambda curve: curve.steps / 1e6),
         ("wall-clock (minutes)", lambda curve: curve.minutes),
     ]
     for axis, (label, abscissa) in zip(axes, panels, strict=True):
-        _draw_levels(axis, costs, named=axis is axes[1])
-        for method, colour in colours.items():
-            _draw_method(axis, [curve for curve in curves if curve.method == method], abscissa, colour)
+        for level in costs.values():
+            axis.axhline(level, color="0.35", lw=1, ls="--", zorder=1)
+        for k, method in enumerate(methods):
+            _draw_method(
+                axis, [curve for curve in curves if curve.method == method], abscissa, COLOURS[k % len(COLOURS)]
+            )
         axis.set(xlabel=label, yscale="log", xlim=(0, None))
         axis.grid(alpha=0.3, which="both")
-    _name_methods(axes[0], curves, colours, panels[0][1])
+    for name, level in costs.items():
+        right = axes[1].get_yaxis_transform()
+        axes[1].text(1.01, level, name, transform=right, color="0.35", va="center", ha="left", fontsize=9)
+    axes[0].legend(fontsize=9)
     axes[0].set_ylabel("mean episode cost, validation arms")
     mark_one_two_five(axes[0].yaxis)
     return figure
 
 
-def _draw_levels(axis: Axes, costs: dict[str, float], named: bool) -> None:
-    for name, level in costs.items():
-        axis.axhline(level, color="0.35", lw=1, ls="--", zorder=1)
-        if named:
-            end = axis.get_yaxis_transform()
-            axis.text(1.01, level, name, transform=end, color="0.35", va="center", ha="left", fontsize=9)
-
-
 def _draw_method(axis: Axes, curves: list[Curve], abscissa: Callable[[Curve], Floats], colour: str) -> None:
     """Draw the runs of one method, with their median and interquartile band if there are several."""
     if len(curves) == 1:
-        axis.plot(abscissa(curves[0]), curves[0].cost, color=colour, lw=2)
+        axis.plot(abscissa(curves[0]), curves[0].cost, color=colour, lw=2, label=curves[0].method)
         return
     for curve in curves:
         axis.plot(abscissa(curve), curve.cost, color=colour, lw=0.7, alpha=0.6)
@@ -147,21 +143,4 @@ def _draw_method(axis: Axes, curves: list[Curve], abscissa: Callable[[Curve], Fl
     logs = np.array([np.interp(grid, abscissa(curve), np.log(curve.cost)) for curve in curves])
     low, middle, high = np.exp(np.percentile(logs, [25, 50, 75], axis=0))
     axis.fill_between(grid, low, high, color=colour, alpha=0.25, lw=0)
-    axis.plot(grid, middle, color=colour, lw=2)
-
-
-def _name_methods(
-    axis: Axes, curves: list[Curve], colours: dict[str, str], abscissa: Callable[[Curve], Floats]
-) -> None:
-    """Write names beside the ends of the curves, moved apart where they would overlap."""
-    furthest = max(abscissa(curve)[-1] for curve in curves)
-    axis.set_xlim(0, 1.75 * furthest)
-    runs = {name: [curve for curve in curves if curve.method == name] for name in colours}
-    ends = {name: float(np.median([curve.cost[-1] for curve in own])) for name, own in runs.items()}
-    height = 0.0
-    for name in sorted(ends, key=lambda name: ends[name]):
-        height = max(ends[name], height * _APART)
-        seeds = f" ({len(runs[name])} seeds)" if len(runs[name]) > 1 else ""
-        right = max(abscissa(curve)[-1] for curve in runs[name]) + 0.02 * furthest
-        backing = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
-        axis.text(right, height, name + seeds, color=colours[name], va="center", fontsize=9, bbox=backing)
+    axis.plot(grid, middle, color=colour, lw=2, label=f"{curves[0].method} ({len(curves)} seeds)")

@@ -1,28 +1,27 @@
 """Pictures of the report as SVG: paired differences in cost; and of motions the error, the torque, and the spectrum.
 
-Colours follow the page's light or dark theme, element names do not clash.
+Colours follow the page's light or dark theme, element names do not clash. `eval.report.plots` draws motions by the same
+functions.
 """
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 
 matplotlib.use("Agg")
 
-from collections.abc import Callable
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 from numpy.typing import NDArray
@@ -70,18 +69,20 @@ _LOOK: dict[Any, Any] = {
 }
 
 
+def colours_of(results: Results, scenes: Sequence[Scene]) -> dict[str, str]:
+    """Colours of methods: those whose motion is shown, or else the best challenger and the best classical one."""
+    shown = {method for scene in scenes for method in scene.motions}
+    shown = shown or {*(results.of_kind("learned") or results.of_kind("added"))[:1], *results.of_kind("classical")[:1]}
+    return dict(zip([row["method"] for row in results.methods if row["method"] in shown], COLOURS, strict=False))
+
+
 def line(colours: dict[str, str], method: str) -> dict[str, Any]:
     """Style of a method's line: colour and dashes, so that either alone tells methods apart, and its name."""
-    return {"color": colours[method], "ls": STYLES[list(colours).index(method)], "gid": f"{_NAMED}{method}"}
+    style = STYLES[list(colours).index(method)]
+    return {"lw": 1.3, "color": colours[method], "ls": style, "gid": f"{_NAMED}{method}", "label": method}
 
 
-def colour_of(colours: dict[str, str], method: str) -> str:
-    """Colour of a method's marks, in every picture the same; grey for one that has no colour of its own."""
-    return colours.get(method, MUTED)
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(NamedTuple):
     """Picture of the page."""
 
     svg: str
@@ -96,14 +97,7 @@ def panel_style() -> Iterator[None]:
 
 
 def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
-    """Render a figure as SVG.
-
-    Args:
-        figure: What is drawn; closed afterwards.
-        name: Distinguishes its parts from those of other pictures on the page.
-        title: Shown above.
-        alt: What it shows, for those who do not see it.
-    """
+    """Render a figure as SVG, and close it; `name` is before all identifiers, `alt` is for those who do not see it."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     plt.close(figure)
@@ -131,12 +125,12 @@ def _forest(results: Results, split: str, colours: dict[str, str]) -> Panel:
     figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(pairs)), layout="constrained")
     for height, (name, pair) in enumerate(pairs.items()):
         assert pair is not None
-        row, colour = results.records[name, split], colour_of(colours, name)
+        row, colour = results.records[name, split], colours.get(name, MUTED)
         ends = np.abs([[pair.iqm - pair.low], [pair.high - pair.iqm]])
         style = {"fmt": _MARKERS[row["kind"]], "color": colour, "ms": 5, "capsize": 2.5}
         axis.errorbar(pair.iqm, height, xerr=ends, mfc=None if pair.p_holm < 0.05 else "none", **style)
-        axis.plot(_beyond(row, best, "cost_mean"), height, marker="|", ms=11, mew=1.6, color=INK)
-        axis.plot(_beyond(row, best, "cost_worst"), height, marker="x", ms=5, mew=1.2, color=INK)
+        for average, mark in (("cost_mean", {"marker": "|", "ms": 11}), ("cost_worst", {"marker": "x", "ms": 5})):
+            axis.plot(row.get(average, np.nan) - best.get(average, np.nan), height, mew=1.4, color=INK, **mark)
     axis.axvline(0, color=INK, lw=0.9)
     axis.set_yticks(range(len(pairs)), list(pairs))
     axis.set_ylim(len(pairs) - 0.3, -0.7)
@@ -145,10 +139,6 @@ def _forest(results: Results, split: str, colours: dict[str, str]) -> Panel:
     axis.grid(axis="x")
     alt = "; ".join(f"{name} {cell('cost', pair)}" for name, pair in reversed(pairs.items()))
     return panel(figure, f"forest-{split}", split, f"Difference in cost from {best['method']} on {split}: {alt}.")
-
-
-def _beyond(row: dict[str, float], best: dict[str, float], average: str) -> float:
-    return row.get(average, np.nan) - best.get(average, np.nan)
 
 
 def _symmetric_log(axis: Axes, unit: float) -> None:
@@ -171,115 +161,120 @@ def _short(value: float) -> str:
 # Motions
 
 Floats = NDArray[np.float64]
+Run = tuple[Recording, dict[str, Any]]
+"""Motion with the style of its method's line."""
+Draw = Callable[[FigureBase, list[Run]], Iterable[float]]
+"""Draws some runs; returns the numbers that the alternative text names, one for each."""
 _EVERY = 3  # samples; 4.5 ms are finer than a line on the page
 _START_S = 0.15  # in which a motor breaks away and its load speeds up
 _PADDED = 8192  # samples of a spectrum, most of them zeros: interpolates, does not resolve
 _HIGHEST_HZ = 25.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """Motion with the style of its method's line."""
-
-    method: str
-    motion: Recording
-    style: dict[str, Any]
-
-
-_Draw = Callable[[Figure, list[_Run]], dict[str, float]]
-"""Draws some runs; returns the numbers that the alternative text names, by method."""
+def runs_of(scene: Scene, colours: dict[str, str]) -> list[Run]:
+    """Motions of a scene in the order of the colours."""
+    return [(scene.motions[name], line(colours, name)) for name in colours if name in scene.motions]
 
 
 def scene_panels(scene: Scene, number: int, colours: dict[str, str]) -> list[Panel]:
-    """Pictures of one scene, its methods in the order of the colours."""
-    drawn: list[tuple[str, str, _Draw]] = [
-        ("error of the arm's end", "largest in mm", _tip_error),
-        (f"torque, first {_START_S:g} s", "largest in N m", _start),
-        ("torque after the move", "largest in N m", _rest),
+    """Pictures of one scene."""
+    drawn: list[tuple[str, str, Draw]] = [
+        ("error of the arm's end", "largest in mm", tip_error),
+        (f"torque, first {_START_S:g} s", "largest in N m", partial(torque, end=_START_S)),
+        ("torque after the move", "largest in N m", _torque_at_rest),
         ("spectrum after the move", "peak in mm", _spectrum),
     ]
-    runs = [
-        _Run(name, scene.motions[name], {"lw": 1.3} | line(colours, name)) for name in colours if name in scene.motions
-    ]
-    made = []
+    runs, made = runs_of(scene, colours), []
     with panel_style():
         for part, (title, unit, draw) in enumerate(drawn):
             figure = plt.figure(figsize=(WIDTH, 2.7), layout=ConstrainedLayoutEngine(hspace=0, h_pad=0.01))
-            said = ", ".join(f"{method} {value:.3g}" for method, value in draw(figure, runs).items())
+            values = zip(runs, draw(figure, runs), strict=True)
+            said = ", ".join(f"{style['label']} {value:.3g}" for (_, style), value in values)
             alt = f"{title} on scenario {scene.scenario} of {scene.split}, {unit}: {said}."
             made.append(panel(figure, f"scene{number}-{part}", title, alt))
     return made
 
 
-def _tip_error(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+def tip_error(figure: FigureBase, runs: list[Run]) -> list[float]:
+    """Draw the size of the error of the arm's end over time; returns the largest [mm]."""
     axis = figure.subplots()
-    largest = {}
-    for run in runs:
-        error = 1000 * np.linalg.norm(run.motion.tip_error[:, 0], axis=1)
-        axis.plot(run.motion.time[::_EVERY], np.maximum(error[::_EVERY], 1e-3), **run.style)
-        largest[run.method] = float(error.max())
-    first = runs[0].motion
+    errors = [1000 * np.linalg.norm(motion.tip_error[:, 0], axis=1) for motion, _ in runs]
+    for (motion, style), error in zip(runs, errors, strict=True):
+        axis.plot(motion.time[::_EVERY], np.maximum(error[::_EVERY], 1e-3), **style)
+    first, _ = runs[0]
     duration = first.moves[0, 2]
     axis.axvspan(0, duration, color=SHADE, zorder=0, lw=0)
     axis.text(duration / 2, 1.01, "move", transform=axis.get_xaxis_transform(), ha="center", color=MUTED)
     axis.set(xlabel="time (s)", xlim=(0, first.time[-1]), ylabel="error (mm)", yscale="log")
     axis.set_ylim(bottom=max(axis.get_ylim()[0], 0.01))
     axis.grid()
-    return largest
+    return [float(error.max()) for error in errors]
 
 
-def _start(figure: Figure, runs: list[_Run]) -> dict[str, float]:
-    """Draw the torques of the first moments, one over the other."""
+def tip_after(figure: FigureBase, runs: list[Run]) -> list[float]:
+    """Draw both components of the error of the arm's end after the move; returns the largest radial one [mm]."""
+    axes: list[Axes] = list(figure.subplots(2, 1, sharex=True))
+    for component, (axis, name) in enumerate(zip(axes, ("radial", "lateral"), strict=True)):
+        for motion, style in runs:
+            duration = motion.moves[0, 2]
+            after = motion.time >= duration
+            axis.plot(motion.time[after] - duration, 1000 * motion.tip_error[after, 0, component], **style)
+        axis.axhline(0, color=MUTED, lw=0.8)
+        axis.set_ylabel(f"{name} error\n(mm)")
+        axis.grid()
+    axes[1].set_xlabel("time since the end of the move (s)")
+    return [float(1000 * np.abs(motion.tip_error[:, 0, 0]).max()) for motion, _ in runs]
+
+
+def torque(figure: FigureBase, runs: list[Run], end: float | None = None) -> list[float]:
+    """Draw the torques up to a time, by default all, one over the other; returns the largest [N m]."""
     axis = figure.subplots()
+    end = float(runs[0][0].time[-1]) if end is None else end
     axis.axhline(0, color=MUTED, lw=0.8)
-    axis.set(xlabel="time (s)", xlim=(0, _START_S), ylabel="torque (N m)")
+    axis.set(xlabel="time (s)", xlim=(0, end), ylabel="torque (N m)")
     axis.grid()
-    return {run.method: _torque(axis, run, 0.0, _START_S) for run in runs}
+    return [_draw_torque(axis, run, 0.0, end) for run in runs]
 
 
-def _rest(figure: Figure, runs: list[_Run]) -> dict[str, float]:
+def _torque_at_rest(figure: FigureBase, runs: list[Run]) -> list[float]:
     """Draw the torques after the move, one below the other: they would cover each other."""
     axes: list[Axes] = list(figure.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0])
-    largest = {}
+    largest = []
     for axis, run in zip(axes, runs, strict=True):
-        first, last = float(run.motion.moves[0, 2]), float(run.motion.time[-1])
-        largest[run.method] = _torque(axis, run, first, last)
+        motion, style = run
+        first, last = float(motion.moves[0, 2]), float(motion.time[-1])
+        largest.append(_draw_torque(axis, run, first, last))
         axis.axhline(0, color=MUTED, lw=0.8)
-        axis.text(1.01, 0.5, run.method, transform=axis.transAxes, va="center", fontsize=9)
+        axis.text(1.01, 0.5, style["label"], transform=axis.transAxes, va="center", fontsize=9)
         axis.set_xlim(0, last - first)
         axis.spines.bottom.set_visible(axis is axes[-1])
         axis.tick_params(bottom=axis is axes[-1])
-    highest = max(*largest.values(), 1e-3)
-    axes[0].set(ylim=(-1.1 * highest, 1.1 * highest), yticks=[0, _one_digit(highest)])
+    highest = max(*largest, 1e-3)
+    power = 10.0 ** np.floor(np.log10(highest))
+    axes[0].set(ylim=(-1.1 * highest, 1.1 * highest), yticks=[0, np.floor(highest / power) * power])
     axes[-1].set_xlabel("time since the end of the move (s)")
     figure.supylabel("torque (N m)", fontsize=10)
     return largest
 
 
-def _one_digit(value: float) -> float:
-    """Round down to one significant digit."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(np.floor(value / power) * power)
-
-
-def _torque(axis: Axes, run: _Run, begin: float, end: float) -> float:
+def _draw_torque(axis: Axes, run: Run, begin: float, end: float) -> float:
     """Draw a torque over the time since `begin`; a command is held over the sample that ends at its time."""
-    time = run.motion.time
-    shown = (time > begin) & (time <= end + CONTROL_PERIOD)
-    torque = run.motion.torque[shown, 0]
-    axis.plot(time[shown] - begin, torque, drawstyle="steps-pre", **run.style)
-    return float(np.abs(torque).max())
+    motion, style = run
+    shown = (motion.time > begin) & (motion.time <= end + CONTROL_PERIOD)
+    values = motion.torque[shown, 0]
+    axis.plot(motion.time[shown] - begin, values, drawstyle="steps-pre", **style)
+    return float(np.abs(values).max())
 
 
-def _spectrum(figure: Figure, runs: list[_Run]) -> dict[str, float]:
-    axis = figure.subplots()
-    peaks = {}
-    for run in runs:
-        hertz, amplitude = spectrum(run.motion)
+def _spectrum(figure: FigureBase, runs: list[Run]) -> list[float]:
+    axis, peaks = figure.subplots(), []
+    for motion, style in runs:
+        hertz, amplitude = spectrum(motion)
         shown = hertz <= _HIGHEST_HZ
-        axis.plot(hertz[shown], amplitude[shown], **run.style)
-        peaks[run.method] = float(amplitude.max())
-    mode = _mode(runs[0].motion)
+        axis.plot(hertz[shown], amplitude[shown], **style)
+        peaks.append(float(amplitude.max()))
+    arm = ArmParams.from_row(runs[0][0].params[0])
+    mode = float(1 / held_mode(runs[0][0].moves[0, 1], arm.plant()).period)  # at the goal, with the motor held [Hz]
     axis.axvline(mode, color=MUTED, ls=":", lw=1.2)
     label = f"mode: {mode:.1f} Hz, {2 * np.pi * mode:.0f} rad/s"
     beside = "left" if mode < 0.3 * _HIGHEST_HZ else "center"
@@ -304,9 +299,3 @@ def spectrum(recording: Recording) -> tuple[Floats, Floats]:
     lines = 2 * np.abs(np.fft.rfft(motion * window, _PADDED, axis=0)) / window.sum()
     hertz = np.arange(len(lines)) / (_PADDED * CONTROL_PERIOD)
     return hertz, np.sqrt(np.sum(lines**2, axis=1))
-
-
-def _mode(recording: Recording) -> float:
-    """Frequency of this arm's mode at the goal with the motor held [Hz]."""
-    params = ArmParams.from_row(recording.params[0])
-    return float(1 / held_mode(recording.moves[0, 1], params.plant()).period)

@@ -35,11 +35,7 @@ def require_writer(path: Path) -> None:
 
 
 def write_film(pictures: Pictures, path: Path) -> None:
-    """Write a film; its name's ending says which kind.
-
-    Args:
-        pictures: Each of shape (height, width, 3), both sides even.
-        path: Where to.
+    """Write a film of pictures of shape (height, width, 3), both sides even; its name's ending says which kind.
 
     Raises:
         OSError: If it cannot be written.

@@ -20,7 +20,7 @@ from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 from eval.comparison.check import PERIOD_US
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.splits import EDITION, SPLITS
-from eval.report.figures import forests, line, scene_panels
+from eval.report.figures import colours_of, forests, line, scene_panels
 from eval.report.recordings import Scene, reference_angles
 from eval.report.style import COLOURS
 from eval.report.summary import constants
@@ -29,6 +29,7 @@ from eval.report.table import Results
 LARGEST = 3_000_000
 """Bytes that the page may have."""
 EVERY = 4  # samples per frame of the animation: 6 ms
+_DRAWING = Path(__file__).resolve().parents[2] / "docs" / "arm.svg"
 _LONGEST_MM = 500.0  # an arm that left its workspace may be anywhere
 
 
@@ -44,55 +45,32 @@ def write_report(content: dict[str, Any], scenes: Sequence[Scene], path: Path) -
 def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
     """Render the page."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        loader=jinja2.FileSystemLoader([Path(__file__).parent, _DRAWING.parent]),
         autoescape=True,
         trim_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.get_template("report.html").render(**_content(Results(content), scenes))
-
-
-def _content(results: Results, scenes: Sequence[Scene]) -> dict[str, Any]:
-    colours: dict[str, str] = dict(zip(_coloured(results, scenes), COLOURS, strict=False))
-    origin = results.content["provenance"]
-    return {
-        "arm": Path(__file__).with_name("arm.svg").read_text(encoding="utf-8"),
-        "verdict": results.content["verdict"],
-        "main_split": results.main,
-        "vibration": heading("residual_pp_mm"),
-        "band_mm": 1000 * SETTLING_BAND,
-        "episode_s": EPISODE_TIME,
-        "failures": results.content["failures"],
-        "splits": [(name, SPLITS[name].description) for name in results.splits],
-        "episodes": results.episodes,
-        "main_table": results.main_table(),
-        "tables": [results.across_splits(metric) for metric in PAIRED_METRICS],
-        "torque_table": results.torques(),
-        "effort_table": results.effort(),
-        "set_note": results.note,
-        "set_label": results.label,
-        "edition": EDITION,
-        "forests": forests(results, colours),
-        "scenes": [
-            (scene, scene_panels(scene, k, colours), {name: run.cost[0] for name, run in scene.motions.items()})
-            for k, scene in enumerate(scenes)
-        ],
-        "seed_note": results.seed_note(colours),
-        "animation": animation(scenes, colours),
-        "legend": [_legend_entry(colours, method) for method in colours],
-        "palette": COLOURS,
-        "period_us": PERIOD_US,
-        "origin": origin,
-        "command": without_paths(origin["command"]),
+    results = Results(content)
+    colours = colours_of(results, scenes)
+    return environment.get_template("report.html").render(
+        results=results,
+        drawing=_DRAWING.name,
+        vibration=heading("residual_pp_mm"),
+        band_mm=1000 * SETTLING_BAND,
+        episode_s=EPISODE_TIME,
+        splits=[(name, SPLITS[name].description) for name in results.splits],
+        tables=[results.across_splits(metric) for metric in PAIRED_METRICS],
+        edition=EDITION,
+        forests=forests(results, colours),
+        scenes=[(scene, scene_panels(scene, k, colours)) for k, scene in enumerate(scenes)],
+        seed_note=results.seed_note(colours),
+        animation=animation(scenes, colours),
+        legend=[_legend_entry(colours, method) for method in colours],
+        palette=COLOURS,
+        period_us=PERIOD_US,
+        command=without_paths(content["provenance"]["command"]),
         **constants(),
-    }
-
-
-def _coloured(results: Results, scenes: Sequence[Scene]) -> list[str]:
-    """Methods with a colour: those whose motion is shown, or else the best challenger and classical controller."""
-    shown = {method for scene in scenes for method in scene.motions}
-    shown = shown or {*(results.of_kind("learned") or results.of_kind("added"))[:1], *results.of_kind("classical")[:1]}
-    return [row["method"] for row in results.methods if row["method"] in shown]
+    )
 
 
 def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:

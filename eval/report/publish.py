@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,16 +10,16 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from baselines.engines import parallel
 from beltarm_env.metrics import ARRIVAL_BOUND, METRICS
-from eval.comparison.failures import Failure, explained
+from eval.comparison.failures import Failure
 from eval.comparison.results import PAIRED_METRICS, Comparison
-from eval.comparison.schema import AGAINST, read_results, write_results
+from eval.comparison.rollouts import calls_side_by_side
+from eval.comparison.schema import AGAINST, write_results
 from eval.comparison.splits import EPISODES, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
 from eval.report.page import write_report
 from eval.report.plots import plots
-from eval.report.recordings import record_scenes, record_traces
+from eval.report.recordings import record_scenes
 from eval.report.style import save_figure
 from eval.report.table import Results, difference_texts, parts_of, to_terminal
 from eval.report.verdict import verdict
@@ -32,13 +30,7 @@ _METHOD_WIDTH, _SPLIT_WIDTH = 16, 13  # columns of a terminal
 def publish(
     comparison: Comparison, splits: dict[str, Split], folder: Path, jobs: int | None = None
 ) -> tuple[dict[str, Any], list[Failure]]:
-    """Write report.html, results.json, episodes.csv and pictures.
-
-    Args:
-        comparison: What was measured.
-        splits: Splits that were compared, by name.
-        folder: Where to write.
-        jobs: Number of processes that record and draw, by default one per core.
+    """Write report.html, results.json, episodes.csv and pictures of a comparison of some splits.
 
     Returns:
         The content of results.json, and all failures, also of methods that were run once more to be shown.
@@ -46,42 +38,18 @@ def publish(
     Raises:
         OSError: If a file cannot be written.
     """
-    calls = {"traces": partial(record_traces, comparison, splits), "scenes": partial(record_scenes, comparison, splits)}
-    recorded = side_by_side(calls, jobs)
-    comparison = comparison.with_failures([failure for _, failures in recorded.values() for failure in failures])
-    (traces, _), (scenes, _) = recorded.values()
-    said = verdict(comparison)
-    write_results(comparison, folder, said.sentences, said.rows())
-    content = read_results(folder / "results.json")
-    drawn = plots(Results(content), traces)
-    pictures = {name: partial(_save, draw, folder / name) for name, draw in drawn.items()}
+    scenes, traces, failures = record_scenes(comparison, splits, jobs)
+    comparison = comparison.with_failures(failures)
+    content = write_results(comparison, folder, *verdict(comparison))
     report = partial(write_report, content, scenes, folder / "report.html")
-    side_by_side({"report": report, **dict(reversed(pictures.items()))}, jobs)  # those that take longest come first
+    drawn = reversed(plots(Results(content), traces).items())
+    pictures = {name: partial(_save, draw, folder / name) for name, draw in drawn}
+    calls_side_by_side("pictures", {"report": report, **pictures}, jobs)  # those that take longest come first
     return content, comparison.failures
 
 
 def _save(draw: Callable[[], Any], path: Path) -> None:
     save_figure(draw(), path)
-
-
-def side_by_side(calls: dict[str, Callable[[], Any]], jobs: int | None) -> dict[str, Any]:
-    """Return the results of some calls, each in a process of its own, in their order.
-
-    Raises:
-        Exception: Whatever one of them raises, see `eval.comparison.failures.explained`.
-    """
-    results = {}
-    with closing(parallel.run_side_by_side({name: partial(_called, calls[name]) for name in calls}, jobs)) as fresh:
-        for name, result in fresh:
-            if isinstance(result, parallel.Failure):
-                raise explained(result, jobs)
-            results[name] = result
-    return {name: results[name] for name in calls}
-
-
-def _called(call: Callable[[], Any], _: parallel.Channel) -> Any:
-    gc.freeze()  # drawing makes many objects, and garbage would be looked for among all others too
-    return call()
 
 
 def print_results(content: dict[str, Any], console: Console, *, verbose: bool = False) -> None:

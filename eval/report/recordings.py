@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -11,13 +11,13 @@ import numpy as np
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 from eval.comparison.failures import Failure, run_controller
+from eval.comparison.methods import Method
 from eval.comparison.results import Comparison, MethodOutcome
+from eval.comparison.rollouts import calls_side_by_side
 from eval.comparison.splits import EPISODES, Split, beside_one_another, side_by_side
 from eval.report.style import COLOURS
 
 _USUALLY = 5  # methods side by side
-Traces = dict[str, dict[str, Recording]]
-"""Per split and method a recording of one arm, on the same scenario for all methods."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,84 +27,70 @@ class Scene:
     title: str  # why it was chosen
     split: str
     scenario: int
-    motions: dict[str, Recording]  # each of one arm
+    motions: dict[str, Recording] = field(default_factory=dict)  # by method, each of one arm
 
 
-def record_traces(comparison: Comparison, splits: dict[str, Split]) -> tuple[Traces, list[Failure]]:
-    """Record methods on the scenario of each split in which the first method has its median error; and failures."""
-    names = comparison.splits()
-    shown = [(splits[name], _median(comparison.on(name)[0].metrics["tip_rms_mm"][0])) for name in names]
-    recorded, failures = motions(comparison, shown, _traced(comparison))
-    return {name: of_split for name, of_split in zip(names, recorded, strict=True) if of_split}, failures
+def record_scenes(
+    comparison: Comparison, splits: dict[str, Split], jobs: int | None = None
+) -> tuple[list[Scene], list[Scene], list[Failure]]:
+    """Record the runs that are shown.
 
-
-def record_scenes(comparison: Comparison, splits: dict[str, Split]) -> tuple[list[Scene], list[Failure]]:
-    """Record the scenes of the report: median, worst, largest loss and gain; also returns failures."""
+    Returns:
+        The scenes of the report: median, worst, largest loss and gain; a scene on every split, where the first method
+        has its median error; and failures.
+    """
     titles: dict[tuple[str, int], str] = {}
     for title, split, scenario in _notable(comparison):
         before = titles.get((split, scenario))
         titles[split, scenario] = f"{before}; {title}" if before else title
-    names = _compared(comparison, [split for split, _ in titles])
-    recorded, failures = motions(comparison, [(splits[split], scenario) for split, scenario in titles], names)
-    scenes = [
-        Scene(title, split, scenario, of_scene)
-        for ((split, scenario), title), of_scene in zip(titles.items(), recorded, strict=True)
-        if of_scene
+    notable = [Scene(title, *place) for place, title in titles.items()]
+    traces = [
+        Scene("median scenario", split, _median(comparison.on(split)[0].metrics["tip_rms_mm"][0]))
+        for split in comparison.splits()
     ]
-    return scenes, failures
+    recorded, failures = record([*notable, *traces], comparison, splits, _shown(comparison), jobs)
+    shown = [scene for scene in recorded[: len(notable)] if scene.motions]
+    traced = [scene for scene in recorded[len(notable) :] if scene.motions]
+    return shown, traced, failures
 
 
 def _median(values: np.ndarray) -> int:
     return int(np.argsort(values)[len(values) // 2])
 
 
-def _traced(comparison: Comparison) -> list[str]:
-    """Methods of the traces: the first, the best learned and added ones, and the best others by cost."""
-    on_main = comparison.on(comparison.main_split)
-    outcomes = [outcome for outcome in on_main if outcome.ranked] or on_main
-    by_cost = sorted(outcomes[1:], key=_cost)
-    challengers = [outcome for outcome in by_cost if outcome.method.kind in ("learned", "added")]
-    classical = [outcome for outcome in by_cost if outcome.method.kind == "classical"]
-    kept = [outcomes[0], *challengers[:3], *classical][: len(COLOURS) - 2]
-    return [outcome.method.name for outcome in outcomes if outcome in kept]
+def _shown(comparison: Comparison) -> list[str]:
+    """Methods in all pictures: the same in each, so that a colour is one method.
 
-
-def _cost(outcome: MethodOutcome) -> float:
-    return outcome.estimates["cost"].iqm
-
-
-def _compared(comparison: Comparison, splits: list[str]) -> list[str]:
-    """Methods in all scenes: the same in each, so that a colour is one method.
-
-    The best challenger, the best classical controller of each split, the challenger's base or else the first method,
-    and as far as there is room the next challenger and the next classical ones.
+    The best challenger, its base, the first method, the best classical controller of each split, and as far as there is
+    room the next challenger and the next classical ones.
     """
     home = comparison.main_split
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     challengers = comparison.challengers(home)
-    bases = [outcome for outcome in ranked if challengers and outcome.method.name == challengers[0].method.base]
-    best = [outcome for split in splits if (outcome := comparison.best_classical(split))]
-    by_cost = sorted((outcome for outcome in ranked if outcome.method.kind == "classical"), key=_cost)
-    needed = dict.fromkeys(outcome.method.name for outcome in [*challengers[:1], *best, *(bases or ranked[:1])])
-    wanted = dict.fromkeys([*needed, *(outcome.method.name for outcome in [*challengers[1:2], *by_cost])])
+    bases = [outcome for outcome in ranked if challengers and outcome.name == challengers[0].method.base]
+    best = [outcome for split in comparison.splits() if (outcome := comparison.best_classical(split))]
+    classical = [outcome for outcome in ranked if outcome.method.kind == "classical"]
+    by_cost = sorted(classical, key=lambda outcome: outcome.cost)
+    needed = dict.fromkeys(outcome.name for outcome in [*challengers[:1], *bases, *ranked[:1], *best])
+    wanted = dict.fromkeys([*needed, *(outcome.name for outcome in [*challengers[1:2], *by_cost])])
     return list(wanted)[: max(_USUALLY, min(len(needed), len(COLOURS)))]
 
 
 def _notable(comparison: Comparison) -> list[tuple[str, str, int]]:
-    """Title, split and scenario of each scene."""
+    """Title, split and scenario of each scene of the report."""
     home = comparison.main_split
     challengers = comparison.challengers(home)
     ranked = [outcome for outcome in comparison.on(home) if outcome.ranked]
     if not ranked:
         return []
     lead = challengers[0] if challengers else comparison.best_classical(home) or ranked[0]
-    name = lead.method.name
-    seed = _shown_seed(comparison, name)
-    costs = {o.split: o.metrics["cost"][seed] for o in comparison.outcomes if o.method.name == name}
+    name = lead.name
+    outcomes = [outcome for outcome in comparison.outcomes if outcome.name == name]
+    costs = {outcome.split: outcome.metrics["cost"][lead.median_seed] for outcome in outcomes}
     notable = [(f"the median run of {name}", home, _median(costs[home]))]
     notable.append((f"the worst run of {name} on all splits", *_extreme(costs)))
     best = {split: comparison.best_classical(split) for split in costs}
-    losses = {split: costs[split] - b.metrics["cost"][0] for split, b in best.items() if b and b.method.name != name}
+    losses = {split: costs[split] - b.metrics["cost"][0] for split, b in best.items() if b and b.name != name}
     if losses and challengers:
         notable.append((f"where {name} loses most to the best classical controller", *_extreme(losses)))
         wins = {split: -values for split, values in losses.items()}
@@ -120,104 +106,108 @@ def _extreme(values: dict[str, np.ndarray]) -> tuple[str, int]:
     return split, int(values[split].argmax())
 
 
-def _shown_seed(comparison: Comparison, method: str) -> int:
-    """Training seed that represents a method: that of median cost on the main split."""
-    outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.method.name == method}
-    return (outcomes.get(comparison.main_split) or next(iter(outcomes.values()))).median_seed
+def record(
+    scenes: Sequence[Scene],
+    comparison: Comparison,
+    splits: dict[str, Split],
+    names: Sequence[str],
+    jobs: int | None = None,
+) -> tuple[list[Scene], list[Failure]]:
+    """Record some methods on some scenarios, each method by its training seed of median cost on the main split.
 
-
-def motions(
-    comparison: Comparison, shown: Sequence[tuple[Split, int]], names: Collection[str]
-) -> tuple[list[dict[str, Recording]], list[Failure]]:
-    """Record some methods on some scenarios; also returns failures.
-
-    What is drawn is what was measured: a recording whose cost is another one is a failure.
+    A drawn run is the run that was measured: a recording whose cost is another one is a failure.
 
     Returns:
-        For each scenario, in order, a recording of one arm by method; and failures.
+        The scenes with the motions of the methods that ran on their splits; and failures.
     """
-    recorded: list[dict[str, Recording]] = [{} for _ in shown]
-    failures = []
-    for method in dict.fromkeys(outcome.method.name for outcome in comparison.outcomes):
-        if method not in names:
-            continue
-        seed = _shown_seed(comparison, method)
-        outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.method.name == method}
-        cases = {k: _Case(outcomes[on.name], on, at, seed) for k, (on, at) in enumerate(shown) if on.name in outcomes}
-        together = _side_by_side(list(cases.values()))
-        for (k, case), recording in zip(cases.items(), together, strict=True):
-            result = case.by_itself() if recording is None else recording
-            if isinstance(result, Failure):
-                failures.append(result)
-            else:
-                recorded[k][method] = result
-    return recorded, failures
+    calls = {}
+    for name in dict.fromkeys(outcome.name for outcome in comparison.outcomes):
+        outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.name == name}
+        if name in names:
+            first = outcomes.get(comparison.main_split) or next(iter(outcomes.values()))
+            runs = {
+                k: _run_of(outcomes[scene.split], first.median_seed, splits[scene.split], scene.scenario)
+                for k, scene in enumerate(scenes)
+                if scene.split in outcomes
+            }
+            calls[name] = partial(_recorded, runs)
+    results = calls_side_by_side("recordings", calls, jobs)
+    motions = [
+        {name: of_method[k] for name, of_method in results.items() if k in of_method} for k in range(len(scenes))
+    ]
+    failures = [result for of_scene in motions for result in of_scene.values() if isinstance(result, Failure)]
+    return [
+        replace(scene, motions={name: run for name, run in of_scene.items() if isinstance(run, Recording)})
+        for scene, of_scene in zip(scenes, motions, strict=True)
+    ], failures
 
 
 @dataclass(frozen=True)
-class _Case:
-    """A training seed of a method on a scenario."""
+class _Run:
+    """A measured run of a controller."""
 
-    outcome: MethodOutcome
-    split: Split
-    scenario: int
-    seed: int
+    method: Method  # of one training seed
+    split: Split  # scenarios that were measured in one batch
+    number: int  # of the scenario in its whole split
+    costs: np.ndarray  # that were measured in the batch
 
     @property
-    def cost(self) -> float:
-        """Cost of the episode that was measured."""
-        return self.outcome.metrics["cost"][self.seed, self.scenario]
-
-    def by_itself(self) -> Recording | Failure:
-        """Record the episode."""
-        where = f"on scenario {self.scenario}"
-        return run_controller(self.outcome.method, self.split.name, partial(_measured, self), where)
+    def place(self) -> int:
+        """Number of the scenario in the batch."""
+        return self.number % EPISODES
 
 
-def _side_by_side(cases: list[_Case]) -> list[Recording | None]:
-    """Record episodes of a method in as few batches as there are kinds of settings; None for another than was measured.
+def _run_of(outcome: MethodOutcome, seed: int, split: Split, scenario: int) -> _Run:
+    batch = slice(scenario - scenario % EPISODES, scenario - scenario % EPISODES + EPISODES)
+    method = replace(outcome.method, sources=(outcome.method.sources[seed],))
+    part = split.part(batch) if len(split.table) > EPISODES else split
+    return _Run(method, part, scenario, outcome.metrics["cost"][seed, batch])
+
+
+def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
+    """Record runs of a method in as few batches as there are kinds of settings.
 
     Every shipped method moves an arm in the same way in any batch; a user's own may not, to the last digit, or fail.
+    A run that is another one in the batch is recorded by itself.
     """
-    recorded: list[Recording | None] = [None] * len(cases)
-    for group in beside_one_another([case.split for case in cases]):
-        if len(group) == 1:
-            continue
-        first, run = cases[group[0]], partial(_together, [cases[k] for k in group])
-        together = run_controller(first.outcome.method, first.split.name, run)
-        if not isinstance(together, Failure):
-            for arm, k in enumerate(group):
-                alone = together.arm(arm)
-                recorded[k] = alone if alone.cost[0] == cases[k].cost else None
-    return recorded
+    results: dict[int, Recording | Failure] = {}
+    keys = list(runs)
+    for group in beside_one_another([run.split for run in runs.values()]):
+        batch = {keys[k]: runs[keys[k]] for k in group}
+        first = next(iter(batch.values()))
+        together = run_controller(first.method, first.split.name, partial(_together, list(batch.values())))
+        for arm, (key, run) in enumerate(batch.items()):
+            alone = together if isinstance(together, Failure) else together.arm(arm)
+            if isinstance(alone, Failure) or alone.cost[0] != run.costs[run.place]:
+                where = f"on scenario {run.number}"
+                alone = run_controller(run.method, run.split.name, partial(_as_measured, run), where)
+            results[key] = alone
+    return results
 
 
-def _together(cases: list[_Case]) -> Recording:
-    """Record the episodes of some cases of one method in a batch."""
-    scenarios = side_by_side([(case.split, slice(case.scenario, case.scenario + 1)) for case in cases])
-    return _run(cases[0], scenarios, slice(len(cases)))
+def _together(runs: Sequence[_Run]) -> Recording:
+    """Record runs of one method in a batch."""
+    scenarios = side_by_side([(run.split, slice(run.place, run.place + 1)) for run in runs])
+    return _play(runs[0].method, scenarios, len(runs))
 
 
-def _run(case: _Case, split: Split, chosen: slice) -> Recording:
-    method, count = case.outcome.method, chosen.stop - (chosen.start or 0)
-    return rollout(method.controller(case.seed, []), count, sensors=method.sensors, **split.arguments(chosen))
+def _play(method: Method, split: Split, count: int) -> Recording:
+    return rollout(method.controller(0, []), count, sensors=method.sensors, **split.arguments(slice(count)))
 
 
-def _measured(case: _Case) -> Recording:
-    """Record the very episode that was measured: alone, or where that is another one, among those of its part.
+def _as_measured(run: _Run) -> Recording:
+    """Record the very run that was measured: alone, or where that is another one, among those of its batch.
 
     Raises:
-        ValueError: If the episode is neither.
+        ValueError: If the run is neither.
     """
-    alone = case.split.run(case.outcome.method.controller(case.seed, []), case.scenario)
-    if alone.cost[0] == case.cost:
-        return alone
-    first = EPISODES * (case.scenario // EPISODES)
-    part = slice(first, min(first + EPISODES, case.outcome.metrics["cost"].shape[1]))
-    again = _run(case, case.split, part).arm(case.scenario - first)
-    if again.cost[0] == case.cost:
-        return again
-    raise ValueError(f"it cost {case.cost:.9g}, and costs {again.cost[0]:.9g} when run again: it is not drawn")
+    cost = run.costs[run.place]
+    again = run.split.run(run.method.controller(0, []), run.place)
+    if again.cost[0] != cost:
+        again = _play(run.method, run.split, len(run.costs)).arm(run.place)
+    if again.cost[0] != cost:
+        raise ValueError(f"it cost {cost:.9g}, and costs {again.cost[0]:.9g} when run again: it is not drawn")
+    return again
 
 
 def reference_angles(recording: Recording) -> np.ndarray:

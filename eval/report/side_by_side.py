@@ -61,13 +61,7 @@ def track_of(name: str, motion: Recording) -> Track:
 
 
 def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recording:
-    """Run a method on one scenario.
-
-    Args:
-        name: Under which it is shown.
-        method: Whose first controller drives the arm.
-        split: Of the scenario.
-        scenario: Its number.
+    """Run the first controller of a method, shown under a name, on one scenario.
 
     Raises:
         ValueError: If it fails.
@@ -83,12 +77,7 @@ def _run(method: Method, split: Split, scenario: int) -> Recording:
 
 
 def write(tracks: list[Track], speed: float, path: Path) -> None:
-    """Write a film of all arms.
-
-    Args:
-        tracks: What to show.
-        speed: Seconds of the arm's time per second.
-        path: Where to, see `eval.report.film`.
+    """Write a film of all arms, with `speed` seconds of the arm's time per second; see `eval.report.film`.
 
     Raises:
         OSError: If it cannot be written.

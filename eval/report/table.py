@@ -7,7 +7,7 @@ renderers here, HTML has it in `parts.html`.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, nan
@@ -24,7 +24,7 @@ from eval.comparison.methods import EFFORT, shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.sets import SetLabel
 from eval.comparison.splits import SPLITS, main_split
-from eval.report.text import cell, markdown_table, number, numbers, rounded
+from eval.report.text import cell, markdown_table, number, numbers
 
 _MARKDOWN = {"best": "**{}**", "tie": "<ins>{}</ins>"}
 _TERMINAL = {"best": ("*", "bold"), "tie": ("=", "underline")}
@@ -77,13 +77,7 @@ class Table:
 
 
 def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False) -> str:
-    """Render a table as Markdown.
-
-    Args:
-        table: What to show; details of its cells are left out.
-        intervals: Whether each cell has its interval.
-        seeds: Whether the number of training seeds stands beside a learned method's name.
-    """
+    """Render a table as Markdown without details; with `seeds` their number stands beside a learned method's name."""
     rows = []
     for row in table.rows:
         count = f" ({row.seeds} seed{'s' * (row.seeds > 1)})" if seeds and row.kind == "learned" else ""
@@ -116,15 +110,11 @@ def _terminal_cell(cell: Cell, intervals: bool) -> str:
     return f"{text}\n{escape(cell.interval)} " if intervals and cell.interval else text
 
 
-def parts_of(table: Table, columns: int) -> list[Table]:
+def parts_of(table: Table, columns: int) -> Iterator[Table]:
     """Cut a table into tables of at most so many columns."""
-
-    def part(first: int) -> Table:
-        chosen = slice(first, first + columns)
-        rows = [Row(row.method, row.kind, row.seeds, row.cells[chosen]) for row in table.rows]
-        return Table(table.title, table.columns[chosen], rows)
-
-    return [part(first) for first in range(0, len(table.columns), columns)]
+    for first in range(0, len(table.columns), columns):
+        part = slice(first, first + columns)
+        yield Table(table.title, table.columns[part], [replace(row, cells=row.cells[part]) for row in table.rows])
 
 
 # Content
@@ -151,11 +141,10 @@ class Results:
         """A record of every method, that of the main split if there is one."""
         first = {row["method"]: row for row in reversed(self.content["rows"])}
         chosen: list[Record] = [self.records.get((name, self.main)) or row for name, row in first.items()]
-        return sorted(chosen, key=self._place)
-
-    def _place(self, row: Record) -> tuple[bool, float, str]:
-        cost = estimate(row, "cost").iqm if row["split"] == self.main else inf
-        return row["kind"] == "privileged", cost, row["method"]
+        costs = {row["method"]: estimate(row, "cost").iqm for row in chosen if row["split"] == self.main}
+        return sorted(
+            chosen, key=lambda row: (row["kind"] == "privileged", costs.get(row["method"], inf), row["method"])
+        )
 
     def on(self, split: str) -> list[Record]:
         """Records of a split."""
@@ -206,8 +195,8 @@ class Results:
         """Cost on the main split by every average, failures beside it, and the error of the arm's end."""
         shows: dict[str, Show] = {
             "cost": _estimate("cost"),
-            "mean": lambda row: _number("cost", row.get("cost_mean")),
-            WORST: lambda row: _number("cost", row.get("cost_worst")),
+            "mean": lambda row: Cell(number(row.get("cost_mean", nan), 0), value=row.get("cost_mean")),
+            WORST: lambda row: Cell(number(row.get("cost_worst", nan), 0), value=row.get("cost_worst")),
             "fail": lambda row: _share(_unsettled(row)),
             "left": lambda row: Cell(str(row["failures"]["left_workspace"]), value=row["failures"]["left_workspace"]),
             "not arrived": lambda row: _share(estimate(row, NOT_ARRIVED).iqm),
@@ -239,18 +228,18 @@ class Results:
         """Samples and time of tuning or training, of its search, and time per action."""
         columns = ["samples per seed (million)", "seconds per seed", "trials", "refused", "base's samples (million)"]
         columns += ["per action (µs)", "99\u00a0% (µs)"]
-        return Table("What each method takes", columns, [self._row(row, _effort(row)) for row in self.methods])
+        return Table("What each method takes", columns, [_row(row, _effort(row)) for row in self.methods])
 
     def _table(self, title: str, columns: dict[str, tuple[str, Show]]) -> Table:
         rows = []
         for row in self.methods:
             records = [(show, self.records.get((row["method"], split))) for split, show in columns.values()]
-            rows.append(self._row(row, [show(record) if record else FAILED for show, record in records]))
+            rows.append(_row(row, [show(record) if record else FAILED for show, record in records]))
         return Table(title, list(columns), rows)
 
-    @staticmethod
-    def _row(row: Record, cells: list[Cell]) -> Row:
-        return Row(row["method"], row["kind"], row["seeds"], cells)
+
+def _row(row: Record, cells: list[Cell]) -> Row:
+    return Row(row["method"], row["kind"], row["seeds"], cells)
 
 
 def estimate(row: Record, metric: str) -> SimpleNamespace:
@@ -263,13 +252,11 @@ def difference(pair: dict[str, Any], metric: str) -> SimpleNamespace | None:
     return SimpleNamespace(**pair["metrics"][metric]) if metric in pair["metrics"] else None
 
 
-def result_of(pair: SimpleNamespace) -> str:
-    """Result of a paired comparison, with a star if the difference is not shown after Holm's correction."""
-    return pair.verdict + ("*" if pair.verdict in ("better", "worse") and pair.p_holm >= 0.05 else "")
-
-
 def difference_texts(pair: dict[str, Any]) -> list[str]:
-    """Paired comparison in words: for each metric the difference and the probability of improvement."""
+    """Paired comparison in words: for each metric the difference and the probability of improvement.
+
+    A star marks a difference that is not shown after Holm's correction.
+    """
     texts = []
     for metric in PAIRED_METRICS:
         compared = difference(pair, metric)
@@ -277,7 +264,8 @@ def difference_texts(pair: dict[str, Any]) -> list[str]:
             texts += ["not compared", "–"]
             continue
         wins = f"{compared.win_rate:.0%} [{compared.win_rate_low:.0%}, {compared.win_rate_high:.0%}]"
-        texts += [f"{result_of(compared)}: {cell(metric, compared)}", wins]
+        star = "*" if compared.verdict in ("better", "worse") and compared.p_holm >= 0.05 else ""
+        texts += [f"{compared.verdict}{star}: {cell(metric, compared)}", wins]
     return texts
 
 
@@ -292,10 +280,6 @@ def _estimate(metric: str) -> Show:
         return Cell(point, f"[{low}, {high}]", (), value.iqm, row.get("marks", {}).get(metric, ""))
 
     return show
-
-
-def _number(metric: str, value: float | None) -> Cell:
-    return Cell("–") if value is None else Cell(rounded(metric, value), value=value)
 
 
 def _share(value: float) -> Cell:

@@ -13,7 +13,7 @@ Vibration is compared where both arrive: a method that never moves does not vibr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from baselines import CONTROLLERS
@@ -48,7 +48,7 @@ class PairwiseTest:
     @property
     def result(self) -> Result:
         """Whether the challenger is better in both averages, worse in both, or neither."""
-        if self.middle.survives and self.middle.difference.iqm < 0 and self.mean.high < 0:
+        if self.middle.better and self.mean.high < 0:
             return "better"
         return "worse" if self.middle.survives and self.middle.difference.iqm > 0 and self.mean.low > 0 else "open"
 
@@ -57,42 +57,33 @@ class PairwiseTest:
         """Difference over the classical controller's value."""
         return self.middle.difference.iqm / max(self.classical.estimates[self.metric].iqm, 1e-12)
 
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Result of the primary comparison."""
-
-    sentences: tuple[str, ...]
-    tests: Mapping[str, Mapping[str, PairwiseTest]]  # by metric and split; empty where the question is not decided
-
-    def rows(self) -> list[dict[str, Any]]:
-        """The pairwise tests as entries of `results.json`."""
-        return [
-            {
-                "metric": metric,
-                "split": split,
-                "challenger": test.challenger.method.name,
-                "classical": test.classical.method.name,
-                "result": test.result,
-                "iqm": test.middle.difference.iqm,
-                "low": test.middle.difference.low,
-                "high": test.middle.difference.high,
-                "p_holm": test.middle.p_holm,
-                "relative": test.relative,
-                "mean": test.mean.iqm,
-                "mean_low": test.mean.low,
-                "mean_high": test.mean.high,
-            }
-            for metric, of_metric in self.tests.items()
-            for split, test in of_metric.items()
-        ]
+    def row(self) -> dict[str, Any]:
+        """Entry of `results.json`."""
+        return {
+            "metric": self.metric,
+            "split": self.challenger.split,
+            "challenger": self.challenger.name,
+            "classical": self.classical.name,
+            "result": self.result,
+            **asdict(self.middle.difference),
+            "p_holm": self.middle.p_holm,
+            "relative": self.relative,
+            "mean": self.mean.iqm,
+            "mean_low": self.mean.low,
+            "mean_high": self.mean.high,
+        }
 
 
-def verdict(comparison: Comparison) -> Verdict:
-    """Decide the primary comparison, and put it into sentences, with one for each of a user's own methods."""
+def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
+    """Decide the primary comparison.
+
+    Returns:
+        Sentences, with one for each of a user's own methods; and the pairwise tests as entries of `results.json`, none
+        where the question is not decided.
+    """
     pair = comparison.primary_pair()
     if pair is None:
-        return Verdict(_without_pair(comparison), {})
+        return _without_pair(comparison), []
     home = comparison.main_split
     own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
     away = [sentence for o in [*pair, *own] if (sentence := _not_arrived(o))]
@@ -101,7 +92,7 @@ def verdict(comparison: Comparison) -> Verdict:
         few = (
             f"There is no verdict: {episodes} scenarios per split are too few, --episodes {LEAST_SCENARIOS} are enough."
         )
-        return Verdict((few, *away), {})
+        return [few, *away], []
     tests = {metric: pairwise_tests(comparison, metric) for metric in PAIRED_METRICS}
     sentences = [_answer(tests["cost"][home], comparison)]
     if len(tests["cost"]) > 1:
@@ -109,7 +100,7 @@ def verdict(comparison: Comparison) -> Verdict:
     sentences += _of_tip(tests, home, pair)
     best = comparison.best_classical(home)
     sentences += [_costs(test, home) for test in _tested([(outcome, best) for outcome in own if best], "cost")]
-    return Verdict((*sentences, *away), tests)
+    return [*sentences, *away], [test.row() for of_metric in tests.values() for test in of_metric.values()]
 
 
 def _not_arrived(outcome: MethodOutcome) -> str:
@@ -118,7 +109,7 @@ def _not_arrived(outcome: MethodOutcome) -> str:
     if not runs.any():
         return ""
     return (
-        f"On {outcome.split}, {_name(outcome)} does not arrive in {int(runs.sum())} of {runs.size} runs: the mean "
+        f"On {outcome.split}, {outcome.name} does not arrive in {int(runs.sum())} of {runs.size} runs: the mean "
         f"error after the move is more than {1000 * ARRIVAL_BOUND:g} mm."
     )
 
@@ -130,8 +121,8 @@ def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, Pa
         return {}
     pairs = []
     for split in comparison.splits():
-        by_name = {outcome.method.name: outcome for outcome in comparison.on(split)}
-        challenger, classical = (by_name.get(member.method.name) for member in pair)
+        by_name = {outcome.name: outcome for outcome in comparison.on(split)}
+        challenger, classical = (by_name.get(member.name) for member in pair)
         if challenger and classical:
             pairs.append((challenger, classical))
     tests = _tested(pairs, metric)
@@ -154,17 +145,18 @@ def _tested(pairs: Sequence[tuple[MethodOutcome, MethodOutcome]], metric: str) -
 def _answer(test: PairwiseTest, comparison: Comparison) -> str:
     challenger, classical, split = test.challenger, test.classical, comparison.main_split
     of_kind = [outcome for outcome in comparison.on(split) if outcome.method.kind == challenger.method.kind]
-    first = "best " if min(of_kind, key=_of_cost) is challenger else ""
+    first = "best " if min(of_kind, key=lambda outcome: outcome.cost) is challenger else ""
     best = "best " if comparison.best_classical(split) is classical else ""
-    named = f"the {first}{_KINDS[challenger.method.kind]}, {_name(challenger)},"
-    return _costs(test, split, named, f"the {best}classical controller, {_name(classical)}")
+    named = f"the {first}{_KINDS[challenger.method.kind]}, {challenger.name},"
+    return _costs(test, split, named, f"the {best}classical controller, {classical.name}")
 
 
 def _costs(test: PairwiseTest, split: str, challenger: str = "", classical: str = "") -> str:
     """Sentence about the cost on one split."""
-    challenger, classical = challenger or _name(test.challenger), classical or _name(test.classical)
+    challenger, classical = challenger or test.challenger.name, classical or test.classical.name
     pair = test.challenger, test.classical
-    middle, mean = (" against ".join(f"{average(o):.0f}" for o in pair) for average in (_of_cost, _mean))
+    middle = " against ".join(f"{outcome.cost:.0f}" for outcome in pair)
+    mean = " against ".join(f"{outcome.metrics['cost'].mean():.0f}" for outcome in pair)
     numbers = f"averages: {middle}; mean of all runs {mean}"
     if test.result == "open":
         return f"On {split}, no difference in cost is shown between {challenger} and {classical} ({numbers})."
@@ -175,21 +167,16 @@ def _costs(test: PairwiseTest, split: str, challenger: str = "", classical: str 
 
 
 def _everywhere(tests: Mapping[str, PairwiseTest]) -> str:
-    name = next(iter(tests.values())).challenger.method.name
-    words = {"better": "{0} costs less", "worse": "{0} costs more", "open": "no difference is shown"}
-    parts = [
-        f"On {_listed(splits, len(tests))} {words[result].format(name)}."
-        for result, splits in _by_result(tests).items()
-    ]
-    return " ".join(parts)
+    name = next(iter(tests.values())).challenger.name
+    words = {"better": f"{name} costs less", "worse": f"{name} costs more", "open": "no difference is shown"}
+    by_result = _by_result(tests).items()
+    return " ".join(f"On {_listed(splits, len(tests))} {words[result]}." for result, splits in by_result)
 
 
 def _by_result(tests: Mapping[str, PairwiseTest]) -> dict[Result, list[str]]:
     """Splits by result; only results that there are."""
-    by_result: dict[Result, list[str]] = {
-        result: [split for split, test in tests.items() if test.result == result] for result in _RESULTS
-    }
-    return {result: splits for result, splits in by_result.items() if splits}
+    results: list[Result] = [result for result in _RESULTS if any(test.result == result for test in tests.values())]
+    return {result: [split for split, test in tests.items() if test.result == result] for result in results}
 
 
 def _listed(splits: list[str], total: int) -> str:
@@ -203,11 +190,12 @@ def _of_tip(
     sentences = []
     for metric, words in _TIP.items():
         if home not in tests[metric]:
-            names = " and ".join(_name(outcome) for outcome in pair)
+            names = " and ".join(outcome.name for outcome in pair)
             sentences.append(f"The vibration after the move is not compared: {names} arrive both in too few scenarios.")
             continue
         test = tests[metric][home]
-        shown = " and ".join(f"{_shown(metric, outcome)} with {_name(outcome)}" for outcome in pair)
+        values = (with_unit(metric, f"{outcome.estimates[metric].iqm:.2f}") for outcome in pair)
+        shown = " and ".join(f"{value} with {outcome.name}" for value, outcome in zip(values, pair, strict=True))
         left_out = [split for split in tests["cost"] if split not in tests[metric]]
         others = f", not compared on {', '.join(left_out)}" if left_out else ""
         elsewhere = _elsewhere(tests[metric], test.result)
@@ -221,38 +209,22 @@ def _elsewhere(tests: Mapping[str, PairwiseTest], result: Result) -> str:
         return ""
     by_result = _by_result(tests)
     same = by_result.pop(result)
-    everywhere = len(same) == len(tests)
+    count = f"all {len(tests)}" if len(same) == len(tests) else f"{len(same)} of {len(tests)}"
     others = "".join(f", {_RESULTS[other]} on {', '.join(splits)}" for other, splits in by_result.items())
-    return f", as on {f'all {len(tests)}' if everywhere else f'{len(same)} of {len(tests)}'} splits{others}"
+    return f", as on {count} splits{others}"
 
 
-def _shown(metric: str, outcome: MethodOutcome) -> str:
-    return with_unit(metric, f"{outcome.estimates[metric].iqm:.2f}")
-
-
-def _name(outcome: MethodOutcome) -> str:
-    return outcome.method.name
-
-
-def _of_cost(outcome: MethodOutcome) -> float:
-    return outcome.estimates["cost"].iqm
-
-
-def _mean(outcome: MethodOutcome) -> float:
-    return float(outcome.metrics["cost"].mean())
-
-
-def _without_pair(comparison: Comparison) -> tuple[str, ...]:
+def _without_pair(comparison: Comparison) -> list[str]:
     leaders = {split: best for split in comparison.splits() if (best := comparison.best_classical(split))}
     if not leaders:
-        return (
+        return [
             "No classical controller took part, so nothing can be said of learned against classical ones.",
             "Name one with --methods to compare with it.",
-        )
+        ]
     failed = any(failure.method not in CONTROLLERS for failure in comparison.failures)
     missing = "a learned method could not be run" if failed else "no learned method took part"
-    names = "; ".join(f"{split}: {best.method.name} ({_of_cost(best):.0f})" for split, best in leaders.items())
-    return (
+    names = "; ".join(f"{split}: {best.name} ({best.cost:.0f})" for split, best in leaders.items())
+    return [
         f"Learned against classical is not decided here: {missing}.",
         f"The lowest cost among the classical controllers, by split: {names}.",
-    )
+    ]

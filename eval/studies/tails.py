@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -48,14 +49,10 @@ DISTRIBUTIONS = ("cost", "tip_rms_mm", "tip_max_mm", "residual_pp_mm", "settling
 """Metrics with a table of their own."""
 MEASURED = (*DISTRIBUTIONS, *TORQUE_QUALITY)
 DRAWN = ("cost", "tip_max_mm")
-SHARES = (0.5, 0.9, 0.99, 0.999)
-"""Of the percentiles that are shown."""
-OF_DIFFERENCE = (0.001, 0.01, 0.5, 0.99, 0.999)
-"""Of those of the difference between two methods."""
-WORST = 0.001
-"""Share of all scenarios that counts as the tail."""
-CASES = 5
-"""Worst scenarios that are named."""
+SHARES = (0.5, 0.9, 0.99, 0.999)  # of the percentiles that are shown
+OF_DIFFERENCE = (0.001, 0.01, 0.5, 0.99, 0.999)  # of those of the difference between two methods
+WORST = 0.001  # share of all scenarios that counts as the tail
+CASES = 5  # worst scenarios that are named
 QUICK = {"episodes": 60}
 _KEPT = Path("results/compare")  # where `eval/compare.py` keeps its parts too
 _POINTS = 200  # of a drawn distribution
@@ -90,9 +87,8 @@ def percentile(values: Floats, share: float) -> Interval:
 
 def share_of(happened: NDArray[np.bool_]) -> Interval:
     """Share of scenarios in which something happened, with its exact interval (Clopper and Pearson)."""
-    count, total = int(happened.sum()), len(happened)
-    ends = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
-    return count / total, float(ends.low), float(ends.high)
+    ends = binomtest(int(happened.sum()), len(happened)).proportion_ci(CONFIDENCE, method="exact")
+    return float(happened.mean()), float(ends.low), float(ends.high)
 
 
 def tail_size(count: int) -> int:
@@ -133,23 +129,14 @@ def paired_with(values: Floats, others: Floats) -> dict[str, Any]:
 
 
 def distinguishing_parameters(tail: Mapping[str, Floats], usual: Mapping[str, Floats]) -> list[dict[str, Any]]:
-    """Parameters whose distribution in the tail differs from that of all scenarios (KS test, Holm), farthest first.
-
-    Args:
-        tail: Values of each parameter in the scenarios of the tail.
-        usual: The same in scenarios as they come.
-    """
+    """Parameters whose distribution in the tail differs from that of all scenarios (KS test, Holm), farthest first."""
     tests: dict[str, Any] = {name: ks_2samp(values, usual[name], method="asymp") for name, values in tail.items()}
     adjusted = holm([float(test.pvalue) for test in tests.values()])
     shown = [name for name, p in zip(tests, adjusted, strict=True) if p < 1 - CONFIDENCE]
+    distances = {name: tests[name].statistic for name in shown}
     return [
-        {
-            "name": name,
-            "distance": tests[name].statistic,
-            "median": np.median(tail[name]),
-            "usual": np.median(usual[name]),
-        }
-        for name in sorted(shown, key=lambda name: -tests[name].statistic)
+        {"name": name, "distance": distance, "median": np.median(tail[name]), "usual": np.median(usual[name])}
+        for name, distance in sorted(distances.items(), key=lambda entry: -entry[1])
     ]
 
 
@@ -195,25 +182,24 @@ def played(methods: Sequence[Method], split: Split, jobs: int | None, folder: Pa
     Raises:
         ValueError: If a method fails.
     """
-    count, parts = len(split.table), dict[tuple[str, int], list[Part]]()
+    places, parts = list[tuple[str, slice]](), list[Part]()
     for method in methods:
         turns = len(method.sources)
         for policy, source in enumerate(method.sources):
             alone = replace(method, name=f"{method.name}-{policy}", sources=(source,)) if turns > 1 else method
             own = split.part(slice(policy, None, turns))
-            parts[method.name, policy] = parts_of(alone, own, len(own.table))
+            for part in parts_of(alone, own, len(own.table)):
+                first = turns * part.first + policy
+                places.append((method.name, slice(first, first + turns * part.count, turns)))
+                parts.append(part)
     with progress_count("parts", Console()) as done:
-        results = iter(run_parts([part for of in parts.values() for part in of], folder, jobs, done))
-    values = {method.name: {name: np.empty(count) for name in (*KNOWN, LEFT)} for method in methods}
-    for (method, policy), of_policy in parts.items():
-        turns = sum(name == method for name, _ in parts)
-        for part in of_policy:
-            result = next(results)
-            if isinstance(result, Failure):
-                raise ValueError(f"{method} failed: {result.message}")
-            first = turns * part.first + policy
-            for name, table in result.items():
-                values[method][name][first : first + turns * part.count : turns] = table[0]
+        results = run_parts(parts, folder, jobs, done)
+    values = {method.name: {name: np.empty(len(split.table)) for name in (*KNOWN, LEFT)} for method in methods}
+    for (method, place), result in zip(places, results, strict=True):
+        if isinstance(result, Failure):
+            raise ValueError(f"{method} failed: {result.message}")
+        for name, table in result.items():
+            values[method][name][place] = table[0]
     return values
 
 
@@ -254,10 +240,11 @@ def _parameters(split: Split) -> dict[str, Floats]:
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Tables, and numbers of the template."""
-    methods: dict[str, Any] = data["methods"]
+    methods: dict[str, Any] = _with_nan(data["methods"])
     tail = f"worst {100 * WORST:g} %"
     shares = [f"{100 * share:g} %" for share in SHARES]
-    learned = [name for name, of in methods.items() if of["kind"] == "learned"]
+    titles = ["mean", "IQM", "median", *shares[1:], tail, "worst"]
+    learned = [name for name, entry in methods.items() if entry["kind"] == "learned"]
     challenger = min(learned, key=lambda name: methods[name]["tails"]["cost"]["iqm"])
     rare = [methods[name]["tails"]["cost"]["percentiles"][-1] for name in (challenger, data["best"])]
     return {
@@ -268,35 +255,30 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "challenger": challenger,
         "dearer": _percent(methods[challenger]["against"]["dearer"]),
         "rare": [_interval("cost", value) for value in rare],
-        "apart": _apart(rare),
+        "apart": rare[0][2] < rare[1][1] or rare[1][2] < rare[0][1],
         "worst": [rounded("cost", methods[name]["tails"]["cost"]["worst"]) for name in (challenger, data["best"])],
         "distributions": [
-            (heading(metric), _table(["mean", "IQM", "median", *shares[1:], tail, "worst"], methods, _of(metric)))
-            for metric in DISTRIBUTIONS
+            (heading(metric), _table(titles, methods, partial(_tail, metric=metric))) for metric in DISTRIBUTIONS
         ],
         "first": _table(
             [f"{share}, {which}" for which in (f"first {EPISODES}", "all") for share in (*shares[-2:], "worst")],
             methods,
-            lambda of: [text for values in (of["few"], of["tails"]["cost"]) for text in _rare(values)],
+            lambda entry: _percentiles(entry["few"], -2) + _percentiles(entry["tails"]["cost"], -2),
         ),
         "failures": _table(
             ["left the workspace (%)", "did not arrive (%)", "never settled (%)"],
             methods,
-            lambda of: [_percent(of[name]) for name in ("left", "not_arrived", "not_settled")],
+            lambda entry: [_percent(entry[name]) for name in ("left", "not_arrived", "not_settled")],
         ),
         "against": _table(
             ["costs more (%)", "mean difference", *(f"{100 * share:g} %" for share in OF_DIFFERENCE), "most"],
-            {name: of for name, of in methods.items() if name != data["best"]},
-            lambda of: _differences(of["against"]),
+            {name: entry for name, entry in methods.items() if name != data["best"]},
+            _differences,
         ),
         "policies": _table(
             ["mean cost", *shares[1:], "worst"],
-            {f"{name}, {k}": policy for name, of in methods.items() for k, policy in enumerate(of["policies"])},
-            lambda of: [
-                _mean(of),
-                *(_interval("cost", v) for v in of["percentiles"][1:]),
-                rounded("cost", of["worst"]),
-            ],
+            {f"{name}, {k}": policy for name, entry in methods.items() for k, policy in enumerate(entry["policies"])},
+            lambda entry: [_mean(entry), *_percentiles(entry, 1)],
         ),
         "torques": _table(
             [f"{heading(name)}, {which}" for name in TORQUE_QUALITY for which in ("mean", shares[-1])],
@@ -306,20 +288,25 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "tail_size": tail_size(data["episodes"]),
         "distinguishing": _distinguishing(methods),
         "cases": _cases(methods),
-        "commands": [_watching(data, of) for of in methods.values()],
+        "commands": [_watching(data, entry) for entry in methods.values()],
     }
 
 
 def _table(titles: Sequence[str], methods: Mapping[str, Any], cells: Any) -> str:
-    return markdown_table(["method", *titles], [[f"`{name}`", *cells(of)] for name, of in methods.items()])
+    return markdown_table(["method", *titles], [[f"`{name}`", *cells(entry)] for name, entry in methods.items()])
 
 
-def _value(value: float | None) -> float:
+def _with_nan(value: Any) -> Any:
+    """Data with "not a number" in the places of null."""
+    if isinstance(value, dict):
+        return {key: _with_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(entry) for entry in value]
     return math.nan if value is None else value
 
 
-def _interval(metric: str, interval: Sequence[float | None]) -> str:
-    point, low, high = (rounded(metric, _value(end)) for end in interval)
+def _interval(metric: str, interval: Sequence[float]) -> str:
+    point, low, high = (rounded(metric, end) for end in interval)
     return f"{point} [{low}, {high}]"
 
 
@@ -328,49 +315,39 @@ def _percent(interval: Sequence[float]) -> str:
     return f"{point} [{low}, {high}]"
 
 
-def _apart(intervals: Sequence[Sequence[float | None]]) -> bool:
-    (_, low, high), (_, other_low, other_high) = (list(map(_value, interval)) for interval in intervals)
-    return high < other_low or other_high < low
+def _tail(entry: dict[str, Any], metric: str) -> list[str]:
+    """Mean, IQM, percentiles, mean of the tail and largest value of a metric."""
+    tail, digits = entry["tails"][metric], KNOWN[metric].digits
+    percentiles = [_interval(metric, value) for value in tail["percentiles"]]
+    ends = [rounded(metric, tail[name]) for name in ("worst_mean", "worst")]
+    return [_mean(tail, digits), number(tail["iqm"], digits + 1), *percentiles, *ends]
 
 
-def _of(metric: str) -> Any:
-    digits = KNOWN[metric].digits
-
-    def cells(of: dict[str, Any]) -> list[str]:
-        tail = of["tails"][metric]
-        return [
-            _mean(tail, digits),
-            number(_value(tail["iqm"]), digits + 1),
-            *(_interval(metric, value) for value in tail["percentiles"]),
-            *(rounded(metric, _value(tail[name])) for name in ("worst_mean", "worst")),
-        ]
-
-    return cells
+def _percentiles(tail: dict[str, Any], first: int) -> list[str]:
+    """Percentiles of the cost from the `first` on, and its largest value."""
+    return [*(_interval("cost", value) for value in tail["percentiles"][first:]), rounded("cost", tail["worst"])]
 
 
-def _rare(tail: dict[str, Any]) -> list[str]:
-    return [*(_interval("cost", value) for value in tail["percentiles"][-2:]), rounded("cost", tail["worst"])]
+def _torques(entry: dict[str, Any]) -> list[str]:
+    pairs = [(name, entry["tails"][name]) for name in TORQUE_QUALITY]
+    return [rounded(name, v) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
 
 
-def _torques(of: dict[str, Any]) -> list[str]:
-    pairs = [(name, of["tails"][name]) for name in TORQUE_QUALITY]
-    return [rounded(name, _value(v)) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
-
-
-def _differences(against: dict[str, Any]) -> list[str]:
+def _differences(entry: dict[str, Any]) -> list[str]:
+    against = entry["against"]
     ends = (_interval("cost", value) for value in against["percentiles"])
     return [_percent(against["dearer"]), _mean(against), *ends, rounded("cost", against["most"])]
 
 
-def _mean(of: dict[str, Any], digits: int = 0) -> str:
-    return f"{number(_value(of['mean']), digits + 1)} ± {number(_value(of['error']), digits + 2)}"
+def _mean(entry: dict[str, Any], digits: int = 0) -> str:
+    return f"{number(entry['mean'], digits + 1)} ± {number(entry['error'], digits + 2)}"
 
 
 def _distinguishing(methods: Mapping[str, Any], most: int = 3) -> str:
     rows = [
-        [f"`{name}`", entry["name"], f"{entry['median']:.3g}", f"{entry['usual']:.3g}", f"{entry['distance']:.2f}"]
-        for name, of in methods.items()
-        for entry in of["distinguishing"][:most]
+        [f"`{name}`", shown["name"], f"{shown['median']:.3g}", f"{shown['usual']:.3g}", f"{shown['distance']:.2f}"]
+        for name, entry in methods.items()
+        for shown in entry["distinguishing"][:most]
     ]
     return markdown_table(["method", "parameter", "median in the tail", "median of all", "distance"], rows, "llrrr")
 
@@ -380,22 +357,22 @@ def _cases(methods: Mapping[str, Any]) -> str:
         [
             f"`{name}`",
             str(case["scenario"]),
-            str(case["policy"]) if of["policies"] else "",
+            str(case["policy"]) if entry["policies"] else "",
             *(rounded(metric, case[metric]) for metric in DRAWN),
             f"{degrees(case['start'])} to {degrees(case['goal'])}",
         ]
-        for name, of in methods.items()
-        for case in of["worst"]
+        for name, entry in methods.items()
+        for case in entry["worst"]
     ]
     return markdown_table(["method", "scenario", "training seed", *map(heading, DRAWN), "move"], rows, "lrrrrl")
 
 
-def _watching(data: dict[str, Any], of: dict[str, Any]) -> str:
+def _watching(data: dict[str, Any], entry: dict[str, Any]) -> str:
     """Command that shows the worst scenario of a method."""
-    worst = of["worst"][0]
-    option = "policy" if of["kind"] == "learned" else "controller"
+    worst = entry["worst"][0]
+    option = "policy" if entry["kind"] == "learned" else "controller"
     where = f"--scenario-seed {data['scenario_seed']} --split {data['split']} --scenario {worst['scenario']}"
-    return f"python eval/watch.py {where} --{option} {of['sources'][worst['policy']]}"
+    return f"python eval/watch.py {where} --{option} {entry['sources'][worst['policy']]}"
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
@@ -406,8 +383,8 @@ def pictures(data: dict[str, Any]) -> Pictures:
 def _draw(methods: Mapping[str, Any]) -> Figure:
     figure, axes = plt.subplots(1, len(DRAWN), figsize=(10.5, 4.8), sharey=True, layout="constrained")
     for axis, metric in zip(axes, DRAWN, strict=True):
-        for (name, of), colour in zip(methods.items(), COLOURS, strict=False):
-            values, shares = (np.array(of["curves"][metric][key]) for key in ("values", "shares"))
+        for (name, entry), colour in zip(methods.items(), COLOURS, strict=False):
+            values, shares = (np.array(entry["curves"][metric][key]) for key in ("values", "shares"))
             axis.plot(values, 100 * shares, color=colour, lw=1.8, label=name)
             axis.plot(values[-1:], 100 * shares[-1:], "o", color=colour, ms=4)
         axis.axhline(100 / EPISODES, color="0.45", lw=0.9, ls=(0, (4, 3)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from safetensors.numpy import save_file
 from baselines import CONTROLLERS
 from eval.check_controller import main
 from eval.comparison import custom
-from eval.comparison.check import findings, record
+from eval.comparison.check import Finding, findings, record
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "my_controller.py"
@@ -30,61 +31,20 @@ class Proportional:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> Any:
+        self.calls += 1
         begins = np.ones(len(observation), np.bool_) if state is None else episode_start
         before = np.zeros(len(observation)) if state is None else np.where(begins, 0.0, state)
         error = 0.5 * before + 0.5 * observation[:, 0]
-        return (0.3 * error)[:, None].astype(np.float32), error
+        return self.changed((0.3 * error)[:, None].astype(np.float32), observation), error
 
-
-class WrongShape(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        action, state = super().predict(observation, *rest, **options)
-        return action[:, 0], state
-
-
-class WrongType(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        action, state = super().predict(observation, *rest, **options)
-        return action.astype(np.float64), state
-
-
-class NotFinite(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        action, state = super().predict(observation, *rest, **options)
-        self.calls += 1
-        return action * np.float32(np.nan if self.calls == 50 else 1), state
-
-
-class Raises(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        raise KeyError("no gain")
-
-
-class ChangesItsInput(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        result = super().predict(observation, *rest, **options)
-        observation[:] = 0
-        return result
-
-
-class Random(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        action, state = super().predict(observation, *rest, **options)
-        return action + self.rng.normal(0, 1e-3, action.shape).astype(np.float32), state
-
-
-class MixesArms(Proportional):
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        action, state = super().predict(observation, *rest, **options)
-        return action + np.float32(0.01) * action.mean(), state
+    def changed(self, action: Any, observation: Any) -> Any:
+        return action
 
 
 class Leaks(Proportional):
     """Forgets to begin episodes afresh."""
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
         return super().predict(observation, state, np.zeros(len(observation), np.bool_))
 
 
@@ -100,59 +60,59 @@ class RemembersItself(Proportional):
         return action, None
 
 
-SPOILT = {
-    WrongShape: ("drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
-    WrongType: ("drives", "got float64 of shape"),
-    NotFinite: ("drives", "in sample 49 it returns .*nan.* torques must be finite"),
-    Raises: ("drives", "KeyError: 'no gain'"),
-    ChangesItsInput: ("drives", "changes the observation that it is given, in sample 0"),
-    Random: ("same observations", "torques differ from sample 0 on"),
-    MixesArms: ("as if alone", "torques differ from sample"),
-    Leaks: ("without memory of the last", "torques differ from sample 0 on"),
-    RemembersItself: ("memory is in the state", "torques differ from sample"),
-}
-
-
-def test_a_sound_controller_passes():
-    found = list(findings(Proportional))
-    assert all(finding.passed for finding in found)
-    assert [finding.detail for finding in found[1:5]] == ["bit for bit"] * 4
-
-
 class Runaway(Proportional):
     """Sound, with memory, and drives its arms out of the workspace."""
 
-    def predict(self, observation: Any, *rest: Any, **options: Any) -> Any:
-        action, state = super().predict(observation, *rest, **options)
-        return (0.9 + 0.1 * np.tanh(action)).astype(np.float32), state
+    def changed(self, action: Any, observation: Any) -> Any:
+        return (0.9 + 0.1 * np.tanh(action)).astype(np.float32)
 
 
 class LeakyRunaway(Runaway, Leaks):
     """Takes the memory of an arm that left its workspace into that arm's next episode."""
 
 
-def test_a_sound_controller_may_leave_the_workspace():
-    starts = record(Runaway()).starts
-    assert starts[1:].any()
-    assert [finding for finding in findings(Runaway) if not finding.passed] == []
+def spoilt(change: Callable[[Any, Any, Any], Any]) -> type[Proportional]:
+    """Controller whose actions are changed: by a function of controller, action and observation."""
+    return type("Spoilt", (Proportional,), {"changed": change})
 
 
-def test_memory_is_found_in_the_episode_after_one_that_left_the_workspace():
-    found = [finding for finding in findings(LeakyRunaway) if not finding.passed]
-    assert "without memory of the last" in found[0].check
+CASES: dict[str, tuple[type, str, str]] = {
+    "shape": (spoilt(lambda _, a, o: a[:, 0]), "drives", r"shape \(5, 1\), got float32 of shape \(5,\)"),
+    "type": (spoilt(lambda _, a, o: a.astype(np.float64)), "drives", "got float64 of shape"),
+    "nan": (spoilt(lambda c, a, o: a * np.float32(np.nan if c.calls == 50 else 1)), "drives", "in sample 49 .*nan"),
+    "raises": (spoilt(lambda *_: {}["no gain"]), "drives", "KeyError: 'no gain'"),
+    "input": (spoilt(lambda _, a, o: (a, o.fill(0))[0]), "drives", "changes the observation .* in sample 0"),
+    "random": (
+        spoilt(lambda c, a, o: a + c.rng.normal(0, 1e-3, a.shape).astype(np.float32)),
+        "same observations",
+        "torques differ from sample 0 on",
+    ),
+    "mixes": (spoilt(lambda _, a, o: a + np.float32(0.01) * a.mean()), "as if alone", "torques differ from sample"),
+    "leaks": (Leaks, "without memory of the last", "torques differ from sample 0 on"),
+    "leaves": (LeakyRunaway, "without memory of the last", "torques differ from sample"),
+    "remembers": (RemembersItself, "memory is in the state", "torques differ from sample"),
+}
 
 
-@pytest.mark.parametrize("kind", SPOILT, ids=lambda kind: kind.__name__)
-def test_each_check_finds_what_it_is_for(kind: type):
-    check, message = SPOILT[kind]
-    failed = [finding for finding in findings(kind) if not finding.passed]
-    assert check in failed[0].check
-    assert re.search(message, failed[0].detail), failed[0].detail
+def failed(kind: Callable[[], Any]) -> list[Finding]:
+    return [finding for finding in findings(kind) if not finding.passed]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_check_notices_what_it_is_for(case: str):
+    kind, check, message = CASES[case]
+    first = failed(kind)[0]
+    assert check in first.check and re.search(message, first.detail), first.detail
+
+
+def test_a_sound_controller_passes_and_may_leave_the_workspace():
+    assert [finding.detail for finding in findings(Proportional)][1:5] == ["bit for bit"] * 4
+    assert record(Runaway()).starts[1:].any() and not failed(Runaway)
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_classical_controllers_keep_the_protocol(name: str):
-    assert not [finding for finding in findings(CONTROLLERS[name]) if not finding.passed]
+    assert not failed(CONTROLLERS[name])
 
 
 def test_the_example_passes_as_a_user_runs_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -166,21 +126,14 @@ def test_a_module_beside_the_user_is_found(tmp_path: Path):
     assert stopped(main, ("beside:Mine",), tmp_path) == (0, "")
 
 
-def test_a_controller_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
-    output = capsys.readouterr().out
-    assert output.startswith("FAILED  drives 5 arms")
-    assert "got int" in output
-
-
 def test_the_place_of_a_failure_is_named_and_its_traceback_shown_if_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "bad.py").write_text("class Bad:\n    def predict(self, *_, **__):\n        raise KeyError('gain')\n")
     (tmp_path / "worse.py").write_text("import json\nraise RuntimeError('not today')\n")
     assert stopped(main, ("bad.py:Bad",), tmp_path) == (1, "")
-    assert "KeyError: 'gain' (bad.py:3)\n" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert output.startswith("FAILED  drives 5 arms") and "KeyError: 'gain' (bad.py:3)\n" in output
     for spec, status, line in (("bad.py:Bad", 1, 'bad.py", line 3'), ("worse.py:Bad", 2, 'worse.py", line 2')):
         code, errors = stopped(main, (spec, "--traceback"), tmp_path)
         assert code == status and errors.startswith("Traceback (most recent call last):") and line in errors
@@ -251,43 +204,35 @@ def test_a_controller_of_a_file_lives_in_its_folder_and_one_of_a_package_in_the_
     assert custom.home(f"{own}/mine.py:Mine") == own
     assert custom.home("baselines.servo.paper:PaperController") == ROOT / "baselines"
     assert custom.home(f"{ROOT}/baselines/servo/paper.py:PaperController") == ROOT / "baselines"
-    assert custom.home("commands:Path") == ROOT / "tests" / "helpers"
 
 
-def test_identity_changes_with_every_file_of_the_folder(own: Path):
-    identities = {before := custom.identity(own)}
-    assert custom.identity(own) == before
-    save_file({"weight": np.array(0.25)}, own / "weights.safetensors")
-    identities.add(custom.identity(own))
-    (own / "parts" / "gains.py").write_text("GAIN = 0.25\n")
-    identities.add(custom.identity(own))
-    (own / "parts" / "gains.py").rename(own / "gains.py")
-    identities.add(custom.identity(own))
-    (own / "parts" / "table.csv").write_text("1")
-    identities.add(custom.identity(own))
-    elsewhere = own.parent / "elsewhere"
-    elsewhere.mkdir()
-    (own / "linked").symlink_to(elsewhere)
-    (elsewhere / "more.csv").write_text("2")
-    identities.add(custom.identity(own))
-    assert len(identities) == 6
-    assert None not in identities
+def test_identity_changes_with_every_file_of_the_folder_but_hidden_ones_caches_and_results(own: Path):
+    """Also with a renamed file, and with one below a linked folder."""
+    linked = own.parent / "elsewhere"
+    linked.mkdir()
+    identities = [custom.identity(own, own / "out")]
 
+    def changed(change: Callable[[], object]) -> bool:
+        change()
+        identities.append(custom.identity(own, own / "out"))
+        return identities[-1] not in identities[:-1]
 
-def test_identity_does_not_change_with_caches_hidden_files_and_the_results_themselves(own: Path):
-    before = custom.identity(own, own / "out")
-    for name in (".git/index", "__pycache__/mine.pyc", ".hidden", "out/results.json", "out/pairs/a.npz"):
+    assert changed(lambda: save_file({"weight": np.array(0.25)}, own / "weights.safetensors"))
+    assert changed(lambda: (own / "parts" / "gains.py").write_text("GAIN = 0.25\n"))
+    assert changed(lambda: (own / "parts" / "gains.py").rename(own / "gains.py"))
+    assert changed(lambda: (own / "parts" / "table.csv").write_text("1"))
+    (own / "linked").symlink_to(linked)
+    assert changed(lambda: (linked / "more.csv").write_text("2"))
+    for name in (".git/index", "__pycache__/mine.pyc", ".hidden", "out/results.json", "out/parts/a.npz"):
         (own / name).parent.mkdir(parents=True, exist_ok=True)
-        (own / name).write_text("new")
-    assert custom.identity(own, own / "out") == before
-    assert custom.identity(own) != before
+        assert not changed(lambda name=name: (own / name).write_text("new"))
+    assert None not in identities and custom.identity(own) not in identities
 
 
 def test_the_identity_of_a_large_or_unreadable_folder_is_unknown(own: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(custom, "MOST_FILES", 3)
-    assert custom.identity(own) is None
-    monkeypatch.setattr(custom, "MOST_FILES", 4)
-    assert custom.identity(own) is not None
+    assert custom.identity(own) is not None and custom.identity(own / "nowhere") is None
+    with monkeypatch.context() as patched:
+        patched.setattr(custom, "MOST_FILES", 3)
+        assert custom.identity(own) is None
     monkeypatch.setattr(custom, "MOST_BYTES", 100)
     assert custom.identity(own) is None
-    assert custom.identity(own / "nowhere") is None

@@ -22,7 +22,7 @@ from beltarm_env import ArmParams
 from beltarm_env.arm import DRIVE_EFFECTS, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES
-from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, fresh_arms
+from beltarm_env.task.seeds import DEVELOPMENT, MAX_FRESH_SEED, SeedRange, arms_chosen_by, fresh_arms
 from beltarm_env.timing import MAX_LATENCY
 from eval import compare
 from eval import scenarios as command
@@ -37,7 +37,7 @@ from eval.comparison.scenarios import (
     text_of,
     write_record,
 )
-from eval.comparison.sets import ScenarioSet, development_set, draw_test_set, fresh_set, make_set
+from eval.comparison.sets import ScenarioSet, development_set, fresh_set, make_set
 from eval.comparison.splits import EDITION, EPISODES, SPLITS, VERSION, Split, digest_of, draw
 
 SHIFTED: dict[str, dict[str, tuple[float, float]]] = {
@@ -57,6 +57,7 @@ SHIFTED: dict[str, dict[str, tuple[float, float]]] = {
     "sensing": {},
     "structural": {},
 }
+SETTINGS = {"sensing": {"encoder_counts": 1000}, "structural": {"model": "lagrangian"}}
 BEYOND = ("payload", "stiffness", "friction", "drive")
 
 
@@ -73,8 +74,11 @@ def ranges_of(name: str) -> dict[str, tuple[float, float]]:
 
 def test_there_are_nine_splits_of_five_hundred_scenarios(splits: dict[str, Split]):
     assert list(splits) == ["nominal", "ideal", "randomized", *SHIFTED] == list(SPLITS)
-    for split in splits.values():
+    for name, split in splits.items():
         assert len(split.table) == len(split.moves) == len(split.delays) == EPISODES == 500
+        assert split.settings == SETTINGS.get(name, {})
+        ideal = not split.table[:, [FIELDS.index(effect) for effect in DRIVE_EFFECTS]].any()
+        assert ideal == (name in ("nominal", "ideal"))
 
 
 @pytest.mark.parametrize("name", SPLITS)
@@ -94,18 +98,6 @@ def test_a_shift_is_beyond_training_and_the_only_one(name: str):
         train_low, train_high = TRAIN_RANGES[field]
         assert low >= train_high or high <= train_low
     assert SHIFTED["drive"]["command_latency"][1] < MAX_LATENCY
-
-
-def test_the_drive_is_ideal_in_two_splits_alone(splits: dict[str, Split]):
-    effects = [FIELDS.index(name) for name in DRIVE_EFFECTS]
-    ideal = [name for name, split in splits.items() if not split.table[:, effects].any()]
-    assert ideal == ["nominal", "ideal"]
-
-
-def test_settings_of_the_splits(splits: dict[str, Split]):
-    assert splits["sensing"].settings == {"encoder_counts": 1000}
-    assert splits["structural"].settings == {"model": "lagrangian"}
-    assert all(split.settings == {} for name, split in splits.items() if name not in ("sensing", "structural"))
 
 
 def test_delays_are_continuous_and_each_scenario_has_its_own(splits: dict[str, Split]):
@@ -142,22 +134,16 @@ def test_a_scenario_alone_is_as_in_its_batch(name: str, splits: dict[str, Split]
 def test_no_two_splits_of_any_sets_share_an_arm_or_a_move():
     """By their seeds, and by what is drawn; the test set's are left alone."""
     sets = [development_set(), fresh_set(0), fresh_set(1), fresh_set(MAX_FRESH_SEED)]
-    drawn = [split for one in sets for split in one.splits.values()]
-    for one, other in combinations(drawn, 2):
-        assert abs(one.seed - other.seed) >= EPISODES
-        assert not np.intersect1d(one.moves[:, 0], other.moves[:, 0]).size
+    drawn = [split for each in sets for split in each.splits.values()]
+    for split, other in combinations(drawn, 2):
+        assert abs(split.seed - other.seed) >= EPISODES
+        assert not np.intersect1d(split.moves[:, 0], other.moves[:, 0]).size
     ranges = [DEVELOPMENT, fresh_arms(0), fresh_arms(1), fresh_arms(MAX_FRESH_SEED)]
     assert all(seeds.size == DEVELOPMENT.size for seeds in ranges)
-    for one, seeds in zip(sets, ranges, strict=True):
-        for split in one.splits.values():
+    for each, seeds in zip(sets, ranges, strict=True):
+        for split in each.splits.values():
             assert seeds.first <= split.seed <= split.seed + EPISODES <= seeds.first + seeds.size
-    assert len({one.label.sha256 for one in sets}) == len(sets)
-
-
-def test_a_set_is_drawn_again_as_it_was():
-    again = draw("sensing", "development", DEVELOPMENT)
-    assert again.digest == development_set().splits["sensing"].digest
-    assert np.array_equal(again.delays, development_set().splits["sensing"].delays)
+    assert len({each.label.sha256 for each in sets}) == len(sets)
 
 
 def test_a_range_without_room_is_refused():
@@ -169,7 +155,7 @@ def test_the_development_set_is_run_until_the_test_set_is_there(tmp_path: Path, 
     monkeypatch.setattr(scenarios, "FILE", tmp_path / "scenarios.json")
     assert choose_set().label.name == "development"
     assert choose_set(seed=3).label.name == "seed 3"
-    assert "--scenario-seed 1" in mistake(compare.main, ("--scenarios", "test"), tmp_path)
+    assert "scenarios.json" in mistake(compare.main, ("--scenarios", "test"), tmp_path)
     for name, seed in (("development", 3), ("best", None), (None, -1), (None, MAX_FRESH_SEED + 1)):
         with pytest.raises(ValueError, match="--scenario"):
             choose_set(name, seed)
@@ -186,39 +172,26 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A test set of a few scenarios, as another protocol's commit would choose them."""
     path = tmp_path_factory.mktemp("frozen") / "scenarios.json"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(scenarios, "draw_test_set", few_drawn)
+        patched.setattr(scenarios, "draw_set", few_drawn)
         patched.setattr(scenarios, "last_commit_of", lambda _: MADE_UP)
         freeze_test_set(path)
     return path
 
 
-def few_drawn(commit: str) -> ScenarioSet:
-    return make_set("test", {name: part_of(split, 4) for name, split in draw_test_set(commit).splits.items()})
-
-
-def part_of(split: Split, count: int) -> Split:
-    part = split.table[:count], split.moves[:count], split.delays[:count]
-    return scenarios.make_split(split.name, "test", split.seed, split.settings, *part)
-
-
-def test_the_test_set_is_drawn_once(frozen: Path):
-    before = frozen.read_bytes()
-    with pytest.raises(ValueError, match="is there already: the test set is drawn once, and not again"):
-        freeze_test_set(frozen)
-    assert frozen.read_bytes() == before
+def few_drawn(name: str, seeds: SeedRange) -> ScenarioSet:
+    return make_set(name, {split: draw(split, name, seeds).part(slice(4)) for split in SPLITS})
 
 
 def test_the_test_set_is_written_as_it_is_read(frozen: Path, monkeypatch: pytest.MonkeyPatch):
-    found = load(frozen)
-    assert found.label.name == "test"
-    assert text_of(content_of(found, MADE_UP)) == frozen.read_text(encoding="utf-8")
-    for name, drawn in draw_test_set(MADE_UP).splits.items():
-        split = found.splits[name]
-        for field in ("table", "moves", "delays"):
-            assert np.array_equal(getattr(split, field), getattr(drawn, field)[:4])
+    read = load(frozen)
+    assert text_of(content_of(read, MADE_UP)) == frozen.read_text(encoding="utf-8")
+    drawn = few_drawn("test", arms_chosen_by(MADE_UP))
+    assert {name: split.digest for name, split in read.splits.items()} == {
+        name: split.digest for name, split in drawn.splits.items()
+    }
     monkeypatch.setattr(scenarios, "FILE", frozen)
-    assert choose_set().label == choose_set("test").label == found.label
-    require_same_physics(found)
+    assert choose_set().label == choose_set("test").label == read.label == drawn.label
+    require_same_physics(read)
 
 
 def test_the_commands_say_what_is_there(
@@ -230,43 +203,34 @@ def test_the_commands_say_what_is_there(
     assert lines[0].startswith(f"development set, edition {EDITION}, version {VERSION}: sha256 ")
     assert [line.split()[:2] for line in lines[1 : 1 + len(SPLITS)]] == [[name, "500"] for name in SPLITS]
     assert lines[1 + len(SPLITS)].startswith("test set")
-    assert "is there already: the test set is drawn once" in mistake(command.main, ("--freeze-test",), tmp_path)
+    before = frozen.read_bytes()
+    assert "scenarios.json" in mistake(command.main, ("--freeze-test",), tmp_path)
+    assert frozen.read_bytes() == before
 
 
 ROOT = Path(__file__).parents[2]
+PROTOCOL = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
 CHANGES = "## Changes made after the results"
-
-
-def of_git(*words: str) -> str:
-    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
 
 def test_the_protocol_is_that_of_the_commit_which_chose_the_seeds():
     """But for what its last section lists."""
     commit = json.loads(scenarios.FILE.read_text())["protocol"]
-    try:
-        then = of_git("show", f"{commit}:docs/protocol.md")
-    except (OSError, subprocess.CalledProcessError):
+    then = git("show", f"{commit}:docs/protocol.md")
+    if then.returncode:
         pytest.skip("the history is not here")
-    now = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
-    assert now.split(CHANGES)[0] == then.split(CHANGES)[0]
-    assert not of_git("ls-tree", commit, "eval/comparison/scenarios.json")
+    assert PROTOCOL.split(CHANGES)[0] == then.stdout.split(CHANGES)[0]
+    assert not git("ls-tree", commit, "eval/comparison/scenarios.json").stdout
 
 
 def test_protocol_lists_commits_that_are_there():
     """What changed after the results, the committed results among it."""
-    changes = (ROOT / "docs/benchmark/protocol.md").read_text(encoding="utf-8").split(CHANGES)[1]
-    named = sorted(set(re.findall(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7}\b", changes)))
+    named = sorted(set(re.findall(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7}\b", PROTOCOL.split(CHANGES)[1])))
     results = json.loads((ROOT / "docs/results/comparison/results.json").read_text(encoding="utf-8"))
     assert results["provenance"]["commit"] in named
-    try:
-        whole = git("rev-parse", "--is-shallow-repository").stdout.strip() == "false"
-    except OSError:
-        whole = False
-    if not whole:
+    if git("rev-parse", "--is-shallow-repository").stdout.strip() != "false":
         pytest.skip("the history is not there")
-    missing = [commit for commit in named if git("merge-base", "--is-ancestor", commit, "HEAD").returncode]
-    assert not missing
+    assert not [commit for commit in named if git("merge-base", "--is-ancestor", commit, "HEAD").returncode]
 
 
 def git(*words: str) -> subprocess.CompletedProcess[str]:
@@ -320,6 +284,9 @@ def test_damaged_files_are_refused(damage: str, frozen: Path, tmp_path: Path):
         load(path)
     assert "restore scenarios.json from the repository" in str(caught.value)
     assert "\n" not in str(caught.value)
+    path.write_text(frozen.read_text()[:1000])
+    with pytest.raises(ValueError, match="cannot be read"):
+        load(path)
 
 
 def test_a_long_word_among_numbers_takes_no_memory(frozen: Path, tmp_path: Path):
@@ -335,16 +302,6 @@ def test_a_long_word_among_numbers_takes_no_memory(frozen: Path, tmp_path: Path)
         assert tracemalloc.get_traced_memory()[1] < 20 * path.stat().st_size
     finally:
         tracemalloc.stop()
-
-
-@pytest.mark.parametrize("length", [0, 1000])
-def test_half_a_file_is_refused(length: int, frozen: Path, tmp_path: Path):
-    path = tmp_path / "scenarios.json"
-    path.write_text(frozen.read_text()[:length])
-    with pytest.raises(ValueError, match="cannot be read"):
-        load(path)
-    with pytest.raises(ValueError, match="cannot be read"):
-        load(tmp_path / "nowhere.json")
 
 
 # Physics
@@ -379,14 +336,13 @@ def test_a_changed_physics_is_noticed(change: Callable[[Split], Split]):
         require_same_physics(changed("nominal", change))
 
 
+def test_other_scenarios_than_the_kept_ones_are_noticed():
+    with pytest.raises(ValueError, match="has no split nominal"):
+        require_same_physics(changed("nominal", lambda split: replace(split, digest="other")))
+
+
 def test_a_fresh_set_is_checked_by_the_development_set(monkeypatch: pytest.MonkeyPatch):
     require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
     monkeypatch.setattr(scenarios, "motions", lambda splits: np.ones((len(splits), 3, 6)))
     with pytest.raises(ValueError, match="on split nominal the arms move otherwise"):
         require_same_physics(fresh_set(0).only(["nominal", "sensing"]))
-
-
-def test_other_scenarios_than_the_kept_ones_are_noticed():
-    other = changed("nominal", lambda split: replace(split, digest="other"))
-    with pytest.raises(ValueError, match=r"development.json has no split nominal with the scenarios .* --write`"):
-        require_same_physics(other)

@@ -24,30 +24,14 @@ from eval.comparison.statistics import (
 
 def test_interquartile_mean_by_hand():
     assert interquartile_mean(np.array([[1.0, 2, 3, 4, 5, 6, 7, 800]])) == pytest.approx((3 + 4 + 5 + 6) / 4)
-    assert interquartile_mean(np.array([[1.0, 100], [2, 3]])) == pytest.approx(2.5)
-
-
-@pytest.mark.parametrize("count", [2, 3, 7, 8, 50, 201])
-def test_interquartile_mean_is_the_trimmed_mean_of_scipy(count: int):
-    values = np.random.default_rng(count).normal(size=(1, count))
-    assert interquartile_mean(values) == pytest.approx(trim_mean(values[0], 0.25))
+    for count in (2, 3, 7, 8, 50, 201):
+        values = np.random.default_rng(count).normal(size=(1, count))
+        assert interquartile_mean(values) == pytest.approx(trim_mean(values[0], 0.25))
 
 
 def test_equal_values_have_an_interval_of_no_width():
     result = estimate(np.full((3, 10), 4.0))
     assert (result.iqm, result.low, result.high) == (4.0, 4.0, 4.0)
-
-
-def test_an_estimate_is_of_the_middle_half_unless_the_mean_is_asked_for():
-    values = np.array([[1.0, 2, 3, 4, 5, 6, 7, 800]])
-    assert (estimate(values).iqm, estimate(values, mean=True).iqm) == (4.5, 103.5)
-
-
-def test_interval_is_reproducible_and_holds_the_estimate():
-    values = np.random.default_rng(0).normal(5, 1, (3, 50))
-    first, second = estimate(values), estimate(values)
-    assert first == second
-    assert first.low < first.iqm < first.high
 
 
 def test_intervals_cover_the_truth_about_as_often_as_they_say():
@@ -90,25 +74,9 @@ def test_paired_differences(shift: float, verdict: str, wins: float):
 # Bootstrap samples
 
 
-def test_bootstrap_samples_are_of_scenarios_and_of_seeds():
-    """Each sample is a mean over whole rows and whole columns: multiples of what those are made of."""
-    rows, columns = np.array([0.0, 100.0, 200.0]), np.arange(8.0)
-    means = resampled(rows[:, None] + columns, mean=True)
-    assert means.shape == (RESAMPLES,)
-    of_rows = {round(sum(a) / 3, 9) for a in np.stack(np.meshgrid(rows, rows, rows), -1).reshape(-1, 3)}
-    multiples = (means[:, None] - np.array(sorted(of_rows))) * 8
-    assert np.all(np.any((np.abs(multiples - np.round(multiples)) < 1e-6) & (multiples > -1e-6), axis=1))
-    assert means.std() > 0.5 * rows.std() / np.sqrt(3)
-
-
 def test_there_are_as_many_as_the_protocol_says():
     protocol = Path(__file__).resolve().parents[2] / "docs" / "benchmark" / "protocol.md"
     assert f"interval of {RESAMPLES} resamples" in protocol.read_text(encoding="utf-8")
-
-
-def test_spread_of_bootstrap_samples_is_the_standard_error():
-    values = np.random.default_rng(4).normal(3, 2, (1, 300))
-    assert resampled(values, mean=True).std() == pytest.approx(values.std() / np.sqrt(300), rel=0.06)
 
 
 def test_intervals_over_seeds_cover_the_truth():
@@ -159,17 +127,12 @@ def test_paired_by_hand():
     assert result.win_rate.iqm == pytest.approx((3 + 4 * 0.5) / 8)
 
 
-def test_a_method_against_itself():
-    values = np.random.default_rng(6).normal(size=(1, 30))
-    result = paired(values, values)
-    assert (result.difference.iqm, result.win_rate.iqm, result.p) == (0.0, 0.5, 1.0)
-    assert result.verdict == "no difference shown"
-
-
 def test_a_constant_difference_is_as_sure_as_can_be():
     values = np.arange(30.0)[None]
     assert paired(values - 1, values).p == pytest.approx(2 / (RESAMPLES + 1))
     assert paired(values - 1, values).verdict == "better"
+    same = paired(values, values)
+    assert (same.difference.iqm, same.win_rate.iqm, same.p) == (0.0, 0.5, 1.0)
 
 
 @pytest.mark.parametrize("odd", [-1.0, 1.0])
@@ -177,13 +140,6 @@ def test_methods_that_tie_nearly_everywhere_are_not_told_apart(odd: float):
     result = paired(np.array([[odd] + 39 * [0.0]]), np.zeros((1, 40)))
     assert (result.difference.iqm, result.p) == (0.0, 1.0)
     assert result.verdict == "no difference shown"
-
-
-def test_p_values_are_about_uniform_where_there_is_no_difference():
-    rng = np.random.default_rng(7)
-    p = [paired(rng.normal(size=(1, 60)), np.zeros((1, 60))).p for _ in range(150)]
-    assert np.mean(np.array(p) < 0.05) < 0.12  # 0.05 expected; more has a probability below 1e-3
-    assert np.mean(p) == pytest.approx(0.5, abs=0.1)
 
 
 @pytest.mark.parametrize("count", [20, 24, 50])
@@ -195,7 +151,7 @@ def test_false_alarms_are_as_rare_as_they_should_be(count: int, seeds: int, spre
     scenarios = rng.exponential(size=(400, 1, count)) - 0.738 if skewed else rng.normal(size=(400, 1, count))
     of_both = 0.5 * rng.normal(size=(400, seeds, count)) if seeds > 1 else 0.0
     differences = scenarios + spread * rng.normal(size=(400, seeds, 1)) + of_both
-    p = np.array([found.p for found in all_paired([(table, np.zeros((1, count))) for table in differences])])
+    p = np.array([pair.p for pair in all_paired([(table, np.zeros((1, count))) for table in differences])])
     assert np.mean(p < 0.05) < 0.085  # 0.05 at most; more has a probability below 2e-3
 
 
@@ -232,12 +188,12 @@ def test_holm_by_hand():
 
 def rejected(p_values: list[float], level: float) -> set[int]:
     """Holm's procedure as he wrote it: step down until the first that is too large."""
-    found: set[int] = set()
+    indices: set[int] = set()
     for k, index in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
         if p_values[index] > level / (len(p_values) - k):
             break
-        found.add(index)
-    return found
+        indices.add(index)
+    return indices
 
 
 @given(st.lists(st.integers(1, 4000), min_size=1, max_size=12), st.sampled_from([0.01, 0.05, 0.1]))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import re
-from typing import Any
 
 import numpy as np
 import pytest
-from outcomes import ORIGIN, made, outcome, outcome_of
+from outcomes import ORIGIN, content_of, made, outcome, outcome_of, pair_of
 from rich.console import Console
 
 import eval.report.verdict
@@ -16,12 +15,12 @@ from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Method
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, make_comparison
-from eval.comparison.schema import check, to_json
+from eval.comparison.schema import check
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import Estimate, Paired
 from eval.report import summary
 from eval.report.publish import print_results
-from eval.report.readme import blocks, updated
+from eval.report.readme import blocks
 from eval.report.table import Results, to_markdown
 from eval.report.verdict import PairwiseTest, pairwise_tests
 from eval.studies._frame import page
@@ -29,13 +28,8 @@ from eval.studies._frame import page
 PID = outcome("pid", "classical", 100.0)
 
 
-def verdict(comparison: Comparison) -> tuple[str, ...]:
-    return eval.report.verdict.verdict(comparison).sentences
-
-
-def content(comparison: Comparison) -> dict[str, Any]:
-    said = eval.report.verdict.verdict(comparison)
-    return to_json(comparison, said.sentences, said.rows())
+def verdict(comparison: Comparison) -> list[str]:
+    return eval.report.verdict.verdict(comparison)[0]
 
 
 def over(costs: dict[str, tuple[float, float]]) -> Comparison:
@@ -52,6 +46,7 @@ def over(costs: dict[str, tuple[float, float]]) -> Comparison:
         ((100.0, 60.0), ("40% less", "60 against 100")),
         ((100.0, 350.0), ("3.5 times as much", "350 against 100")),
         ((100.0, 98.0), ("a practical tie",)),
+        ((100.0, 100.0), ("no difference",)),
     ],
 )
 def test_the_first_sentence_is_of_the_main_split(costs: tuple[float, float], words: tuple[str, ...]):
@@ -85,12 +80,12 @@ def test_an_added_controller_has_a_sentence_of_its_own():
 
 def test_the_tests_are_in_the_results_and_on_the_page():
     comparison = over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)})
-    rows = {(row["metric"], row["split"]): row for row in content(comparison)["primary"]}
+    rows = {(row["metric"], row["split"]): row for row in content_of(comparison)["primary"]}
     assert {metric for metric, _ in rows} == set(PAIRED_METRICS) and len(rows) == 6
     row = rows["cost", "nominal"]
     assert (row["challenger"], row["classical"], row["result"]) == ("net", "pid", "better")
     assert row["iqm"] == pytest.approx(-40) and row["relative"] == pytest.approx(-0.4) and row["mean_high"] < 0
-    shown = page("comparison", summary, content(comparison))
+    shown = page("comparison", summary, content_of(comparison))
     assert "| cost | nominal | **better** | -40" in shown and "| cost | payload | **worse** |" in shown
 
 
@@ -105,12 +100,6 @@ def test_the_main_split_decides_who_is_compared():
         )
     )
     assert {test.classical.method.name for test in pairwise_tests(comparison).values()} == {"lqg"}
-
-
-def test_a_tie_is_called_one():
-    close = made(outcome("pid", "classical", 100.0), outcome("net", "learned", 100.0, spread=5.0))
-    assert pairwise_tests(close)["nominal"].result == "open"
-    assert all("no difference" in sentence for sentence in verdict(close)[:2])
 
 
 def test_better_takes_the_mean_too():
@@ -146,11 +135,11 @@ def test_both_averages_decide(middle: float, p: float, low: float, high: float, 
 def test_the_correction_is_for_all_splits():
     rng = np.random.default_rng(3)
     splits = ("nominal", *(f"split {k}" for k in range(11)))
-    found = []
+    outcomes = []
     for split in splits:
-        found.append(outcome("pid", "classical", 100.0, split))
-        found.append(outcome("net", "learned", 100.0 * (1 + 0.05 * rng.standard_normal(24)), split))
-    tests = pairwise_tests(made(*found))
+        outcomes.append(outcome("pid", "classical", 100.0, split))
+        outcomes.append(outcome("net", "learned", 100.0 * (1 + 0.05 * rng.standard_normal(24)), split))
+    tests = pairwise_tests(made(*outcomes))
     smallest = min(test.middle.p for test in tests.values())
     assert min(test.middle.p_holm for test in tests.values()) == min(1.0, smallest * len(splits))
 
@@ -175,9 +164,6 @@ def test_the_correction_is_for_all_splits():
 )
 def test_without_a_learned_method_or_a_classical_one(comparison: Comparison, words: tuple[str, ...]):
     assert all(word in " ".join(verdict(comparison)) for word in words)
-    assert (
-        comparison.challengers("nominal")[:1] == [o for o in comparison.outcomes if o.method.kind == "added"] or words
-    )
 
 
 # Media
@@ -185,7 +171,7 @@ def test_without_a_learned_method_or_a_classical_one(comparison: Comparison, wor
 
 def printed(comparison: Comparison, *, verbose: bool = False) -> list[str]:
     console = Console(width=80, record=True, file=io.StringIO())
-    print_results(content(comparison), console, verbose=verbose)
+    print_results(content_of(comparison), console, verbose=verbose)
     return console.export_text().splitlines()
 
 
@@ -222,13 +208,13 @@ def test_a_long_name_is_cut_and_no_number():
 def test_the_worst_of_few_scenarios_is_not_shown():
     """The worst 5 % of 39 scenarios would be one or two runs of each seed."""
     few, enough = (
-        Results(content(made(outcome("pid", "classical", np.full(count, 100.0))))).main_table() for count in (39, 40)
+        Results(content_of(made(outcome("pid", "classical", np.full(count, 100.0))))).main_table() for count in (39, 40)
     )
     assert few.rows[0].cells[2].text == "–" and float(enough.rows[0].cells[2].text) > 100
 
 
 def test_the_readme_has_the_verdict_and_tables_sorted_by_the_main_split(many: Comparison):
-    shown = blocks(content(many))
+    shown = blocks(content_of(many))
     text, table, note = shown["answer"].split("\n\n")
     first, *others = verdict(many)
     assert text == " ".join([f"**{first}**", *others])
@@ -239,13 +225,6 @@ def test_the_readme_has_the_verdict_and_tables_sorted_by_the_main_split(many: Co
         methods = [line.split("|")[1].strip() for line in part.splitlines()[2:]]
         assert methods[:3] == ["student (5 seeds)", "adaptive", "ppo (5 seeds)"] and methods[-1] == "*privileged*"
         assert "[" not in part
-
-
-def test_parts_are_written_between_their_markers():
-    before = "a\n<!-- x: begin -->\nold\n<!-- x: end -->\nb"
-    assert updated(before, {"x": "new"}) == "a\n<!-- x: begin -->\n\nnew\n\n<!-- x: end -->\nb"
-    with pytest.raises(ValueError, match="y: begin"):
-        updated(before, {"y": "new"})
 
 
 # Arms that do not arrive
@@ -263,12 +242,12 @@ def still(away: float, seeds: int = 1) -> MethodOutcome:
 def test_doing_nothing_is_not_better_at_anything():
     pid = outcome("pid", "classical", 100.0)
     comparison = made(pid, still(1.0), outcome("lqg", "classical", 120.0))
-    said = eval.report.verdict.verdict(comparison)
-    assert "better" not in " ".join(said.sentences) and "Zero does not arrive in 24 of 24 runs" in said.sentences[-1]
-    assert {row["metric"] for row in said.rows()} == {"cost", "tip_rms_mm"}
+    sentences, rows = eval.report.verdict.verdict(comparison)
+    assert "better" not in " ".join(sentences) and "Zero does not arrive in 24 of 24 runs" in sentences[-1]
+    assert {row["metric"] for row in rows} == {"cost", "tip_rms_mm"}
     assert comparison.marks["nominal"]["residual_pp_mm"]["pid"] == "best"
     assert all("Zero" not in marks or name != "residual_pp_mm" for name, marks in comparison.marks["nominal"].items())
-    results = to_json(comparison, said.sentences, said.rows())
+    results = content_of(comparison)
     check(results, "results.json")
     (row,) = [row for row in results["rows"] if row["method"] == "Zero"]
     assert row["metrics"][NOT_ARRIVED]["iqm"] == 1 and not {*OF_ARRIVED} & {*row["metrics"]}
@@ -292,13 +271,12 @@ def test_vibration_is_compared_where_both_arrive(away: float, compared: int):
     lazy = outcome_of(lazy.method, "nominal", lazy.metrics, (1.0, 1.0))
     comparison = made(outcome("pid", "classical", 100.0), lazy)
     assert lazy.estimates["residual_pp_mm"].iqm == 300
-    pair = comparison.against_best["nominal"]["Zero"]["residual_pp_mm"]
+    pair = pair_of(comparison, "Zero")["residual_pp_mm"]
     assert pair.scenarios == compared and pair.difference.low > 150
     assert pair.verdict == ("worse" if compared >= 20 else "too few scenarios")
     assert comparison.marks["nominal"]["residual_pp_mm"] == {"pid": "best"}
-    assert ("residual_pp_mm" in {row["metric"] for row in eval.report.verdict.verdict(comparison).rows()}) == (
-        compared >= 20
-    )
+    metrics = {row["metric"] for row in content_of(comparison)["primary"]}
+    assert ("residual_pp_mm" in metrics) == (compared >= 20)
 
 
 def test_a_scenario_counts_where_all_training_seeds_arrive():
@@ -312,12 +290,12 @@ def test_a_scenario_counts_where_all_training_seeds_arrive():
 def test_four_scenarios_are_no_verdict():
     costs = np.full(4, 100.0)
     comparison = made(outcome("pid", "classical", costs), outcome("net", "learned", 0.5 * costs))
-    said = eval.report.verdict.verdict(comparison)
-    assert said.rows() == [] and len(said.sentences) == 1 and "--episodes 20" in said.sentences[0]
-    pair = comparison.against_best["nominal"]["net"]["cost"]
+    sentences, rows = eval.report.verdict.verdict(comparison)
+    assert rows == [] and len(sentences) == 1 and "--episodes 20" in sentences[0]
+    pair = pair_of(comparison, "net")["cost"]
     assert (pair.p, pair.p_holm, pair.survives) == (1.0, 1.0, False)
     assert not any(comparison.marks["nominal"].values())
-    check(to_json(comparison, said.sentences, said.rows()), "results.json")
+    check(content_of(comparison), "results.json")
 
 
 # Methods that the protocol does not know
@@ -325,9 +303,9 @@ def test_four_scenarios_are_no_verdict():
 
 def test_only_what_the_protocol_knows_was_frozen_before():
     shipped = outcome("adaptive", "classical", 100.0)
-    for name, told in (("test", True), ("development", False), ("seed 7", False)):
+    for name, noted in (("test", True), ("development", False), ("seed 7", False)):
         label = SetLabel(name, "0" * 64)
         own = [[], [still(0.0)]]
-        known, other = (Results(content(make_comparison([shipped, *more], [], label, ORIGIN))) for more in own)
+        known, other = (Results(content_of(make_comparison([shipped, *more], [], label, ORIGIN))) for more in own)
         assert known.note == label.note
-        assert ("Zero" in other.note and "--scenarios development" in other.note) == told
+        assert ("Zero" in other.note and "--scenarios development" in other.note) == noted

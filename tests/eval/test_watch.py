@@ -58,16 +58,8 @@ def test_what_an_mp4_needs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
     environment = {**os.environ, "SDL_VIDEODRIVER": "dummy", "PYTHONUNBUFFERED": "1"}
-    command = [
-        sys.executable,
-        str(ROOT / "eval/watch.py"),
-        "--controller",
-        "paper",
-        "--controller",
-        "zvd",
-        "--speed",
-        "10",
-    ]
+    words = ("--controller", "paper", "--controller", "zvd", "--speed", "10")
+    command = [sys.executable, str(ROOT / "eval/watch.py"), *words]
     process = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

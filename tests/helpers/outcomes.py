@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from beltarm_env.metrics import SHOWN
@@ -9,7 +11,10 @@ from eval.comparison.cache import LEFT, Metrics
 from eval.comparison.failures import Failure
 from eval.comparison.methods import Kind, Method
 from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison
+from eval.comparison.schema import to_json
 from eval.comparison.sets import SetLabel
+from eval.comparison.statistics import Paired
+from eval.report.verdict import verdict
 
 ORIGIN = {
     "command": "python eval/compare.py --out /tmp/me/out",
@@ -44,6 +49,16 @@ def outcome(
     metrics = {metric: values.copy() for metric in SHOWN} | {LEFT: np.zeros((seeds, count))}
     metrics |= {name: np.zeros((seeds, count)) for name in ("failure_share", "not_arrived_share", "saturated_share")}
     return outcome_of(Method(name, kind, (name,) * seeds, ""), split, metrics, (40.0, 2000.0))
+
+
+def pair_of(comparison: Comparison, method: str) -> dict[str, Paired]:
+    """Comparison of a method with the best classical controller of the first split, by metric."""
+    return next(pair.metrics for pair in comparison.pairs if pair.outcome.name == method)
+
+
+def content_of(comparison: Comparison) -> dict[str, Any]:
+    """Content of the results.json of a comparison."""
+    return to_json(comparison, *verdict(comparison))
 
 
 def made(*outcomes: MethodOutcome, failures: list[Failure] | None = None) -> Comparison:
