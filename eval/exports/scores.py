@@ -116,7 +116,7 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
     rows = {row["split"]: row for row in results["rows"] if row["method"] == method}
     home = main_split(list(rows))
     split = with_sensors(scenarios.splits[home], read_spec(policy)[0].sensors)
-    arguments = split.later(1e-6 * rows[home].get("added_latency_us", 0.0)).arguments(slice(rows[home]["episodes"]))
+    arguments = split.arguments(slice(rows[home]["episodes"]))
     run = rollout(load_controller(policy), rows[home]["episodes"], **arguments)
     return Scores(results, sha256_of(path), method, -run.cost)
 
