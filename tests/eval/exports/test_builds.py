@@ -84,7 +84,11 @@ def reference(exported: Path, compiler: tuple[str, ...], tmp_path_factory: pytes
 @pytest.mark.parametrize("name", COMPILERS)
 def test_right_flags_give_the_same_torques(exported: Path, reference: list[float], tmp_path: Path, name: str):
     builds = [(*RIGHT, more) for more in ("-O0", "-O1", "-Os", "-fno-math-errno", "-std=gnu11")]
-    for flags in (*builds, (*RIGHT, "-O3", "-march=native"), ("-O3", "-march=native")):  # the last without -ffp-contract
+    for flags in (
+        *builds,
+        (*RIGHT, "-O3", "-march=native"),
+        ("-O3", "-march=native"),
+    ):  # the last without -ffp-contract
         assert built((name, *flags), exported, tmp_path / "program")
         assert ran(tmp_path / "program") == (0, reference), flags
 
