@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
-from translating import Calls, Cases, Kernel, Translated, same
+from translating import Calls, Cases, Kernel, Translated, assert_same
 
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sine_cosine
 
@@ -347,9 +347,14 @@ def names_of_c(double: float, real: float) -> float:
     return int32_t * NULL + R * isnan + max(fmod, while_)
 
 
-CASES.add(exponential, [(0.5,)])
-CASES.add(sine_cosine, [(0.5,)])
-CASES.add(polar_angle, [(1.0, 2.0)])
+ELEMENTARY: dict[Kernel, list[tuple[float, float]]] = {
+    exponential: [(-800.0, 800.0)],
+    sine_cosine: [(-1e6, 1e6)],
+    polar_angle: [(-1e100, 1e100), (-1e100, 1e100)],
+}
+"""Elementary functions, each with the ranges of its arguments."""
+for function, ranges in ELEMENTARY.items():
+    CASES.add(function, [tuple(high for _, high in ranges)])
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -357,36 +362,15 @@ def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str,
     CASES.check(library, name, tmp_path)
 
 
-# Elementary functions
+@pytest.mark.parametrize("function", ELEMENTARY, ids=lambda function: function.__name__)
+def test_an_elementary_function_in_python_by_numba_and_in_c(library: Translated, function: Any):
+    @examples(200)
+    @given(st.tuples(*(st.floats(low, high) for low, high in ELEMENTARY[function])))
+    def check(arguments: tuple[float, ...]) -> None:
+        for reference in (function, function.py_func):
+            assert_same(library, function.__name__, reference, arguments)
 
-
-def checked(library: Translated, function: Any, *arguments: float) -> Any:
-    """Value of a function in plain Python, which is the same as compiled by numba and in C."""
-    plain = getattr(function, "py_func", function)(*arguments)
-    count = np.size(plain)
-    assert same(function(*arguments), plain) and same(library.call(function.__name__, *arguments)[:count], plain)
-    return plain
-
-
-@given(st.floats(-800, 800))
-@examples(200)
-def test_exponential(library: Translated, x: float):
-    assert checked(library, exponential, x) == pytest.approx(math.exp(min(max(x, -700), 700)), rel=2e-15)
-
-
-@given(st.floats(-1e6, 1e6))
-@examples(200)
-def test_sine_and_cosine(library: Translated, angle: float):
-    rounding = 2e-15 + 2.3e-16 * abs(angle)  # of whole turns
-    assert checked(library, sine_cosine, angle) == pytest.approx((math.sin(angle), math.cos(angle)), abs=rounding)
-
-
-@given(st.floats(-1e100, 1e100), st.floats(-1e100, 1e100))
-@examples(200)
-def test_polar_angle(library: Translated, x: float, y: float):
-    angle = checked(library, polar_angle, x, y)
-    assert math.cos(angle - math.atan2(y + 0.0, x + 0.0)) == pytest.approx(1.0, abs=1e-15)
-    assert 0.0 <= angle <= 2 * math.pi
+    check()
 
 
 def test_each_kernel_is_written_once(tmp_path: Path) -> None:
