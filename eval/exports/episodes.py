@@ -152,16 +152,14 @@ def run_episodes(
             "params": dict(zip(FIELDS, recording.params[k].tolist(), strict=True)),
             "move": dict(zip(MOVE_FIELDS, recording.moves[k].tolist(), strict=True)),
         }
-        buffer = EpisodeBuffer(
-            seed=seed,
-            options=reset,
-            observations=observations[: steps + 1, k],
-            actions=actions[:steps, k],
-            rewards=rewards[:steps, k],
-            terminations=terminated[:steps, k],
-            truncations=truncated[:steps, k],
-            infos=infos,
-        )
+        arrays: dict[str, Any] = {
+            "observations": observations[: steps + 1, k],
+            "actions": actions[:steps, k],
+            "rewards": rewards[:steps, k],
+            "terminations": terminated[:steps, k],
+            "truncations": truncated[:steps, k],
+        }
+        buffer = EpisodeBuffer(seed=seed, options=reset, infos=infos, **arrays)
         metadata = {
             "controller": name,
             "disturbance": disturbance.kind,

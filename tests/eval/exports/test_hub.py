@@ -167,7 +167,7 @@ def test_a_card_says_where_its_policy_loses():
         }
         return losses("x", named)
 
-    best = dict.fromkeys(("nominal", "payload", "drive"), "better better better")
+    best: dict[str, str] = dict.fromkeys(("nominal", "payload", "drive"), "better better better")
     assert "none of 3 splits" in said(best)
     assert "`payload`" in said(best | {"payload": "better better"})  # in which two arrive too seldom
     assert "`drive`" in said(best | {"drive": "no_difference_shown better better"})
