@@ -7,14 +7,13 @@ what a dataset holds, and how to use it. Needs the extra minari.
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
+from unittest.mock import patch
 
 import gymnasium
 import numpy as np
@@ -28,7 +27,7 @@ from baselines.tools.files import replace_folder, require_writable
 from baselines.tools.progress import progress_count
 from baselines.tools.provenance import commit, software
 from beltarm_env import __version__
-from beltarm_env.arrays import Flags, Singles
+from beltarm_env.arrays import Singles
 from beltarm_env.observation import LAYOUT, Sensors
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.ranges import EDITION
@@ -143,41 +142,18 @@ def write_dataset(options: Options, done: Callable[[int, int], object]) -> list[
     Returns:
         Metadata of each episode.
     """
-    folder = options.out.resolve()  # Minari does not find the size of a dataset with a relative path
-    made = Path(tempfile.mkdtemp(dir=folder, prefix=".dataset-"))
-    try:
-        with _datasets_in(made):
-            metadata = _fill(options, done)
-        _create_namespace(options)
-        replace_folder(options.path, made / options.id)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
-    return metadata
-
-
-@contextmanager
-def _datasets_in(folder: Path) -> Iterator[None]:
-    """Have Minari find and write datasets in a folder."""
-    name = "MINARI_DATASETS_PATH"
-    before = os.environ.get(name)
-    os.environ[name] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
-
-
-def _create_namespace(options: Options) -> None:
-    """Create the folders that the dataset stands in, as Minari wants them."""
     from minari.namespace import create_namespace, list_local_namespaces
 
+    folder = options.out.resolve()  # Minari does not find the size of a dataset with a relative path
     namespace = options.id.rpartition("/")[0]
-    with _datasets_in(options.out):
-        if namespace and namespace not in list_local_namespaces():
-            create_namespace(namespace)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".dataset-") as made:
+        with patch.dict(os.environ, MINARI_DATASETS_PATH=made):
+            metadata = _fill(options, done)
+        with patch.dict(os.environ, MINARI_DATASETS_PATH=str(folder)):
+            if namespace and namespace not in list_local_namespaces():
+                create_namespace(namespace)
+        replace_folder(options.path, Path(made) / options.id)
+    return metadata
 
 
 def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str, Any]]:
@@ -229,12 +205,10 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
     return written
 
 
-Piece = tuple[list["EpisodeBuffer"], list[dict[str, Any]]]
-"""Episodes and the metadata of each."""
-
-
-def pieces(controllers: Mapping[str, Controller], options: Options, settings: Mapping[str, Any]) -> Iterator[Piece]:
-    """Run controllers in turn on the arms of a dataset; `settings` are arguments of `BeltArmVectorEnv`."""
+def pieces(
+    controllers: Mapping[str, Controller], options: Options, settings: Mapping[str, Any]
+) -> Iterator[tuple[list[EpisodeBuffer], list[dict[str, Any]]]]:
+    """Run controllers in turn on the arms of a dataset, and return episodes with the metadata of each."""
     first = dataset_arms(options.seed).first
     for begin in range(first, first + options.episodes, PIECE):
         seeds = range(begin, min(begin + PIECE, first + options.episodes))
@@ -246,33 +220,26 @@ def pieces(controllers: Mapping[str, Controller], options: Options, settings: Ma
         yield list(buffers), list(metadata)
 
 
-class _RandomTorques:
-    """Controller whose actions are uniform and independent."""
-
-    def __init__(self) -> None:
-        self._random = np.random.default_rng(DATASET_SCORES.first)
-
-    def predict(
-        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
-    ) -> tuple[Singles, None]:
-        return self._random.uniform(-1, 1, (len(observation), 1)).astype(np.float32), None
-
-
 def reference_scores(randomization: str) -> tuple[float, float]:
-    """Mean returns of random torques and of the expert, sums of rewards that are not discounted."""
+    """Mean returns of uniform random torques and of the expert, sums of rewards that are not discounted."""
+    rng = np.random.default_rng(DATASET_SCORES.first)
+
+    class RandomTorques:
+        def predict(self, observation: Singles, *_: Any, **__: Any) -> tuple[Singles, None]:
+            return rng.uniform(-1, 1, (len(observation), 1)).astype(np.float32), None
+
     arms = {"seed": DATASET_SCORES.first, "randomization": randomization}
-    low, high = (rollout(each, SCORED, **arms).cost for each in (_RandomTorques(), load_controller(EXPERT)))
+    low, high = (rollout(each, SCORED, **arms).cost for each in (RandomTorques(), load_controller(EXPERT)))
     return -float(np.mean(low)), -float(np.mean(high))
 
 
 def cost_table(metadata: Sequence[Mapping[str, Any]]) -> str:
     """Number of episodes and their mean cost by controller and disturbance, in Markdown."""
-    costs: dict[str, dict[str, list[float]]] = {}
+    costs: dict[tuple[str, str], list[float]] = {}
     for episode in metadata:
-        by_kind = costs.setdefault(episode["controller"], {kind: [] for kind in KINDS})
-        by_kind[episode["disturbance"]].append(episode["cost"])
+        costs.setdefault((episode["controller"], episode["disturbance"]), []).append(episode["cost"])
+    cells = {key: f"{np.mean(each):.0f} ({len(each)})" for key, each in costs.items()}
     rows = [
-        [name, *(f"{np.mean(each):.0f} ({len(each)})" if each else "–" for each in by_kind.values())]
-        for name, by_kind in costs.items()
+        [name, *(cells.get((name, kind), "–") for kind in KINDS)] for name in dict.fromkeys(name for name, _ in costs)
     ]
     return markdown_table(("mean cost (episodes)", *KINDS), rows)

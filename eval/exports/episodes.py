@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import FIELDS
@@ -73,17 +72,12 @@ def draw_disturbance(seed: int, share: float) -> Disturbance:
     return Disturbance(kind, size, np.where(acts, size * noise, 0.0).astype(np.float32), alone)
 
 
-class Disturbed:
-    """Controller of n episodes that are disturbed, for one rollout.
-
-    Attributes:
-        params: The arm that the controller is made for, if it says so.
-        wanted: Actions of the controller by itself, an array of shape (n,) for each sample.
-    """
+class _Disturbed:
+    """Controller of n episodes that are disturbed, for one rollout."""
 
     def __init__(self, controller: Controller, disturbances: Sequence[Disturbance]) -> None:
         self.params = getattr(controller, "params", None)
-        self.wanted: list[Singles] = []
+        self.wanted: list[Singles] = []  # actions of the controller by itself, shape (n,) for each sample
         self._controller = controller
         self._noise: Singles = np.stack([each.noise for each in disturbances], axis=1)
         self._asked: Flags = ~np.stack([each.alone for each in disturbances], axis=1)
@@ -140,7 +134,7 @@ def run_episodes(
     from minari.data_collector import EpisodeBuffer
 
     disturbances = [draw_disturbance(seed, share) for seed in seeds]
-    env, disturbed = _RecordedArms(len(seeds), **settings), Disturbed(controller, disturbances)
+    env, disturbed = _RecordedArms(len(seeds), **settings), _Disturbed(controller, disturbances)
     recording = record(disturbed, env, seed=seeds)
     observations, states, errors = map(np.stack, zip(*env.samples, strict=True))
     actions, rewards, terminated, truncated = map(np.stack, zip(*env.steps, strict=True))
@@ -150,20 +144,20 @@ def run_episodes(
         steps = int(np.argmax(terminated[:, k] | truncated[:, k])) + 1
         hidden = {"state": states[: steps + 1, k], "tip_error": errors[: steps + 1, k]}
         behaviour = {"controller_action": wanted[:, k], "noise": disturbance.noise, "alone": disturbance.alone}
+        infos = {
+            "not_observed": {key: values.astype(np.float32) for key, values in hidden.items()},
+            "behaviour": {key: np.insert(values[:steps], 0, 0) for key, values in behaviour.items()},  # 0: the reset
+        }
+        reset = {
+            "params": dict(zip(FIELDS, recording.params[k].tolist(), strict=True)),
+            "move": dict(zip(MOVE_FIELDS, recording.moves[k].tolist(), strict=True)),
+        }
         arrays: dict[str, Any] = {
             "observations": observations[: steps + 1, k],
             "actions": actions[:steps, k],
             "rewards": rewards[:steps, k],
             "terminations": terminated[:steps, k],
             "truncations": truncated[:steps, k],
-        }
-        infos = {
-            "not_observed": {key: values.astype(np.float32) for key, values in hidden.items()},
-            "behaviour": {key: _after_reset(values[:steps]) for key, values in behaviour.items()},
-        }
-        reset = {
-            "params": dict(zip(FIELDS, recording.params[k].tolist(), strict=True)),
-            "move": dict(zip(MOVE_FIELDS, recording.moves[k].tolist(), strict=True)),
         }
         buffer = EpisodeBuffer(seed=seed, options=reset, infos=infos, **arrays)
         metadata = {
@@ -175,8 +169,3 @@ def run_episodes(
         }
         episodes[seed] = buffer, metadata
     return episodes
-
-
-def _after_reset(values: NDArray[Any]) -> NDArray[Any]:
-    """Values of steps behind a zero for the reset: infos have a row for each observation."""
-    return np.concatenate([np.zeros(1, values.dtype), values])

@@ -165,11 +165,8 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
     }
 
     def texts(guid: str) -> dict[str, str]:
-        named = {
-            "modelDescription.xml": "modelDescription.xml",
-            "documentation/index.html": "fmu.html",
-            **{f"sources/{name}": name for name in ("fmi2.h", "fmu.c")},
-        }
+        templates = {"documentation/index.html": "fmu.html", "sources/fmi2.h": "fmi2.h", "sources/fmu.c": "fmu.c"}
+        named = {"modelDescription.xml": "modelDescription.xml", **templates}
         return {path: TEMPLATES.get_template(f"{name}.j2").render(given, guid=guid) for path, name in named.items()}
 
     content = "".join(texts("").values())
@@ -223,7 +220,7 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
             made.append(kind)
 
     def write(temporary: Path) -> None:
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(temporary, "w") as archive:
             for name, content in files.items():
                 archive.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -76,11 +75,9 @@ def write_folder(folder: Path, files: dict[str, bytes]) -> None:
     Raises:
         OSError: If it cannot be written; an older one is then as it was.
     """
-    made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
-    try:
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as scratch:
+        made = Path(scratch) / folder.name
+        made.mkdir()
         for file, content in files.items():
             (made / file).write_bytes(content)
-        made.chmod(0o755)
         replace_folder(folder, made)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)

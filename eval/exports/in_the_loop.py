@@ -7,8 +7,7 @@ import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import IO, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -67,22 +66,17 @@ class InTheLoop:
     ) -> None:
         self._limit, self._moves = torque_limit, moves
         self._quantum = 2 * np.pi / counts_per_turn
-        self._made = tempfile.TemporaryDirectory()
-        program = Path(self._made.name) / name
-        try:
+        with contextlib.ExitStack() as stack:
+            program = Path(stack.enter_context(tempfile.TemporaryDirectory())) / name
             toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program, *flags)
-        except BaseException:
-            self._made.cleanup()
-            raise
-        command = [*toolchain.runner, str(program)]
-        pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-        try:
+            command, pipe = [*toolchain.runner, str(program)], subprocess.PIPE
+            self._process: Any = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+            stack.callback(self._process.wait)
+            for stream in (self._process.stderr, self._process.stdout, self._process.stdin):
+                stack.callback(_close, stream)
             self._say(f"arms {len(moves)} {counts_per_turn}")
             self._answer()
-        except BaseException:
-            self.__exit__(None, None, None)
-            raise
+            self._ends = stack.pop_all()
 
     def predict(
         self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
@@ -108,7 +102,6 @@ class InTheLoop:
         return StepTimes(int(samples), *map(float, rest))
 
     def _say(self, line: str) -> None:
-        assert self._process.stdin is not None
         try:
             self._process.stdin.write(line + "\n")
             self._process.stdin.flush()
@@ -116,31 +109,27 @@ class InTheLoop:
             raise self._ended() from None
 
     def _answer(self) -> list[str]:
-        assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
             raise self._ended()
         return line.split()
 
     def _ended(self) -> ValueError:
-        assert self._process.stderr is not None
-        said = self._process.stderr.read().strip()
-        return ValueError(said or f"the program has ended, with status {self._process.wait()}")
+        message = self._process.stderr.read().strip()
+        return ValueError(message or f"the program has ended, with status {self._process.wait()}")
 
     def __enter__(self) -> Self:
         """Return the controller."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the program."""
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-            if stream is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    stream.close()
-        self._process.wait()
-        self._made.cleanup()
+        self._ends.close()
+
+
+def _close(stream: IO[str]) -> None:
+    with contextlib.suppress(BrokenPipeError):
+        stream.close()
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ _GUARDED = "+guard"
 _FEW = "too few scenarios"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scores:
     """Scores of the method that a policy belongs to, and the reward of the policy itself.
 
@@ -50,20 +50,13 @@ class Scores:
     rewards: Floats  # of the policy, a number for each scenario of the main split
 
     @property
-    def label(self) -> SetLabel:
-        """Set of scenarios."""
-        return SetLabel(**self.results["scenario_set"])
-
-    @property
     def mean_reward(self) -> str:
         """Mean and standard deviation, as the Hub ranks them."""
         return f"{np.mean(self.rewards):.2f} +/- {np.std(self.rewards):.2f}"
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of the method by split, the main one first."""
-        rows = {row["split"]: row for row in self.results["rows"] if row["method"] == self.method}
-        home = main_split(list(rows))
-        return {home: rows[home], **rows}
+        return _rows_of(self.results, self.method)
 
     def against_best(self) -> dict[str, dict[str, Any]]:
         """Pairwise tests against the best classical controller by split, where one took part."""
@@ -90,6 +83,12 @@ class Scores:
         }
 
 
+def _rows_of(results: Mapping[str, Any], method: str) -> dict[str, dict[str, Any]]:
+    rows = {row["split"]: row for row in results["rows"] if row["method"] == method}
+    home = main_split(list(rows))
+    return {home: rows[home], **rows}
+
+
 def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
     """Read the scores of a policy, and run it for its mean reward.
 
@@ -113,11 +112,9 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
     scenarios = fresh_set(int(fresh[1])) if fresh else choose_set(label.name)
     if scenarios.label != label:
         raise ValueError(f"{path} is of other scenarios than this checkout's {label.title}: run the comparison again")
-    rows = {row["split"]: row for row in results["rows"] if row["method"] == method}
-    home = main_split(list(rows))
+    home, row = next(iter(_rows_of(results, method).items()))
     split = with_sensors(scenarios.splits[home], read_spec(policy)[0].sensors)
-    arguments = split.arguments(slice(rows[home]["episodes"]))
-    run = rollout(load_controller(policy), rows[home]["episodes"], **arguments)
+    run = rollout(load_controller(policy), row["episodes"], **split.arguments(slice(row["episodes"])))
     return Scores(results, sha256_of(path), method, -run.cost)
 
 
@@ -151,7 +148,7 @@ def eval_results(scores: Scores) -> list[EvalResult]:
             "dataset_type": ENVIRONMENT,
             "dataset_name": f"{ENVIRONMENT} {split}",
             "dataset_config": split,
-            "dataset_split": scores.label.name,
+            "dataset_split": scores.results["scenario_set"]["name"],
             "dataset_args": {
                 "episodes": row["episodes"],
                 "sha256": scores.results["provenance"]["split_sha256"][split],
@@ -162,48 +159,43 @@ def eval_results(scores: Scores) -> list[EvalResult]:
             results.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
         for name in SHOWN:
             if name in row["metrics"]:
-                estimate, share = row["metrics"][name], METRICS[name].share
-                label = f"{METRICS[name].title}, as a share" if share else heading(name)
-                average = f"{'mean' if share else 'interquartile mean'} over {row['seeds']} training seed"
-                metric: dict[str, Any] = {
-                    "metric_type": name,
-                    "metric_name": f"{label}: {average}{'s'[: row['seeds'] > 1]}",
-                    "metric_value": estimate["iqm"],
-                    "metric_args": {"low": estimate["low"], "high": estimate["high"]},
-                }
-                results.append(EvalResult(**common, **metric))
+                estimate, share = dict(row["metrics"][name]), METRICS[name].share
+                label = f"{METRICS[name].title}, as a share: mean" if share else f"{heading(name)}: interquartile mean"
+                seeds = f"{row['seeds']} training seed{'s'[: row['seeds'] > 1]}"
+                values = {"metric_value": estimate.pop("iqm"), "metric_args": estimate}
+                results.append(EvalResult(**common, metric_type=name, metric_name=f"{label} over {seeds}", **values))
     return results
 
 
 def markdown(scores: Scores) -> str:
     """Scores of a card for people: splits where the policy loses, a table of all, and how the numbers were made."""
     rows, pairs, best = scores.rows(), scores.against_best(), scores.best()
-    shown = [name for name in SHOWN if name != NOT_ARRIVED or name in next(iter(rows.values()))["metrics"]]
+    home, first = next(iter(rows.items()))
+    shown = [name for name in SHOWN if name != NOT_ARRIVED or name in first["metrics"]]
     table = []
     for split, row in rows.items():
-        cells = [
-            cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–" for name in shown
-        ]
-        beside = ["–", "–"]
+        cells = [_cell(name, row) for name in shown]
         if split in pairs:
-            cost, rival = pairs[split]["metrics"]["cost"], best[split]
-            difference = f"{cell('cost', SimpleNamespace(**cost))}: {cost['verdict']}"
-            beside = [f"`{rival['method']}` {rival['metrics']['cost']['iqm']:.0f}", difference]
-        table.append([split, *cells, *beside])
+            other, verdict = best[split], pairs[split]["metrics"]["cost"]["verdict"]
+            cells.append(f"`{other['method']}` {other['metrics']['cost']['iqm']:.0f}")
+            cells.append(f"{_cell('cost', pairs[split])}: {verdict}")
+        table.append([split, *cells, *["–"] * (len(shown) + 2 - len(cells))])
     shipped = {folder.parent.name for folder in shipped_policies()}
+    label = SetLabel(**scores.results["scenario_set"])
     return TEMPLATES.get_template("card_scores.md.j2").render(
         scores=scores,
+        label=label,
         losses=losses(scores.method, pairs),
         table=markdown_table(["split", *map(heading, shown), "best classical", "difference in cost"], table),
-        note=scores.label.note_with([] if scores.method in shipped else [scores.method]),
-        home=next(iter(rows)),
-        row=next(iter(rows.values())),
+        note=label.note_with([] if scores.method in shipped else [scores.method]),
+        home=home,
+        row=first,
         provenance=scores.results["provenance"],
         commit=commit(),
     )
 
 
-def _cell(row: Mapping[str, Any], name: str) -> str:
+def _cell(name: str, row: Mapping[str, Any]) -> str:
     """Estimate of a metric with its interval; a dash where no arm arrives."""
     return cell(name, SimpleNamespace(**row["metrics"][name])) if name in row["metrics"] else "–"
 
@@ -215,19 +207,16 @@ def losses(method: str, pairs: Mapping[str, Mapping[str, Any]]) -> str:
         method: Name of the method.
         pairs: By split its pairwise test against that controller.
     """
-    verdicts = {
-        name: {split: row["metrics"].get(name, {}).get("verdict", _FEW) for split, row in pairs.items()}
-        for name in PAIRED_METRICS
-    }
 
-    def splits(name: str, *wanted: str) -> str:
-        chosen = [split for split, verdict in verdicts[name].items() if verdict in wanted]
+    def splits(name: str, verdict: str) -> str:
+        """Splits with a verdict on a metric."""
+        chosen = [split for split, row in pairs.items() if row["metrics"].get(name, {}).get("verdict", _FEW) == verdict]
         return f"all {len(pairs)} splits" if len(chosen) == len(pairs) else ", ".join(f"`{each}`" for each in chosen)
 
     def places(verdict: str) -> str:
-        return "; ".join(
-            f"in {METRICS[name].title} on {on}" for name in PAIRED_METRICS if (on := splits(name, verdict))
-        )
+        """Metrics with a verdict, each with its splits."""
+        on = {METRICS[name].title: splits(name, verdict) for name in PAIRED_METRICS}
+        return "; ".join(f"in {title} on {where}" for title, where in on.items() if where)
 
     if not pairs:
         return "That is not known: no classical controller took part in its comparison."

@@ -1,1 +1,1 @@
-"""Measurements of speed and accuracy, each beside a peer in the same run."""
+"""Measurements of speed, each beside a peer in the same run."""

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
 from eval.report.text import markdown_table
 from eval.speed import sizes, stepping
-from eval.speed.timing import Row
 from eval.studies._frame import Pictures, StudyOptions
 
 Part = Literal["steps", "rollouts", "start", "training", "sizes"]
@@ -51,7 +50,7 @@ class Options(StudyOptions):
 def measure(options: Options) -> dict[str, Any]:
     """Measure the chosen parts."""
     arms, steps, repetitions, parts = options.arms, options.steps, options.repetitions, options.parts
-    rows: list[Row] = []
+    rows = []
     data: dict[str, Any] = {"repetitions": repetitions, "sizes": {}, "rates": {}}
     if "steps" in parts:
         rows += stepping.batch_rows(arms, steps, repetitions)
@@ -86,11 +85,12 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    ratios = [f"{ratio:.2f}" for ratio in row["ratios"]]
-    peer = f"{row['peer']}: {_quantity(row['of_peer'], row['unit'])}" if row["peer"] else "–"
-    ratio = f"{ratios[len(ratios) // 2]}x" if ratios else "–"
+    measured, ratios = _quantity(row["measured"], row["unit"]), [f"{ratio:.2f}" for ratio in row["ratios"]]
+    if not ratios:
+        return row["what"], measured, "–", "–", "–"
+    peer = f"{row['peer']}: {_quantity(row['of_peer'], row['unit'])}"
     half = f"{ratios[0]} to {ratios[2]}" if len(ratios) == 3 else "–"
-    return row["what"], _quantity(row["measured"], row["unit"]), peer, ratio, half
+    return row["what"], measured, peer, f"{ratios[len(ratios) // 2]}x", half
 
 
 def _quantity(value: float, unit: str) -> str:

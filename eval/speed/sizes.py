@@ -9,15 +9,14 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from baselines.tools.progress import progress_count
+from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from eval.speed.stepping import batch_steps
 from eval.speed.timing import times_in_turns
@@ -26,35 +25,24 @@ SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 100_000)
 """Arms or carts of a batch."""
 Stepper = Callable[[int, int], Callable[[], object]]
 """Makes a batch of so many arms, and returns a function that takes so many steps of all."""
-_ACTIONS = 16
 _TIME = 0.1  # of a repetition [s], about
 _FEWEST, _MOST = 10, 2000  # steps of it
 
 
 def rates(sizes: Sequence[int], repetitions: int) -> dict[str, Floats]:
-    """Quartiles of the steps per second of all that is installed, each of shape (sizes, 3)."""
+    """Quartiles of the steps per second of all that is installed, each of shape (sizes, 3); on one core if possible."""
     steppers = {name: step for name, (package, step) in STEPPERS.items() if importlib.util.find_spec(package)}
-    measured = []
-    with _one_core(), progress_count("sizes", Console()) as show:
-        for k, size in enumerate(sizes):
-            show(k, len(sizes))
-            measured.append(_rates(list(steppers.values()), size, repetitions))
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else ()
+    try:
+        if cores:
+            os.sched_setaffinity(0, {max(cores)})
+        shown = progress_over("sizes", sizes, Console())
+        measured = [_rates(list(steppers.values()), size, repetitions) for size in shown]
+    finally:
+        if cores:
+            os.sched_setaffinity(0, cores)
     quartiles = np.quantile(measured, [0.25, 0.5, 0.75], axis=1)  # of (sizes, repetitions, steppers)
     return {name: quartiles[:, :, k].T for k, name in enumerate(steppers)}
-
-
-@contextmanager
-def _one_core() -> Iterator[None]:
-    """Keep this process, and threads that it begins, on one core, where the system can."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(before)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
 
 
 def _rates(steppers: Sequence[Stepper], size: int, repetitions: int) -> Floats:
@@ -67,30 +55,30 @@ def _rates(steppers: Sequence[Stepper], size: int, repetitions: int) -> Floats:
     return size * np.array(counts) / times_in_turns(runs, repetitions)
 
 
+def _pushes(carts: int, steps: int) -> list[Any]:
+    """Random actions of carts for each step."""
+    actions = np.random.default_rng(0).integers(0, 2, size=(16, carts), dtype=np.int32)
+    return [actions[step % len(actions)] for step in range(steps)]
+
+
 def _envpool(carts: int, steps: int) -> Callable[[], object]:
     """Step EnvPool's CartPole, in C++, with one thread."""
     envpool = importlib.import_module("envpool")
     env = envpool.make("CartPole-v1", env_type="gymnasium", num_envs=carts, num_threads=1, seed=0)
     env.reset()
-    actions = np.random.default_rng(0).integers(0, 2, size=(_ACTIONS, carts), dtype=np.int32)
-
-    def run() -> None:
-        for step in range(steps):
-            env.step(actions[step % _ACTIONS])
-
-    return run
+    pushes = _pushes(carts, steps)
+    return lambda: [env.step(push) for push in pushes]
 
 
 def _gymnax_steps(carts: int, steps: int) -> Callable[[], object]:
     """Step gymnax's CartPole, one compiled call a step."""
     jax, step, beginning = _gymnax(carts)
-    actions = np.random.default_rng(0).integers(0, 2, size=(_ACTIONS, carts), dtype=np.int32)
-    split = jax.jit(lambda key: jax.random.split(key, carts))
+    pushes, split = _pushes(carts, steps), jax.jit(lambda key: jax.random.split(key, carts))
 
     def run() -> None:
         states = beginning
-        for k in range(steps):
-            result = step(split(jax.random.key(k)), states, actions[k % _ACTIONS])
+        for k, push in enumerate(pushes):
+            result = step(split(jax.random.key(k)), states, push)
             states = result[1]
             np.asarray(result[0])  # what an agent needs
 
@@ -116,8 +104,7 @@ def _gymnax(carts: int) -> tuple[Any, Any, Any]:
     env, params = gymnax.make("CartPole-v1")
     keys = jax.random.split(jax.random.key(0), carts)
     _, beginning = jax.vmap(env.reset, in_axes=(0, None))(keys, params)
-    step = jax.jit(jax.vmap(lambda key, state, action: env.step(key, state, action, params)))
-    return jax, step, beginning
+    return jax, jax.jit(jax.vmap(lambda key, state, action: env.step(key, state, action, params))), beginning
 
 
 STEPPERS: dict[str, tuple[str, Stepper]] = {

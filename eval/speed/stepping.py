@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
+from unittest.mock import patch
 
 import gymnasium as gym
 from joblib import cpu_count
@@ -22,6 +22,8 @@ from beltarm_env.task.ranges import Randomization
 from beltarm_env.threads.blocks import usual_threads
 from eval.speed.timing import Row, numbers, speed, times_in_turns
 
+_PEER = "CartPole-v1"
+_DRIVE = ", all effects of the drive"
 _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
 _ROLLED_OUT = 1024  # arms
 _MOST_STARTS = 3
@@ -41,32 +43,20 @@ _EMPTY_FUNCTION = """
 import time
 began = time.perf_counter()
 import numba
-
-@numba.njit
-def nothing(x):
-    return x
-
-nothing(1.0)
+numba.njit(lambda x: x)(1.0)
 print(time.perf_counter() - began)
 """
 _MEMORY = """
-import sys, gymnasium, beltarm_env
-
-def most():
-    with open("/proc/self/status") as status:
-        return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1000
-
-def stepped(arms):
+import pathlib, re, sys, gymnasium, beltarm_env
+most = []
+for arms in (100, int(sys.argv[2])):
     env = gymnasium.make_vec(sys.argv[1], num_envs=arms, vectorization_mode="vector_entry_point")
     env.action_space.seed(0)
     env.reset(seed=0)
     for _ in range(3):
         env.step(env.action_space.sample())
-
-stepped(100)
-before = most()
-stepped(int(sys.argv[2]))
-print(most() - before)
+    most.append(int(re.search(r"VmHWM:\\s*(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]) / 1000)
+print(most[1] - most[0])
 """
 
 
@@ -81,19 +71,18 @@ def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
     stepped = {
         "vector step": make(randomization="ideal"),
         f"vector step, {cores} threads": make(randomization="ideal", num_threads=cores),
-        "vector step, all effects of the drive": make(randomization="train"),
+        f"vector step{_DRIVE}": make(randomization="train"),
         "vector step of the full arm": make(randomization="ideal", model="lagrangian"),
     }
     episodes = {
         "episodes of the paper's controller": _episodes(arms, "ideal"),
-        "episodes of the paper's controller, all effects of the drive": _episodes(arms, "train"),
+        f"episodes of the paper's controller{_DRIVE}": _episodes(arms, "train"),
     }
-    cart, rows = batch_steps("CartPole-v1", arms, steps), []
+    cart, rows = batch_steps(_PEER, arms, steps), []
     for runs, each, count in ((stepped, steps, repetitions), (episodes, EPISODE_STEPS, max(repetitions // 5, 1))):
         *times, carts = times_in_turns([*runs.values(), cart], count).T
         for name, times_of_run in zip(runs, times, strict=True):
-            what = f"{name}, N = {arms}"
-            rows.append(speed(what, arms * each, times_of_run, "CartPole-v1", arms * steps, carts))
+            rows.append(speed(f"{name}, N = {arms}", arms * each, times_of_run, _PEER, arms * steps, carts))
     return rows
 
 
@@ -102,16 +91,26 @@ def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomiz
     cores = cpu_count()
     make = partial(batch_steps, "BeltArm-v0", arms, steps, randomization=randomization)
     alone, together = times_in_turns([make(num_threads=1), make(num_threads=cores)], repetitions).T
-    drives = "" if randomization == "ideal" else ", all effects of the drive"
-    what = f"vector step{drives}, {cores} threads, N = {arms}"
+    what = f"vector step{'' if randomization == 'ideal' else _DRIVE}, {cores} threads, N = {arms}"
     return speed(what, arms * steps, together, "1 thread", arms * steps, alone)
 
 
 def single_row(steps: int, repetitions: int) -> Row:
-    """Speed of a single environment through `make`."""
+    """Speed of a single environment through `make`; episodes are restarted as they end."""
     count = _PER_SINGLE_ARM * steps
-    arm, cart = times_in_turns([_single_steps(name, count) for name in ("BeltArm-v0", "CartPole-v1")], repetitions).T
-    return speed("single step through make", count, arm, "CartPole-v1", count, cart)
+
+    def run(env: gym.Env, actions: list[Any]) -> None:
+        for step in range(count):
+            _, _, terminated, truncated, _ = env.step(actions[step % len(actions)])
+            if terminated or truncated:
+                env.reset()
+
+    runs = []
+    for name in ("BeltArm-v0", _PEER):
+        env = gym.make(name)
+        runs.append(partial(run, env, _actions(env)))
+    arm, cart = times_in_turns(runs, repetitions).T
+    return speed("single step through make", count, arm, _PEER, count, cart)
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
@@ -120,11 +119,7 @@ def rollout_rows(repetitions: int) -> list[Row]:
     controllers = {"adaptive": AdaptiveController(), "student, seed 0": student, "paper": PaperController()}
     settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
     runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in controllers.values()]
-
-    def in_one_thread() -> None:
-        with _one_thread():
-            runs[0]()
-
+    in_one_thread = patch.dict(os.environ, OMP_NUM_THREADS="1")(lambda: runs[0]())
     *times, paper, alone = times_in_turns([*runs, in_one_thread], max(repetitions // 5, 1)).T
     steps, end = _ROLLED_OUT * EPISODE_STEPS, f", N = {_ROLLED_OUT}"
     rows = [
@@ -135,31 +130,23 @@ def rollout_rows(repetitions: int) -> list[Row]:
     return [*rows, speed(what, steps, times[0], "1 thread", steps, alone)]
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let controllers use one thread."""
-    before = os.environ.get("OMP_NUM_THREADS")
-    os.environ["OMP_NUM_THREADS"] = "1"
-    try:
-        yield
-    finally:
-        os.environ.pop("OMP_NUM_THREADS")
-        if before is not None:
-            os.environ["OMP_NUM_THREADS"] = before
-
-
 def batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
     """Steps of a vector environment under random actions."""
     env = gym.make_vec(name, num_envs=arms, vectorization_mode="vector_entry_point", **settings)
+    actions = _actions(env)
+    return partial(_step, env, [actions[step % len(actions)] for step in range(steps)])
+
+
+def _step(env: Any, actions: Iterable[Any]) -> None:
+    for action in actions:
+        env.step(action)
+
+
+def _actions(env: Any) -> list[Any]:
+    """Reset an environment, and draw 16 actions."""
     env.action_space.seed(0)
     env.reset(seed=0)
-    actions = [env.action_space.sample() for _ in range(16)]
-
-    def run() -> None:
-        for step in range(steps):
-            env.step(actions[step % 16])
-
-    return run
+    return [env.action_space.sample() for _ in range(16)]
 
 
 def _episodes(arms: int, randomization: Randomization) -> Callable[[], None]:
@@ -174,24 +161,7 @@ def _episodes(arms: int, randomization: Randomization) -> Callable[[], None]:
 
     def run() -> None:
         env.reset(seed=0)
-        for torque in torques:
-            env.step(torque)
-
-    return run
-
-
-def _single_steps(name: str, steps: int) -> Callable[[], None]:
-    """Steps of one environment under random actions, episodes restarted as they end."""
-    env = gym.make(name)
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    actions = [env.action_space.sample() for _ in range(16)]
-
-    def run() -> None:
-        for step in range(steps):
-            _, _, terminated, truncated, _ = env.step(actions[step % 16])
-            if terminated or truncated:
-                env.reset()
+        _step(env, torques)
 
     return run
 
@@ -215,5 +185,5 @@ def memory_rows() -> list[Row]:
     """Most memory that a batch of arms ever has, made, reset and stepped, beside as many CartPoles; on Linux."""
     if sys.platform != "linux":
         return []
-    arms, carts = (max(numbers(_MEMORY, name, str(_MANY))) for name in ("BeltArm-v0", "CartPole-v1"))
-    return [Row(f"memory of a batch, N = {_MANY}", arms, "MB", "CartPole-v1", carts, (carts / arms,))]
+    arms, carts = (max(numbers(_MEMORY, name, str(_MANY))) for name in ("BeltArm-v0", _PEER))
+    return [Row(f"memory of a batch, N = {_MANY}", arms, "MB", _PEER, carts, (carts / arms,))]

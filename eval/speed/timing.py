@@ -39,30 +39,15 @@ def times_in_turns(runs: Sequence[Callable[[], object]], repetitions: int) -> Fl
     return times[1:]  # the first warms up
 
 
-def ratios(times: Floats, peer: Floats) -> tuple[float, ...]:
-    """How many times as fast as a peer: quartiles and median over repetitions.
-
-    Args:
-        times: Of each repetition, shape (repetitions,).
-        peer: Of the peer in it.
-    """
-    return tuple(float(ratio) for ratio in np.quantile(peer / times, [0.25, 0.5, 0.75]))
-
-
 def speed(what: str, steps: int, times: Floats, peer: str, steps_of_peer: int, times_of_peer: Floats) -> Row:
     """Row of a speed, from the times that so many steps took in each repetition [s]."""
-    rate, of_peer = steps / times, steps_of_peer / times_of_peer
-    medians = float(np.median(rate)), float(np.median(of_peer))
-    return Row(what, medians[0], "steps/s", peer, medians[1], ratios(times / steps, times_of_peer / steps_of_peer))
+    rates, of_peer = steps / times, steps_of_peer / times_of_peer
+    ratios = np.quantile(rates / of_peer, [0.25, 0.5, 0.75]).tolist()
+    return Row(what, float(np.median(rates)), "steps/s", peer, float(np.median(of_peer)), tuple(ratios))
 
 
 def numbers(code: str, *words: str, **environment: str) -> list[float]:
     """Numbers that a Python process of its own prints."""
-    result = subprocess.run(
-        [sys.executable, "-c", code, *words],
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return [float(word) for word in result.stdout.split()]
+    known = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    command = [sys.executable, "-c", code, *words]
+    return [float(word) for word in subprocess.check_output(command, env=known, text=True).split()]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import gymnasium as gym
 import torch
@@ -23,35 +23,20 @@ _MOST_REPETITIONS = 3
 
 
 def loop_row(repetitions: int, config: PpoConfig | None = None) -> Row:
-    """Speed of the loop on the batch, beside the same on single arms in a `DummyVecEnv`."""
+    """Speed of the loop on the batch, beside the same on single arms, with as many samples per update."""
     config = config or PpoConfig(threads=default_jobs())  # a thread for each core, as PyTorch has by default
-    runs = [_on_batch(config), _on_single_arms(config)]
-    times = times_in_turns(runs, min(repetitions, _MOST_REPETITIONS)).T
-    steps = config.arms * config.rollout_steps * config.hold
-    peer = f"PPO on {_SINGLE_ARMS} single arms in a DummyVecEnv"
-    return speed(f"PPO, rollout and update, {config.arms} arms", steps, times[0], peer, steps, times[1])
-
-
-def _on_batch(config: PpoConfig) -> Callable[[], object]:
-    env = make_env(config)
-    env.seed(training_arms(config.seed).first)
-    return _iteration(make_model(config, env), config)
-
-
-def _on_single_arms(config: PpoConfig) -> Callable[[], object]:
-    """One iteration with as many samples per update."""
-    count = min(_SINGLE_ARMS, config.arms)
-
-    def make() -> ResidualEnv:
-        arm = gym.make("BeltArm-v0", sensors=config.sensors, randomization="train")
-        return ResidualEnv(arm, make_base(config.base), config.residual)
-
-    env = DummyVecEnv([make] * count)
-    env.seed(training_arms(config.seed).first)
-    longer = replace(config, rollout_steps=config.arms * config.rollout_steps // count)
-    return _iteration(PPO("MlpPolicy", env, **longer.arguments()), config)
-
-
-def _iteration(model: PPO, config: PpoConfig) -> Callable[[], object]:
+    count, samples = min(_SINGLE_ARMS, config.arms), config.arms * config.rollout_steps
+    batch, single_arms = make_env(config), DummyVecEnv([partial(_single_arm, config)] * count)
+    for env in (batch, single_arms):
+        env.seed(training_arms(config.seed).first)
+    beside = PPO("MlpPolicy", single_arms, **replace(config, rollout_steps=samples // count).arguments())
     torch.set_num_threads(config.threads)
-    return lambda: model.learn(config.arms * config.rollout_steps, reset_num_timesteps=False)
+    runs = [partial(each.learn, samples, reset_num_timesteps=False) for each in (make_model(config, batch), beside)]
+    times, of_peer = times_in_turns(runs, min(repetitions, _MOST_REPETITIONS)).T
+    steps, peer = samples * config.hold, f"PPO on {_SINGLE_ARMS} single arms in a DummyVecEnv"
+    return speed(f"PPO, rollout and update, {config.arms} arms", steps, times, peer, steps, of_peer)
+
+
+def _single_arm(config: PpoConfig) -> ResidualEnv:
+    arm = gym.make("BeltArm-v0", sensors=config.sensors, randomization="train")
+    return ResidualEnv(arm, make_base(config.base), config.residual)

@@ -10,7 +10,7 @@ from agents.learners.ppo import PpoConfig
 from eval import bench
 from eval.speed import bench as study
 from eval.speed import sizes
-from eval.speed.timing import ratios, speed, times_in_turns
+from eval.speed.timing import speed, times_in_turns
 from eval.speed.training_loop import loop_row
 from eval.studies import _frame
 
@@ -23,7 +23,6 @@ def test_runs_take_turns_and_the_first_turn_does_not_count():
 
 
 def test_ratios_are_of_each_repetition():
-    assert ratios(np.array([1.0, 2.0, 4.0]), np.array([2.0, 4.0, 8.0])) == (2.0, 2.0, 2.0)
     row = speed("it", 10, np.array([2.0, 2.0, 2.0]), "peer", 10, np.array([1.0, 2.0, 3.0]))
     assert (row.measured, row.of_peer, row.ratios) == (5.0, 5.0, (0.75, 1.0, 1.25))
 

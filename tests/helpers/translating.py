@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from eval.exports.compilers import Toolchain, native
+from eval.exports.compilers import SANITISED, Toolchain, native
 from eval.exports.source import TEMPLATES
 from eval.translation.arrays import contiguous
 from eval.translation.function import Function
@@ -23,6 +24,8 @@ Kernel = Callable[..., Any]
 Calls = list[tuple[Any, ...]]
 CTYPES = {REAL: ctypes.c_double, SINGLE: ctypes.c_float, INT: ctypes.c_int64, BOOL: ctypes.c_bool}
 INTEGERS = np.int64  # arrays of whole numbers, as the program has them
+SANITISE = "BELTARM_TEST_SANITISED"
+"""Variable of the environment that asks for kernels with sanitizers."""
 
 
 def compiler() -> Toolchain:
@@ -100,13 +103,11 @@ class Translated:
     Args:
         folder: To build in.
         kernels: By name, with arguments as they are called with.
-        flags: Further ones for the compiler.
     """
 
-    def __init__(
-        self, folder: Path, kernels: dict[str, tuple[Kernel, tuple[Any, ...]]], flags: tuple[str, ...] = ()
-    ) -> None:
+    def __init__(self, folder: Path, kernels: dict[str, tuple[Kernel, tuple[Any, ...]]]) -> None:
         toolchain, program = compiler(), Program()
+        flags = SANITISED if SANITISE in os.environ else ()
         functions = [translate(kernel, given, program, name) for name, (kernel, given) in kernels.items()]
         for header in ("real.h", "arithmetic.h"):
             (folder / header).write_text(TEMPLATES.get_template(f"{header}.j2").render())
@@ -170,26 +171,25 @@ class Cases(dict[str, tuple[Kernel, Kernel, Calls]]):
         """
 
         def add(kernel: Kernel) -> Kernel:
-            self[kernel.__name__] = kernel, numba.njit(error_model="numpy")(kernel) if of_numba else kernel, list(calls)
+            self.add(kernel, list(calls), numba.njit(error_model="numpy")(kernel) if of_numba else kernel)
             return kernel
 
         return add
 
-    def library(self, folder: Path, flags: tuple[str, ...] = (), more: Mapping[str, Any] | None = None) -> Translated:
-        """Translate all cases, and more kernels, for arguments as those of their first call."""
-        kernels = {name: (kernel, calls[0]) for name, (kernel, _, calls) in self.items()}
-        return Translated(folder, {**kernels, **(more or {})}, flags)
+    def add(self, kernel: Kernel, calls: Calls, reference: Kernel | None = None) -> None:
+        """Make a kernel a case, as `case` does."""
+        self[kernel.__name__] = kernel, reference or kernel, calls
+
+    def library(self, folder: Path) -> Translated:
+        """Translate all cases for arguments as those of their first call."""
+        return Translated(folder, {name: (kernel, calls[0]) for name, (kernel, _, calls) in self.items()})
 
     def check(self, library: Translated, name: str, folder: Path) -> None:
         """Assert that a kernel does in C what it does in Python; for other shapes of arrays it is translated anew."""
         kernel, reference, calls = self[name]
         for k, arguments in enumerate(calls):
             own = library
-            if _shapes(arguments) != _shapes(calls[0]):
+            if [np.shape(each) for each in leaves(arguments)] != [np.shape(each) for each in leaves(calls[0])]:
                 (folder / str(k)).mkdir()
                 own = Translated(folder / str(k), {name: (kernel, arguments)})
             assert_same(own, name, reference, arguments)
-
-
-def _shapes(arguments: tuple[Any, ...]) -> list[Any]:
-    return [getattr(argument, "shape", None) for argument in arguments]

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import pickle
+import re
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -65,15 +66,15 @@ def damaged_content(rng: Random, content: Any) -> Any:
 
 def _places(content: Any) -> list[tuple[Any, Any]]:
     """Containers and keys of all that is in JSON content."""
-    found, waiting = [], [content]
+    places, waiting = [], [content]
     while waiting:
         inside = waiting.pop()
         keys = list(inside) if isinstance(inside, dict) else range(len(inside)) if isinstance(inside, list) else ()
         for key in keys[:50]:
-            found.append((inside, key))
+            places.append((inside, key))
             if isinstance(inside[key], dict | list):
                 waiting.append(inside[key])
-    return found
+    return places
 
 
 def _change(rng: Random, content: Any, inside: Any, key: Any, places: list[tuple[Any, Any]]) -> None:
@@ -154,8 +155,8 @@ def damaged_weights(rng: Random, data: bytes, folder: Path) -> bytes:
     header = json.dumps(damaged_content(rng, json.loads(data[8 : 8 + size]))).encode()
     if rng.random() < 0.2:
         header = damaged_text(rng, header, folder)
-    told = rng.choice(_SIZES) if rng.random() < 0.1 else len(header)
-    return told.to_bytes(8, "little") + header + data[8 + size :]
+    length = rng.choice(_SIZES) if rng.random() < 0.1 else len(header)
+    return length.to_bytes(8, "little") + header + data[8 + size :]
 
 
 def damaged_archive(
@@ -201,10 +202,7 @@ def damaged_array(rng: Random, data: bytes, folder: Path) -> bytes:
             array = np.where(np.arange(array.size).reshape(array.shape) == 0, rng.choice((math.nan, math.inf)), array)
         case 4:
             shape = rng.choice(("(10,)", "(-1,)", "(1000000000000,)", "(2**40,)", "(1, 4, 'a')", "[" * 500, "((1,),)"))
-            start = data.index(b"'shape': ") + 9
-            end = data.index(b"), }", start) + 1
-            head = data[10:start] + shape.encode() + data[end : data.index(b"\n")] + b"\n"
-            return data[:8] + len(head).to_bytes(2, "little") + head + data[data.index(b"\n") + 1 :]
+            return re.sub(rb"'shape': \([^)]*\)", f"'shape': {shape}".encode(), data)  # in a header of another length
         case _:
             return damaged_bytes(rng, data, folder)
     buffer = io.BytesIO()

@@ -11,13 +11,14 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-_SOME = 600  # samples after which trouble begins
+_TROUBLE = 600  # the sample at which it begins
 
 
 class Sound:
@@ -30,130 +31,103 @@ class Sound:
         """Return zeros, shape (n, 1), until it is time."""
         self._samples += 1
         torque = np.zeros((len(observation), 1), np.float32)
-        return (torque if self._samples != _SOME else self.misbehave(torque, observation)), None
+        return (torque if self._samples != _TROUBLE else self.misbehave(torque, observation)), None
 
     def misbehave(self, torque: Any, observation: Any) -> Any:
         """Return something else, or do it."""
         return torque
 
 
-class Aborts(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        os.abort()
+def hangs_in_c(torque: Any, observation: Any) -> Any:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
+    ctypes.CDLL(None).pause()
 
 
-class HangsInC(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
-        ctypes.CDLL(None).pause()
+def forks(torque: Any, observation: Any) -> Any:
+    for _ in range(20):
+        if os.fork() == 0:
+            time.sleep(1e6)
+    os._exit(3)
 
 
-class Forks(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        for _ in range(20):
-            if os.fork() == 0:
-                time.sleep(1e6)
-        os._exit(3)
+def leaks(torque: Any, observation: Any) -> Any:
+    """Take more and more memory, within a limit that spares the machine."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 29), resource.RLIM_INFINITY))
+    leak = []
+    while True:
+        leak.append(bytearray(1 << 16))
 
 
-class Leaks(Sound):
-    """Takes more and more memory, within a limit of its own that spares the machine."""
-
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 29), resource.RLIM_INFINITY))
-        leak = []
-        while True:
-            leak.append(bytearray(1 << 16))
+def interrupts(torque: Any, observation: Any) -> Any:
+    raise KeyboardInterrupt
 
 
-class NotNumbers(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return torque * np.nan
+def recurses(torque: Any, observation: Any) -> Any:
+    return recurses(torque, observation)
 
 
-class WrongShape(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return torque[:, 0]
+def interferes(torque: Any, observation: Any) -> Any:
+    for handle in range(3, 100):
+        with suppress(OSError):
+            os.write(handle, bytes(7) + b"\x40begun")
+    time.sleep(1e6)
 
 
-class Nothing(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return None
+def unpicklable(torque: Any, observation: Any) -> Any:
+    raise ValueError(threading.Lock())
 
 
-class Interrupts(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        raise KeyboardInterrupt
+def mutates(torque: Any, observation: Any) -> Any:
+    observation[:] = 7.0
+    return torque
 
 
-class Recurses(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        return self.misbehave(torque, observation)
+def cheats(torque: Any, observation: Any) -> Any:
+    """Change the metrics of the process that it is in."""
+    for name, module in list(sys.modules.items()):
+        if name.endswith("metrics"):
+            vars(module).update(dict.fromkeys([key for key in vars(module) if key.islower()], None))
+    return torque
 
 
-class ClosesFiles(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        os.closerange(0, 100)
+def seeds(torque: Any, observation: Any) -> Any:
+    np.random.seed(0)  # noqa: NPY002
+    random.seed(0)
+    return torque
 
 
-class Interferes(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        for handle in range(3, 100):
-            with suppress(OSError):
-                os.write(handle, bytes(7) + b"\x40begun")
-        time.sleep(1e6)
+def wanders(torque: Any, observation: Any) -> Any:
+    os.chdir("/")
+    sys.path.clear()
+    os.environ.clear()
+    return torque
 
 
-class Unpicklable(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        raise ValueError(threading.Lock())
+def chatters(torque: Any, observation: Any) -> Any:
+    print("x" * 10_000_000)
+    print("x" * 10_000_000, file=sys.stderr)
+    return torque
 
 
-class Network(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        socket.create_connection(("192.0.2.1", 9), timeout=0.2)  # an address of nobody
-
-
-class Mutates(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        observation[:] = 7.0
-        return torque
-
-
-class Seeds(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        np.random.seed(0)  # noqa: NPY002
-        random.seed(0)
-        return torque
-
-
-class Wanders(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        os.chdir("/")
-        sys.path.clear()
-        os.environ.clear()
-        return torque
-
-
-class Cheats(Sound):
-    """Changes the metrics of the process that it is in."""
-
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        for name, module in list(sys.modules.items()):
-            if name.endswith("metrics"):
-                vars(module).update(dict.fromkeys([key for key in vars(module) if key.islower()], None))
-        return torque
-
-
-class Chatters(Sound):
-    def misbehave(self, torque: Any, observation: Any) -> Any:
-        print("x" * 10_000_000)
-        print("x" * 10_000_000, file=sys.stderr)
-        Path(os.devnull).write_text("x")
-        return torque
-
-
-HARMLESS = ("Seeds", "Wanders", "Chatters")
+HARMLESS: dict[str, Callable[[Any, Any], Any]] = {"Seeds": seeds, "Wanders": wanders, "Chatters": chatters}
 """Kinds that no one notices: their rows are those of the sound controller."""
-KINDS = tuple(sorted(kind.__name__ for kind in Sound.__subclasses__()))
+FAILING: dict[str, Callable[[Any, Any], Any]] = {
+    "Aborts": lambda torque, observation: os.abort(),
+    "HangsInC": hangs_in_c,
+    "Forks": forks,
+    "Leaks": leaks,
+    "NotNumbers": lambda torque, observation: torque * np.nan,
+    "WrongShape": lambda torque, observation: torque[:, 0],
+    "Nothing": lambda torque, observation: None,
+    "Interrupts": interrupts,
+    "Recurses": recurses,
+    "ClosesFiles": lambda torque, observation: os.closerange(0, 100),
+    "Interferes": interferes,
+    "Unpicklable": unpicklable,
+    "Network": lambda torque, observation: socket.create_connection(("192.0.2.1", 9), timeout=0.2),  # nobody's address
+    "Mutates": mutates,
+    "Cheats": cheats,
+}
+for _name, _function in (HARMLESS | FAILING).items():
+    globals()[_name] = type(_name, (Sound,), {"misbehave": staticmethod(_function)})

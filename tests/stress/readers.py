@@ -175,7 +175,7 @@ def _scenarios(folder: Path) -> Reader:
 
 def _results(folder: Path) -> Reader:
     content, path = json.loads(_RESULTS.read_text()), folder / "results.json"
-    for part in ("rows", "paired", "profiles", "primary"):
+    for part in ("rows", "paired", "primary"):
         content[part] = content[part][:2]
     return _of_json(partial(read_results, path), path, content)
 

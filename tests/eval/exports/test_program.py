@@ -20,7 +20,7 @@ from baselines.guard.guard import LEVEL
 from eval import export
 from eval.comparison.sets import development_set
 from eval.exports import folder as export_folder
-from eval.exports.compilers import FLAGS, PROCESSORS, SANITISED, Toolchain, footprint, native, processor
+from eval.exports.compilers import FLAGS, PROCESSORS, SANITISED, Toolchain, footprint, native
 from eval.exports.folder import FORMAT, MANIFEST
 from eval.exports.program import exportable, loop_of, write_program
 
@@ -71,22 +71,18 @@ def test_the_program_of_another_compiler(exports: Any, name: str, source: str):
     exports.of(source).assert_equal("randomized", Toolchain((path,)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "split", "flags"),
     [
-        ("adaptive", "payload", ("-O0",)),
-        ("adaptive", "payload", ("-O3", "-Wshadow=local")),
-        (STUDENT, "drive", (*SANITISED, "-O1")),
+        ("ei", "drive", (*SANITISED, "-O1")),
+        pytest.param("adaptive", "payload", ("-O0",), marks=pytest.mark.slow),
+        pytest.param("adaptive", "payload", ("-O3", "-Wshadow=local"), marks=pytest.mark.slow),
+        pytest.param(STUDENT, "drive", (*SANITISED, "-O1"), marks=pytest.mark.slow),
     ],
 )
 def test_the_program_with_other_flags(exports: Any, source: str, split: str, flags: tuple[str, ...]):
     """With sanitizers it stops where it reads or writes beyond an array, or overflows."""
     exports.of(source).assert_equal(split, flags=flags)
-
-
-def test_a_simple_program_stays_within_its_memory(exports: Any):
-    exports.of("ei").assert_equal("drive", flags=(*SANITISED, "-O1"))
 
 
 @pytest.mark.parametrize("machine", EMULATED)
@@ -98,15 +94,6 @@ def test_the_program_on_another_machine(exports: Any, machine: str):
     if runner is None or compiler is None:
         pytest.skip(f"no compiler and emulator for {machine}")
     exports.of("ei").assert_equal("randomized", Toolchain((*compiler, "-static"), (runner,)))
-
-
-@pytest.mark.parametrize("core", PROCESSORS)
-def test_footprint(exports: Any, core: str):
-    if processor(core) is None:
-        pytest.skip(f"no compiler for {core}")
-    taken = footprint(exports.of("ei").folder, "ei", core)
-    assert taken is not None
-    assert 1000 < taken.flash < 30_000 and 100 < taken.memory < 10_000 and 50 < taken.stack < 10_000
 
 
 @pytest.mark.parametrize("source", ["adaptive", STUDENT], ids=identity)
@@ -121,16 +108,20 @@ def test_the_program_calls_nothing_but_exact_functions(exports: Any, source: str
     assert not re.search(r"^static [a-z_0-9]+ \w+(\[\d+\])?;", made.text, re.MULTILINE)  # no memory but the struct
 
 
-def test_the_same_sources_every_time(exports: Any, tmp_path: Path):
-    write_program(tmp_path / "again", loop_of("adaptive"))
-    assert (tmp_path / "again" / "adaptive.c").read_text() == exports.of("adaptive").text
-
-
-def test_programs_that_spread_their_plans_differ(exports: Any, tmp_path: Path):
-    write_program(tmp_path / "spread", loop_of("adaptive", plan_samples=8))
-    assert (tmp_path / "spread" / "adaptive.c").read_text() != exports.of("adaptive").text
+def test_sources_are_the_same_every_time_and_others_where_plans_are_spread(exports: Any, tmp_path: Path):
+    for name, samples in (("again", 1), ("spread", 8)):
+        write_program(tmp_path / name, loop_of("adaptive", plan_samples=samples))
+        assert ((tmp_path / name / "adaptive.c").read_text() == exports.of("adaptive").text) == (samples == 1)
     with pytest.raises(ValueError, match="--plan-samples 8"):
         loop_of("preview", plan_samples=8)
+
+
+@pytest.mark.parametrize("core", PROCESSORS)
+def test_footprint(exports: Any, core: str):
+    taken = footprint(exports.of("ei").folder, "ei", core)
+    if taken is None:
+        pytest.skip(f"no compiler for {core}")
+    assert 1000 < taken.flash < 30_000 and 100 < taken.memory < 10_000 and 50 < taken.stack < 10_000
 
 
 # The page
@@ -162,13 +153,13 @@ def test_the_main_loop_on_the_page_compiles(exports: Any, tmp_path: Path):
 
 def refusal(*arguments: str, cwd: Path) -> str:
     """The line with which the command refuses to export C."""
-    line = mistake(export.main, ("c", *arguments), cwd)
-    assert line.startswith("eval/export.py: ")
-    return line
+    return mistake(export.main, ("c", *arguments), cwd)
 
 
-def write(*arguments: str, cwd: Path) -> None:
-    assert stopped(export.main, ("c", *arguments), cwd) == (0, "")
+def write(*arguments: str, cwd: Path) -> dict[str, Any]:
+    """Export C into the folder `made`; return the manifest."""
+    assert stopped(export.main, ("c", *arguments, "--out", "made"), cwd) == (0, "")
+    return json.loads((cwd / "made" / MANIFEST).read_text())
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -176,35 +167,30 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    write("ei", "--out", "made", "--episodes", "1", cwd=tmp_path)
+    """Writes a controller, a policy in its place, and another controller without a guard in that of the policy."""
+    manifest = write("ei", "--episodes", "1", cwd=tmp_path)
     assert re.search(r"(\d+) of \1 torques", capsys.readouterr().out)
     files = contents(tmp_path / "made")
-    assert {"ei.c", "ei.h", "in_the_loop.c", "README.md", MANIFEST} == set(files)
-    manifest = json.loads(files.pop(MANIFEST))
+    del files[MANIFEST]
+    assert set(files) == {"ei.c", "ei.h", "in_the_loop.c", "README.md"}
     assert manifest["format"] == FORMAT and manifest["name"] == "ei"
     assert manifest["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     assert b"ei_init" in files["README.md"] and b"-ffp-contract=off" in files["README.md"]
-    assert [path.name for path in tmp_path.iterdir()] == ["made"]  # no temporary folder
-
-
-def test_policy_by_its_folder_then_another_controller_in_its_place(tmp_path: Path):
-    write(PPO, "--out", "made", "--no-check", cwd=tmp_path)
-    title = json.loads((tmp_path / "made" / MANIFEST).read_text())["title"]
+    title = write(PPO, "--no-check", cwd=tmp_path)["title"]
     assert "content hash" in title and "guard" in title
-    write("paper", "--out", "made", "--no-check", "--no-guard", cwd=tmp_path)
-    assert "guard" not in json.loads((tmp_path / "made" / MANIFEST).read_text())["title"]
-    assert not (tmp_path / "made" / "ppo.c").exists()
+    assert "guard" not in write("paper", "--no-check", "--no-guard", cwd=tmp_path)["title"]
+    assert {path.name for path in (tmp_path / "made").glob("*.[ch]")} == {"paper.c", "paper.h", "in_the_loop.c"}
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
 def test_users_files_are_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "work").mkdir()
-    (tmp_path / "work" / "thesis.tex").write_text("mine")
-    (tmp_path / "file").write_text("mine")
+    for file in (tmp_path / "work" / "thesis.tex", tmp_path / "file"):
+        file.write_text("mine")
     for out in ("work", "file", "file/below"):
         assert out.split("/")[0] in refusal("ei", "--out", out, cwd=tmp_path)
     monkeypatch.setattr(export_folder.os, "access", lambda *_: False)
-    assert "cannot write to" in refusal("ei", "--out", "made", cwd=tmp_path)
+    assert str(tmp_path) in refusal("ei", "--out", str(tmp_path / "made"), cwd=tmp_path)
     assert (tmp_path / "work" / "thesis.tex").read_text() == (tmp_path / "file").read_text() == "mine"
     assert {path.name for path in tmp_path.iterdir()} == {"work", "file"}
 
@@ -213,7 +199,6 @@ def test_users_files_are_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
     ("arguments", "words"),
     [
         (("adaptiv",), ("'adaptiv'", "'adaptive'")),
-        (("Ei",), ("'Ei'", "'ei'")),
         (("warp",), ("'warp'",)),
         (("mpc",), ("'mpc'", *exportable())),
         (("ei", "--episodes", "0"), ("--episodes", "200")),
@@ -236,15 +221,12 @@ def test_exports_that_are_unknown(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert all(f"\n    {name}" in shown for name in export.MODULES)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("PATH", ""), ("CC", "no-such-compiler"), ("CC", "no-such-compiler -O2"), ("CC", "gcc '")]
-)
+@pytest.mark.parametrize(("name", "value"), [("PATH", ""), ("CC", "no-such-compiler -O2"), ("CC", "gcc '")])
 def test_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv(name, value)
-    line = refusal("ei", "--out", "made", cwd=tmp_path)
-    assert "C" in line and value in line and not list(tmp_path.iterdir())
-    write("ei", "--out", "made", "--no-check", cwd=tmp_path)
+    assert value in refusal("ei", "--out", "made", cwd=tmp_path) and not list(tmp_path.iterdir())
+    write("ei", "--no-check", cwd=tmp_path)
     assert (tmp_path / "made" / "ei.c").is_file()
 
 
@@ -252,28 +234,13 @@ def test_compilers_with_options_and_such_that_fail(compiler: Any, tmp_path: Path
     (tmp_path / "a compiler").symlink_to(compiler[0])
     monkeypatch.setenv("CC", f"'{tmp_path}/a compiler' -O1 -DNOTHING='1 2'")
     assert native().compiler == (f"{tmp_path}/a compiler", "-O1", "-DNOTHING=1 2")
-    write("ei", "--out", "made", "--name", "mine", "--episodes", "1", cwd=tmp_path)
+    write("ei", "--name", "mine", "--episodes", "1", cwd=tmp_path)
     monkeypatch.setenv("CC", "false")
     code, errors = stopped(export.main, ("c", "ei", "--out", "made", "--episodes", "1"), tmp_path)
     assert code == 2 and "false" in errors
 
 
-@pytest.mark.parametrize("damage", ["manifest", "weights", "no weights"])
-def test_damaged_policy(tmp_path: Path, damage: str):
-    shutil.copytree(PPO, tmp_path / "policy")
-    (weights,) = (tmp_path / "policy").glob("*.safetensors")
-    if damage == "manifest":
-        (tmp_path / "policy" / "policy.json").write_text("{")
-    elif damage == "weights":
-        weights.write_bytes(b"0" * 100)
-    else:
-        weights.unlink()
-    assert "policy" in refusal("policy", "--out", "made", cwd=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["policy"]
-
-
-@pytest.mark.parametrize("failure", ["interrupted write", "failed rename"])
-def test_a_failed_export_leaves_the_earlier_one(failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_failed_export_leaves_the_earlier_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = tmp_path / "made"
     write_program(folder, loop_of("paper", False))
     before, write_bytes, rename, written = contents(folder), Path.write_bytes, Path.rename, []
@@ -289,14 +256,12 @@ def test_a_failed_export_leaves_the_earlier_one(failure: str, tmp_path: Path, mo
             raise OSError("disk full")
         return rename(self, target)
 
-    if failure == "failed rename":
-        monkeypatch.setattr(Path, "rename", fails)
-    else:
-        monkeypatch.setattr(Path, "write_bytes", stops)
-    with pytest.raises((KeyboardInterrupt, OSError)):
-        write_program(folder, loop_of("rigid", False))
-    assert contents(folder) == before
-    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+    for function, replacement in (("rename", fails), ("write_bytes", stops)):
+        with monkeypatch.context() as patch, pytest.raises((KeyboardInterrupt, OSError)):
+            patch.setattr(Path, function, replacement)
+            write_program(folder, loop_of("rigid", False))
+        assert contents(folder) == before
+        assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
 def test_onnx(tmp_path: Path):
@@ -304,4 +269,5 @@ def test_onnx(tmp_path: Path):
     assert stopped(export.main, ("onnx", PPO, "--out", "made/policy.onnx"), tmp_path) == (0, "")
     assert onnx.load(tmp_path / "made" / "policy.onnx").graph.output[0].name == "residual"
     assert "--out" in mistake(export.main, ("onnx", PPO, "--out", "policy.txt"), tmp_path)
-    assert "nowhere" in mistake(export.main, ("onnx", "nowhere"), tmp_path)
+    for name in ("c", "onnx"):
+        assert "nowhere" in mistake(export.main, (name, "nowhere", "--out", "x.onnx"), tmp_path)

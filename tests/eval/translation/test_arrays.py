@@ -66,7 +66,7 @@ def parts(a: Any, k: int) -> float:
     return total + a.shape[0] * len(a)
 
 
-@case((row(8), 2, 3), (row(8), 0, 8), (row(8), 5, 1), (row(8), 3, 0))
+@case((row(8), 2, 3), (row(8), 0, 8), (row(8), 5, 1), (row(8), 3, 0), (row(8), 6, 5))
 def runtime_slices(a: Any, start: int, count: int) -> tuple[float, int]:
     part = a[start : start + count]
     part += 1.0
@@ -75,6 +75,7 @@ def runtime_slices(a: Any, start: int, count: int) -> tuple[float, int]:
     total = 0.0
     for k in range(len(rest)):
         total = 0.5 * total + rest[k]
+    a[start : start + count] = 7.0
     return total, len(part)
 
 
@@ -93,24 +94,15 @@ def one_function_of_many_shapes(a: Any, n: int) -> tuple[float, ...]:
     return mean(a), mean(few), mean(a[:n]), mean(a[2:7]), mean(TABLE[0])
 
 
-@case((row(8), -1.0), (row(8), 2.0))
-def length_chosen(a: Any, x: float) -> tuple[float, int]:
-    part = a[:3]
-    if x > 0.0:
-        part = a[2:7]
-    total = 0.0
-    for k in range(len(part)):
-        total += part[k]
-    return total, len(part)
-
-
 @case((row(8), 3, 6, -1.0), (row(8), 3, 6, 2.0))
-def runtime_length_chosen(a: Any, n: int, m: int, x: float) -> tuple[float, int]:
-    part = a[:n]
+def length_chosen(a: Any, n: int, m: int, x: float) -> tuple[float, ...]:
+    part, known = a[:n], a[:3]
     if x > 0.0:
-        part = a[:m]
+        part, known = a[:m], a[2:7]
     part = part[1:]
-    return mean(part), len(part)
+    view = a[1:3] if x > 0.0 else a[3:5]
+    view[:] = a[2:4]
+    return mean(part), len(part), mean(known), len(known), view[0]
 
 
 @case((row(),))
@@ -130,6 +122,8 @@ def overlapping(a: Any) -> None:
     a[:3] = a[1:4]
     a[2:] = a[2:] + a[1:-1] * 2.0
     a[:2] = a[3:5]
+    part = a[1:]
+    part[:] = a[:-1]
 
 
 @case((square(),))
@@ -258,23 +252,11 @@ def fresh_tuples(x: float) -> float:
     return mean(work.left) + work.right[2, 1]
 
 
-@case((Const(Workspace(TABLE[0], np.float64(2.0))), 1.5))
-def known_design(design: Any, low: float) -> tuple[float, ...]:
-    left = 2.0 * low
-    return design.left[1] * left, mean(design.left) * design.right, left
-
-
 @case((Const(Workspace(TABLE[0], TABLE[1])), 1, 1.5))
 def names_of_tables(design: Any, k: int, x: float) -> float:
     DESIGN_LEFT = 2.0 * x  # noqa: N806
     TABLE = x  # noqa: N806
     return DESIGN_LEFT * design.left[k] + mean(design.right) * TABLE + mean(design.left)
-
-
-@case((Inner(row(3), 2), 0.5))
-def names_of_fields(inner: Inner, times: float) -> float:
-    row = inner.row
-    return row[0] * inner.times
 
 
 @case((row(3),), (np.array([math.nan, 1.0, -0.0]),))
@@ -284,11 +266,6 @@ def guarded_reads(a: Any) -> tuple[Any, ...]:
         k += 1
     found = a[k] if k < len(a) else -1.0
     return k, found, k < 3 and a[k] > 0.0
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Translated:
-    return CASES.library(tmp_path_factory.mktemp("kernels"))
 
 
 @pytest.mark.parametrize("name", CASES)
