@@ -156,17 +156,6 @@ def lagrange(model: str, params: ArmParams) -> tuple[Callable[..., Any], Callabl
 
 class TestMotion:
     @EACH_MODEL
-    def test_ideal_drive_holds_the_command(self, model: str):
-        params = ArmParams(payload_mass=0.2, coulomb_friction=0.05)
-        arms = [EventLocatedArm(params, np.array([60.0, 0.0, 0.02, 0.0]), model) for _ in range(2)]
-        for k in range(200):
-            arms[0].sample(push(k))
-            arms[1].advance(push(k), CONTROL_PERIOD)
-            np.testing.assert_array_equal(arms[0].state, arms[1].state)
-            assert arms[0].motor_torque == push(k)
-        assert arms[0].mode_changes == arms[1].mode_changes
-
-    @EACH_MODEL
     @pytest.mark.parametrize("more", [{}, {"kinematic_error": 0.005, "belt_stiffening": 0.9, "payload_mass": 0.2}])
     def test_energy_is_conserved_without_losses(self, more: dict[str, float], model: str):
         arm = EventLocatedArm(ArmParams(**{**CONSERVATIVE, **more}), np.array([0.5 * GEAR, 30.0, 0.06, -1.0]), model)

@@ -8,7 +8,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from driven_arms import GEAR, MODELS, UPPER_ENDS, apply, arm_env, at_rest, push
+from driven_arms import GEAR, MODELS, UPPER_ENDS, apply, arm_env, at_rest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -318,19 +318,6 @@ class TestLinearRegime:
         to_a, to_b, to_both = response(wound, a), response(moving, b), response(u * wound + v * moving, u * a + v * b)
         scale = np.abs(to_a).max(axis=0) + np.abs(to_b).max(axis=0)
         assert np.all(np.abs(to_both - u * to_a - v * to_b).max(axis=0) < 1e-9 * scale)
-
-    @EACH_MODEL
-    def test_small_motions_of_the_driven_arm(self, model: str):
-        a, b, _ = sampled_state_space(SMOOTH, 0.6, model)
-        distances, start = [], at_rest(0.6)
-        for amplitude in (1e-2, 5e-3):
-            env, z = arm_env({name: getattr(SMOOTH, name) for name in SMOOTH.__slots__}, start, model), np.zeros(len(a))
-            for k in range(100):
-                apply(env, amplitude * push(k))
-                z = a @ z + b[:, 0] * amplitude * push(k)
-            distances.append(np.abs(env.state - start - z[:4]).max() / np.abs(z[:4]).max())
-        assert distances[0] < 1e-3
-        assert distances[1] < 0.6 * distances[0], "what linearisation leaves out is of higher order"
 
     @EACH_PLANT
     def test_the_papers_loop(self, params: dict[str, float]):

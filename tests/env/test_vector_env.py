@@ -111,7 +111,7 @@ def test_batch_is_bit_for_bit_gymnasiums_batch_of_single_environments(count: int
     assert finished > 0 and (left > 0 or count == 1), "the actions should end episodes in both ways"
 
 
-@examples(15, shrink=False)
+@examples(30, shrink=False)
 @given(
     case=st.fixed_dictionaries(
         {
