@@ -111,7 +111,7 @@ def test_batch_is_bit_for_bit_gymnasiums_batch_of_single_environments(count: int
     assert finished > 0 and (left > 0 or count == 1), "the actions should end episodes in both ways"
 
 
-@examples(30, shrink=False)
+@examples(20, shrink=False)
 @given(
     case=st.fixed_dictionaries(
         {
@@ -129,7 +129,7 @@ def test_batch_is_bit_for_bit_gymnasiums_batch_of_single_environments(count: int
 def test_arms_of_any_batch_are_environments_alone_bit_for_bit(
     case: dict[str, Any], delays: list[float], strength: float, seed: int
 ):
-    late, actions = np.array(delays), strength * random_actions(250, len(delays), seed)
+    late, actions = np.array(delays), strength * random_actions(500, len(delays), seed)
     actions[:, 0] = 1.0  # which drives the first arm out of its workspace
     envs = make(len(delays), delay=late, autoreset_mode="SameStep", **case)
     late[:] = 0.0  # which the batch does not see
