@@ -42,7 +42,6 @@ SETTINGS: list[Refusal] = [
     ({"randomization": [("payload_mass", 1)]}, TypeError, ("randomization", "payload_mass", "mapping")),
     ({"randomization": {"mass": (0, 1)}}, ValueError, ("randomization", "'mass'", "payload_mass")),
     ({"randomization": {"payload_mass": (0.2, 0.1)}}, ValueError, ("payload_mass", "0.2", "0.1", "low", "high")),
-    ({"randomization": {"payload_mass": (0.0, NAN)}}, ValueError, ("payload_mass", "nan", "finite")),
     ({"randomization": {"payload_mass": (-0.1, 0.1)}}, ValueError, ("payload_mass", "-0.1", "not negative")),
     ({"randomization": {"payload_mass": (0.1,)}}, TypeError, ("payload_mass", "(0.1,)", "pair")),
     ({"randomization": {"payload_mass": ("a", "b")}}, TypeError, ("payload_mass", "'a'", "number")),
@@ -151,7 +150,6 @@ OPTIONS: list[Refusal] = [
     *(({"payload": 0.1}, ValueError, ("'payload'", "params", "move", "state")), ({"params": 0.1}, TypeError, ("0.1",))),
     ({"params": {"mass": 0.1}}, ValueError, ("params", "'mass'", "payload_mass")),
     ({"params": {"payload_mass": -0.1}}, ValueError, ("payload_mass", "-0.1", "not negative")),
-    ({"params": {"payload_mass": NAN}}, ValueError, ("payload_mass", "nan", "finite")),
     ({"params": {"belt_stiffness": 1e9}}, ValueError, ("rad/s", "belt_stiffness", "at most")),
     ({"params": {"torque_ripple_order": 5.5}}, ValueError, ("torque_ripple_order", "5.5", "whole")),
     *(
@@ -159,7 +157,6 @@ OPTIONS: list[Refusal] = [
         for value in ("0.1", True, None)
     ),
     ({"params": {"payload_mass": [0.1] * 7}}, ValueError, ("payload_mass", "(7,)", "one number")),
-    ({"params": {"payload_mass": [[0.1]]}}, ValueError, ("payload_mass", "(1, 1)", "one number")),
     ({"move": {"speed": 1.0}}, ValueError, ("move", "'speed'", "start", "goal", "duration", "ramp_time")),
     ({"move": [0.1, 1.0]}, TypeError, ("move", "[0.1, 1.0]", "mapping")),
     ({"move": {"start": "0.1"}}, TypeError, ("start", "'0.1'", "number")),
@@ -171,7 +168,6 @@ OPTIONS: list[Refusal] = [
         ValueError,
         ("infeasible", "goal=1.5", "duration=0.5", "N m", "80%", "0.240 N m", "allow"),
     ),
-    ({"move": {"start": 0, "goal": 1.5, "duration": 1.2, "ramp_time": 0.001}}, ValueError, ("infeasible", "N m")),
     *(({"move": {"duration": value}}, ValueError, (f"duration={value}", "1.5 s")) for value in (0, -1, 1.6)),
     *(({"move": {"ramp_time": value}}, ValueError, (f"ramp_time={value}", "positive")) for value in (0, -0.1)),
     ({"move": {"duration": 1.0, "ramp_time": 0.6}}, ValueError, ("ramp_time=0.6", "half the duration")),

@@ -9,6 +9,7 @@ from driven_arms import (
     GEAR,
     MODELS,
     UPPER_ENDS,
+    apply,
     arm_env,
     at_rest,
     drawn_arms,
@@ -51,6 +52,20 @@ def test_stick_slip_with_all_effects(number: int, model: str):
     worst, arm = largest_distance(ARMS[number], AT_45, pushed, model, TWO_PERIODS)
     assert stops(arm) >= 4
     assert worst < 1e-6
+
+
+@EACH_MODEL
+@pytest.mark.parametrize("params", [{}, {"torque_ripple": 0.006, "torque_ripple_order": 12}, UPPER_ENDS], ids=len)
+def test_a_coasting_motor_stops_in_its_sample_at_its_angle(params: dict[str, Any], model: str):
+    start = np.array([0.5 * GEAR, 60.0, 0.0, 60.0 / GEAR])
+    env = arm_env(params, start, model)
+    arm = EventLocatedArm(env.params, start, model)
+    while arm.mode != "stuck":
+        assert env.state[1] > 0 or arm.samples == 0
+        apply(env, 0.0)
+        arm.sample(0.0)
+        assert env.state[0] == pytest.approx(arm.state[0], abs=5e-7)
+    assert env.state[1] == 0 and arm.samples > 40
 
 
 @pytest.mark.slow

@@ -1,8 +1,6 @@
-"""Pieces of the integration behind a drive as it is built: friction, coupling, torques, steps and their events."""
+"""Pieces of the integration behind a drive as it is built: equations, torques over a step, and exits from a mode."""
 
 import math
-from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -14,15 +12,14 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from beltarm_env import CONTROL_PERIOD, ArmParams
-from beltarm_env.arm import Plant
 from beltarm_env.kernels.exits import EXIT, EXIT_ROWS, find_exits, store_margin
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics import drive as drives
 from beltarm_env.physics import friction, models
-from beltarm_env.physics.drive import Drive, angles_of
+from beltarm_env.physics.drive import angles_of
 from beltarm_env.physics.driven.events import Margin, leaves_mode
-from beltarm_env.physics.driven.step import driven_step, fit_of, needed_rate
-from beltarm_env.physics.driven.torque import Lag, shares_of_two, torques_of_lag, torques_of_two
+from beltarm_env.physics.driven.step import fit_of
+from beltarm_env.physics.driven.torque import shares_of_two, torques_of_two
 from beltarm_env.physics.models import FULL_ARM, LUMPED, Model
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.ranges import IDEAL_RANGES
@@ -31,37 +28,7 @@ from eval.reference.event_located import EventLocatedArm
 PHASES = {"kinematic_error_phase": 0.7, "friction_variation_phase": 1.9, "torque_ripple_phase": 2.5}
 PARAMS = ArmParams(**{**UPPER_ENDS, **PHASES})
 PLANT, DRIVE = PARAMS.plant(), drives.drive_of(PARAMS.row())
-IDEAL = ArmParams().plant()
-STATES = [ArmState(70.0, 30.0, 0.01, -0.2), ArmState(12.3, -4.0, -0.03, 0.5), ArmState(101.0, 0.0, 0.0005, 0.0)]
-EACH = pytest.mark.parametrize("x", STATES)
 EACH_MODEL = pytest.mark.parametrize("model", [LUMPED, FULL_ARM])
-
-
-# Friction and coupling, each at one state
-
-
-@pytest.mark.parametrize(
-    ("speed", "pull", "direction"),
-    [
-        *((1e-9, -9.0, 1.0), (50.0, 0.0, 1.0), (0.5, 0.0, 1.0), (-1e-9, 9.0, -1.0), (-0.5, 0.0, -1.0)),
-        *((0.0, 0.3, 0.0), (0.0, -0.3, 0.0), (0.0, 0.31, 1.0), (0.0, -0.31, -1.0), (0.0, 0.0, 0.0)),
-    ],
-)
-def test_a_motor_slides_as_it_turns_and_from_rest_as_it_is_pulled(speed: float, pull: float, direction: float):
-    assert friction.sliding_direction(speed, pull, 0.3) == direction
-
-
-@pytest.mark.parametrize(
-    ("direction", "margin"), [(1.0, 2.5), (-1.0, -2.5), (0.0, 0.3 - 0.2)], ids=["forward", "backward", "sticking"]
-)
-def test_margins(direction: float, margin: float):
-    for pull in (-0.2, 0.2):
-        assert friction.mode_margin(2.5, pull, direction, 0.3) == pytest.approx(margin)
-    for side in (-1.0, 1.0):
-        left = margin if direction else 0.3 - side * 0.2
-        assert friction.exit_margin(2.5, 0.2, direction, side, 0.3) == pytest.approx(left)
-        before, after = (friction.exit_margin(2.5 + t * 40, 0.2 + t * 7, direction, side, 0.3) for t in (-1e-3, 1e-3))
-        assert friction.exit_margin_rate(40.0, 7.0, direction, side) == pytest.approx((after - before) / 2e-3)
 
 
 @pytest.mark.parametrize("angle", [0.0, 33.3, 110.0])
@@ -70,20 +37,6 @@ def test_an_arm_at_rest_has_no_torque_in_its_belt(angle: float):
     assert (x.motor_angle, x.motor_speed, x.torsion_speed) == (angle, 0.0, 0.0)
     assert drives.belt_motion(x, PLANT, DRIVE) == pytest.approx((0.0, 0.0), abs=1e-16)
     assert abs(x.torsion) > 1e-6, "the kinematic error is taken up"
-
-
-@EACH_MODEL
-def test_the_acceleration_per_torque_is_that_of_the_equations_of_motion(model: Model):
-    # A motor that breaks away accelerates by nothing else at first: an error here would end its sliding at once.
-    for phase, direction in product(np.linspace(0, 6, 7), (-1.0, 1.0)):
-        drive = drives.drive_of(replace(PARAMS, kinematic_error_phase=float(phase)).row())
-        x = ArmState(70.0, 0.0, 0.01, 0.2)
-        angles = angles_of(x, PLANT, drive)
-        with_torque, without = (
-            models.accelerations_at(x, angles, t, direction, PLANT, model, drive)[0] for t in (1.0, 0.0)
-        )
-        by_torque = models.acceleration_per_torque(angles, PLANT, drive, model)
-        assert by_torque == pytest.approx(with_torque - without, rel=1e-11)
 
 
 @EACH_MODEL
@@ -111,23 +64,6 @@ def test_equations_are_those_of_the_event_located_solution(
         pull = models.driving_torque_at(x, at, torque, plant, model, drive)
         assert pull == pytest.approx(holding, rel=1e-9, abs=1e-12)
         assert friction.breakaway_torque(at, plant, drive) == pytest.approx(level, rel=1e-12)
-
-
-@EACH_MODEL
-def test_the_pull_on_a_motor_at_rest_changes_at_its_rate(model: Model):
-    for params in (PARAMS, ArmParams()):
-        plant, drive = params.plant(), drives.built_drive(params.row())
-
-        def pull(time: float, plant: Plant = plant, drive: Drive | None = drive) -> float:
-            x = ArmState(70.0, 0.0, 0.01 - 0.2 * time + 20 * time * time, -0.2 + 40 * time)
-            return models.driving_torque_at(x, angles_of(x, plant, drive), 0.05, plant, model, drive)
-
-        x = ArmState(70.0, 0.0, 0.01, -0.2)
-        rate = models.driving_torque_rate_at(x, angles_of(x, plant, drive), 40.0, plant, model, drive)
-        assert rate == pytest.approx((pull(1e-6) - pull(-1e-6)) / 2e-6, rel=1e-6)
-
-
-# Steps, torques and events
 
 
 def test_decay_is_an_exponential():
@@ -170,22 +106,6 @@ def test_a_fitted_step_has_the_first_two_moments_of_a_sine(w: float):
     assert abs((first + 2 * middle) / 6 - np.trapezoid((1 - s) * sine, s)) < 3e-4 * w**10 + 1e-8
 
 
-@EACH_MODEL
-def test_the_vibration_of_an_arm_whose_motor_rests_is_right_to_the_fifth_order(model: Model):
-    params = ArmParams(payload_mass=0.3)
-    plant, drive = params.plant(), drives.drive_of(params.row())
-    start = ArmState(88 * 0.7, 0.0, 1e-4, 0.01)
-
-    def torsion(steps: int) -> float:
-        x, dt = start, 0.004 / steps
-        for _ in range(steps):
-            torques = torques_of_lag(Lag(0.0, 0.0, 0.0, 0.0), dt)
-            x = driven_step(x, angles_of(x, plant, drive), torques, 0.0, dt, plant, drive, model).state
-        return x.torsion - start.torsion
-
-    assert torsion(1) == pytest.approx(torsion(64), rel=2e-9)
-
-
 def exits_of(margins: list[Margin]) -> np.ndarray:
     work = np.zeros(EXIT_ROWS * LANES)
     for lane, margin in enumerate(margins):
@@ -222,35 +142,3 @@ def test_exits_of_many_margins_are_those_that_scipy_finds():
     assert len(crossing) == LANES
     expected = [brentq(lambda u, m=m: value(m, u), 0, 1, xtol=1e-14) for m in crossing]
     assert exits_of(crossing) == pytest.approx(expected, abs=1e-12)
-
-
-RIPPLE = {"torque_ripple": 0.0005, "torque_ripple_order": 12}
-STRONG = {"torque_ripple": 0.02, "torque_ripple_order": 12}
-FALLING = {"static_friction_excess": 0.5, "stribeck_speed": 2.0}
-
-
-@pytest.mark.parametrize(
-    ("speed", "effects", "expected"),
-    [
-        (200.0, {"kinematic_error": 1e-4}, 400.0),  # one radian of twice the angle
-        (-200.0, {"kinematic_error": 1e-4}, 400.0),
-        (5.0, {"kinematic_error": 1e-4}, 10.0),
-        (200.0, RIPPLE, 0.3 * 12 * 200),
-        (200.0, {**RIPPLE, "torque_ripple_order": 4}, 400.0),
-        (9.9, RIPPLE, 2 / CONTROL_PERIOD),
-        (10.1, RIPPLE, 0.3 * 12 * 10.1),
-        (-9.9, {**FALLING, "static_friction_excess": 1e-9}, 2 / CONTROL_PERIOD),
-        (39.0, RIPPLE, 0.3 * 12 * 39),
-        (39.0, STRONG, 2 / CONTROL_PERIOD),
-        (41.0, STRONG, 0.3 * 12 * 41),
-        # 1000 rad/s^2, and 0.063 N m on 6.3e-5 kg m^2, are 2000 rad/s^2: in a step a sixth of omega_a + 2 rad/s.
-        (150.0, FALLING, 300.0),
-        (20.0, FALLING, 2000 / (22 / 6)),
-    ],
-)
-def test_steps_resolve_what_turns_and_what_falls(speed: float, effects: dict[str, float], expected: float):
-    arm, x = ArmParams(**effects), ArmState(70.0, speed, 0.01, 0.2)
-    for motor in (-1000.0, 1000.0):
-        needed = needed_rate(x, motor, 0.063, math.copysign(1.0, speed), arm.plant(), drives.drive_of(arm.row()))
-        assert needed == pytest.approx(expected, rel=1e-12)
-    assert needed_rate(x, 1000.0, 0.063, 0.0, arm.plant(), drives.drive_of(arm.row())) == 0.0, "at rest nothing turns"

@@ -230,14 +230,6 @@ class TestOptions:
             assert free.params == env.params and free.move == env.move, "options are not remembered"
         assert str(options) == str(before)
 
-    def test_whatever_the_environment_draws_can_be_fixed_alone(self):
-        env = make()
-        for seed in range(50):
-            env.reset(seed=seed)
-            for name, value in env.move.items():
-                env.reset(seed=1000 + seed, options={"move": {name: value}})
-                assert env.move[name] == value
-
 
 def expected_cost(env: BeltArmEnv, torque: float, last_torque: float) -> dict[str, float]:
     """The design's formula on the tip from plane geometry, its velocity by a central difference; torques over limit."""

@@ -11,6 +11,8 @@ import sympy
 from driven_arms import GEAR, LOSSLESS, MODELS, UPPER_ENDS, at_rest, drawn_arms, full_arm_at, push, random_params, stops
 
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
+from eval.reference.crossing import first_crossing
+from eval.reference.drive import Actuator
 from eval.reference.event_located import EventLocatedArm, tip
 from eval.reference.lugre import LuGreArms
 from eval.reference.symbolic_arm import compiled, derive, masses_of
@@ -39,6 +41,42 @@ class TestDrive:
             levels.append(arm.dry_friction(arm._y))
         expected = 0.032 * (1 + 0.15 * (np.arange(EPISODE_STEPS) + 0.5) / 1200)
         np.testing.assert_allclose(levels, expected, rtol=1e-14)
+
+
+class TestActuator:
+    @pytest.mark.parametrize("latency", [0.0, 0.4, 1.0, 2.7, 3.0])
+    def test_a_command_acts_after_the_latency(self, latency: float):
+        actuator = Actuator(ArmParams(command_latency=latency * CONTROL_PERIOD, torque_constant_error=0.08))
+        time, pieces = 0.0, 0
+        for k in range(8):
+            for duration, torque in actuator.pieces(0.1 * (k + 1)):
+                middle = (time + 0.5 * duration) / CONTROL_PERIOD - latency  # when its command was given, in samples
+                command = 0.1 * (math.floor(middle) + 1) if middle > 0 else 0.0
+                assert torque(0.5 * duration) == pytest.approx(1.08 * command, abs=1e-15)
+                time, pieces = time + duration, pieces + 1
+            assert time == pytest.approx((k + 1) * CONTROL_PERIOD, rel=1e-12)
+        assert pieces == (8 if latency == int(latency) else 16)
+
+    def test_the_current_loop_is_of_first_order(self):
+        actuator = Actuator(ArmParams(current_loop_time_constant=0.001, command_latency=0.5 * CONTROL_PERIOD))
+        list(actuator.pieces(0.2))
+        assert actuator.torque == pytest.approx(0.2 * (1 - math.exp(-0.75)), rel=1e-14)
+        list(actuator.pieces(0.0))
+        assert actuator.torque == pytest.approx(0.2 * (1 - math.exp(-1.5)) * math.exp(-0.75), rel=1e-14)
+
+
+def crossing(function: Callable[[float], float]) -> float | None:
+    times = np.linspace(0, 1, 9)
+    return first_crossing(function, times, [function(t) for t in times.tolist()])
+
+
+def test_crossings_are_roots_also_of_a_dip_between_two_looks():
+    for lowest in (0.02, 0.31, 0.5, 0.55, 0.97):
+        for depth, expected in ((-1e-9, pytest.approx(lowest - math.sqrt(1e-9), abs=1e-9)), (1e-9, None)):
+            assert crossing(lambda t, lowest=lowest, depth=depth: (t - lowest) ** 2 + depth) == expected
+    assert crossing(lambda t: t) is None, "it rises from zero"
+    assert crossing(lambda t: t * (0.7 - t)) == pytest.approx(0.7, rel=1e-12)
+    assert crossing(lambda t: t * (1e-9 - t)) == 0.125, "the next look, for one that rose less than can be seen"
 
 
 class TestEquations:
@@ -118,17 +156,6 @@ def lagrange(model: str, params: ArmParams) -> tuple[Callable[..., Any], Callabl
 
 class TestMotion:
     @EACH_MODEL
-    def test_ideal_drive_holds_the_command(self, model: str):
-        params = ArmParams(payload_mass=0.2, coulomb_friction=0.05)
-        arms = [EventLocatedArm(params, np.array([60.0, 0.0, 0.02, 0.0]), model) for _ in range(2)]
-        for k in range(200):
-            arms[0].sample(push(k))
-            arms[1].advance(push(k), CONTROL_PERIOD)
-            np.testing.assert_array_equal(arms[0].state, arms[1].state)
-            assert arms[0].motor_torque == push(k)
-        assert arms[0].mode_changes == arms[1].mode_changes
-
-    @EACH_MODEL
     @pytest.mark.parametrize("more", [{}, {"kinematic_error": 0.005, "belt_stiffening": 0.9, "payload_mass": 0.2}])
     def test_energy_is_conserved_without_losses(self, more: dict[str, float], model: str):
         arm = EventLocatedArm(ArmParams(**{**CONSERVATIVE, **more}), np.array([0.5 * GEAR, 30.0, 0.06, -1.0]), model)
@@ -161,6 +188,24 @@ class TestMotion:
                     balance += mean * turned - share * np.mean(np.array(friction) + viscous + belt)
         assert arm.energy - stored == pytest.approx(balance, abs=2e-5)
         assert stops(arm) >= 2
+
+    @pytest.mark.parametrize(("viscous", "tolerance"), [(0.0, 1e-12), (3.5e-4, 2e-7)])
+    def test_power_of_the_full_arm_balances(self, viscous: float, tolerance: float):
+        """What the motor does in a sample without events is stored, or lost in its friction."""
+        params = ArmParams(belt_damping_ratio=0.0, motor_viscous_friction=viscous)
+        arm, slid = EventLocatedArm(params, at_rest(0.7, 0.03), "lagrangian"), 0.0
+        for k in range(500):
+            torque = 0.06 * math.sin(8 * math.pi * k * CONTROL_PERIOD)
+            before, start, changes = arm.energy, arm.state, len(arm.mode_changes)
+            arm.advance(torque, CONTROL_PERIOD)
+            turned = arm.state[0] - start[0]
+            loss = torque * turned - (arm.energy - before)
+            assert loss >= -1e-12
+            if len(arm.mode_changes) == changes:  # the integral of omega_a^2 by the trapezium rule
+                squares = 0.5 * (start[1] ** 2 + arm.state[1] ** 2) * CONTROL_PERIOD
+                assert loss == pytest.approx(0.032 * abs(turned) + viscous * squares, abs=tolerance)
+            slid += abs(turned)
+        assert slid > 1.0 and stops(arm) >= 1
 
     @pytest.mark.parametrize("number", range(2))
     def test_many_small_steps_of_the_equations_as_written_lead_there(self, number: int):

@@ -9,6 +9,10 @@ import control
 import numpy as np
 import pytest
 from driven_arms import GEAR, MODELS, UPPER_ENDS, apply, arm_env, at_rest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from properties import examples
 from scipy.linalg import expm
 
 from beltarm_env import (
@@ -240,13 +244,17 @@ def sampled(p: ArmParams) -> Any:
 
 
 def simulate(
-    params: dict[str, float], start: np.ndarray, torque: Callable[[int, np.ndarray], float], substeps: int = 20
+    params: dict[str, float],
+    start: np.ndarray,
+    torque: Callable[[int, np.ndarray], float],
+    substeps: int = 20,
+    steps: int = EPISODE_STEPS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """States of the environment, shape (steps + 1, 4), and torques, shape (steps,)."""
     env = arm_env(params, start)
     env.set_integration_steps(substeps)
     states, torques = [env.state], []
-    for k in range(EPISODE_STEPS):
+    for k in range(steps):
         torques.append(torque(k, states[-1]))
         assert abs(torques[-1]) <= env.params.torque_limit, "cut at the limit: not linear"
         apply(env, torques[-1])
@@ -282,6 +290,34 @@ class TestLinearRegime:
         error = (states[-1, 2] - 1j * states[-1, 3] / mode) / (0.05 * np.exp(1j * z * EPISODE_STEPS))
         assert -np.angle(error) == pytest.approx(EPISODE_STEPS * z**5 / 120, rel=0.01)
         assert 1 - abs(error) == pytest.approx(EPISODE_STEPS * z**6 / 144, rel=0.01)
+
+    # Resonance at 23.15 rad/s, anti-resonance sqrt(K_s / M2) at 21.71 rad/s: 180.9 and 192.9 samples per period.
+    @pytest.mark.parametrize("period", [120, 181, 193, 300])
+    def test_frequency_response(self, period: int):
+        params, states = FOLDED | {"belt_damping_ratio": 0.05}, at_45_degrees(FOLDED)[None]
+        angles = 2 * math.pi * np.arange(12 * EPISODE_STEPS).reshape(12, -1) / period
+        for episode in angles:  # 21.6 s in all: transients decay by e^-26
+            commands = (0.03 * np.sin(episode)).tolist()
+            states, _ = simulate(params, states[-1], lambda k, _, commands=commands: commands[k])
+        count = EPISODE_STEPS // period * period
+        phasor = 2 / count * np.exp(-1j * angles[-1, -count:]) @ states[-1 - count : -1] / -0.03j
+        frequency = 2 * math.pi / period / CONTROL_PERIOD
+        expected = sampled(ArmParams(**params)).frequency_response([frequency]).complex[:, 0, 0]
+        np.testing.assert_allclose(phasor[1:], expected[1:], rtol=1e-9)
+
+    TORQUES, WEIGHTS = arrays(np.float64, 60, elements=st.floats(-0.14, 0.14)), st.floats(-1, 1)
+
+    @examples(20)
+    @given(st.sampled_from(list(PLANTS.values())), TORQUES, TORQUES, WEIGHTS, WEIGHTS)
+    def test_superposition(self, params: dict[str, float], a: np.ndarray, b: np.ndarray, u: float, v: float):
+        def response(start: np.ndarray, torques: np.ndarray) -> np.ndarray:
+            states, _ = simulate(params, rest + start, lambda k, _: float(torques[k]), steps=len(torques))
+            return states - rest
+
+        rest, wound, moving = at_45_degrees(params), np.array([0.0, 0.0, 0.04, -0.5]), np.array([4.0, 20.0, 0.0, 0.0])
+        to_a, to_b, to_both = response(wound, a), response(moving, b), response(u * wound + v * moving, u * a + v * b)
+        scale = np.abs(to_a).max(axis=0) + np.abs(to_b).max(axis=0)
+        assert np.all(np.abs(to_both - u * to_a - v * to_b).max(axis=0) < 1e-9 * scale)
 
     @EACH_PLANT
     def test_the_papers_loop(self, params: dict[str, float]):

@@ -12,15 +12,12 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from properties import examples
 
 import beltarm_env.recording
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
-from beltarm_env.metrics import METRICS, SETTLING_BAND, SHOWN, TORQUES, episode_metrics, residual_vibration
+from beltarm_env.metrics import METRICS, SETTLING_BAND, SHOWN, TORQUES, episode_metrics
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import SHORTEST, WORKSPACE
 
@@ -143,17 +140,6 @@ def test_reversals_of_the_torque(torque: list[float], count: int):
         signal = np.zeros(EPISODE_STEPS)
         signal[10 : 10 + len(torque)] = sign * scale * np.array(torque)
         assert evaluate(torque=signal, torque_limit=scale * 0.3)["torque_reversals_hz"] == pytest.approx(count / 1.8)
-
-
-@examples(50)
-@given(st.floats(0.5, 1.5), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(1e-5, 1e-2))
-def test_residual_vibration_scales_with_the_signal_and_ignores_lines(
-    end: float, offset: float, drift: float, scale: float
-):
-    signal, line = np.random.default_rng(0).normal(size=(EPISODE_STEPS, 1, 2)), offset + drift * TIME[:, None, None]
-    plain = residual_vibration(signal, np.array([end]))
-    shifted = residual_vibration(scale * signal + line, np.array([end]))
-    np.testing.assert_allclose(shifted, scale * plain, rtol=1e-6, atol=1e-12)
 
 
 def test_arms_do_not_mix():

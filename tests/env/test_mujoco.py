@@ -16,17 +16,15 @@ from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import DRIVE_EFFECTS
 from beltarm_env.physics.drive import DRIVE_COLUMNS
-from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval.reference.event_located import EventLocatedArm, tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 
-from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
+from beltarm_env.mujoco.drive import EXPRESSIBLE, Actuator  # noqa: E402
 from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
 
 Floats = NDArray[np.float64]
@@ -139,8 +137,30 @@ class TestModel:
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith("MuJoCo: ") and "QVEL" in line
 
+    def test_mean_torques_of_the_actuator(self):
+        # Latency of 1.5 samples: each command acts from the middle of the next sample on. Means by fine integration.
+        drive = {"current_loop_time_constant": 0.001, "torque_constant_error": 0.1}
+        actuator, torque, fine = Actuator(ArmParams(command_latency=1.5 * CONTROL_PERIOD, **drive)), 0.0, 5_000
+        commands = [0.0, 0.0, 0.2, -0.1, 0.3]
+        for before, now, command in zip(commands, commands[1:], commands[2:], strict=False):
+            steps = list(actuator.means(command, CONTROL_PERIOD / 3))
+            assert [dt for dt, _, _ in steps] == pytest.approx([CONTROL_PERIOD / 4] * 4, rel=1e-12)
+            for k, (dt, count, mean) in enumerate(steps):
+                target, total = 1.1 * (before if k < 2 else now), 0.0
+                for _ in range(fine):
+                    middle = torque + 0.5 * dt / fine * (target - torque) / 0.001
+                    torque += dt / fine * (target - middle) / 0.001
+                    total += middle / fine
+                assert count == 1 and mean == pytest.approx(total, rel=1e-6, abs=1e-12)
+
 
 class TestMotion:
+    @pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("implicitfast", 1), ("rk4", 4)])
+    def test_order_of_convergence(self, integrator: str, order: int):
+        start, command = at_rest(0.7, 0.03), wave(0.06, 3)
+        coarse, fine = (run_both(NO_COULOMB, start, command, n, 400, integrator=integrator)[0] for n in (1, 2))
+        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.15)
+
     @pytest.mark.parametrize(
         ("params", "command"),
         [
@@ -191,16 +211,6 @@ class TestEnvironment:
         for seed in (1, 2):
             np.testing.assert_array_equal(env.reset(seed=seed)[0], other.reset(seed=seed)[0])
         check_env(gym.make("BeltArmMuJoCo-v0").unwrapped, skip_render_check=True)
-
-    def test_two_engines_agree_under_the_papers_controller(self):
-        settings: dict[str, Any] = {"seed": 3, "randomization": "ideal"}
-        engine = rollout(PaperController(), 3, model="mujoco", **settings)
-        kernel, lumped = (rollout(PaperController(), 3, model=model, **settings) for model in ("lagrangian", "lumped"))
-        np.testing.assert_array_equal(engine.moves, kernel.moves)
-        # In closed loop an encoder count that falls the other way changes the torque: hence not nanometres.
-        assert np.abs(engine.tip_error - kernel.tip_error).max() < 2e-4
-        assert np.abs(engine.tip_error - lumped.tip_error).max() > 2e-3
-        np.testing.assert_allclose(engine.metrics()["cost"], kernel.metrics()["cost"], rtol=0.01)
 
     @pytest.mark.parametrize(
         "drive",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from properties import examples
 from scipy.stats import kstest
 
-from beltarm_env import ArmParams, BeltArmEnv, observation
+from beltarm_env import ArmParams, BeltArmEnv
 from beltarm_env.task import reference as reference_module
 from beltarm_env.task.moves import (
     DRAWS,
@@ -104,11 +104,6 @@ class TestShape:
             acceleration = path(profile, move, np.linspace(-0.1, 1.8, 8001)).acceleration
             assert np.abs(np.diff(acceleration)).max() < 0.0125 * np.abs(acceleration).max()
 
-    def test_quintic_ignores_the_ramp_time(self):
-        times = np.linspace(0, 1.8, 100)
-        short, long = (path(QUINTIC, MOVES[0]._replace(ramp_time=ramp_time), times) for ramp_time in (0.05, 0.4))
-        np.testing.assert_array_equal(short, long)
-
     @ALL
     @EACH_MOVE
     def test_peaks(self, profile: int, move: MoveShape):
@@ -121,17 +116,6 @@ class TestShape:
         _, speed, acceleration = path(profile, move, np.linspace(0, move.duration, 4001)[:-1])
         assert np.abs(speed).max() == pytest.approx(highest, rel=1e-6)
         assert np.abs(acceleration).max() == pytest.approx(steepest, rel=1e-4)
-
-
-class TestInTheEnvironment:
-    @pytest.mark.parametrize("profile", PROFILES)
-    def test_the_whole_reference_can_be_rebuilt_from_one_observation(self, profile: Profile):
-        env = BeltArmEnv(profile=profile)
-        seen = observation.decode(env.reset(seed=5)[0])
-        move = MoveShape(*(float(seen[name]) for name in MOVE_FIELDS))
-        for time in np.arange(0, 1.8, 0.0371):
-            rebuilt = reference_at(PROFILES.index(profile), move, time)
-            assert rebuilt[:2] == pytest.approx(env.reference(time)[:2], abs=1e-5)
 
 
 def draw(profile: int, uniforms: Any, **given_values: float) -> Floats:

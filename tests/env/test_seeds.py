@@ -77,14 +77,6 @@ class TestStreams:
                 draw(streams, order, drawn)
             np.testing.assert_array_equal(drawn, [generators[i].random(count) for i in order])
 
-    def test_that_are_not_chosen_stay(self):
-        streams = seeded([3, 4, 5])
-        before = streams.copy()
-        with wrapping():
-            draw(streams, np.array([1]), np.empty((1, 7)))
-        assert np.array_equal(streams[[0, 2]], before[[0, 2]])
-        assert not np.array_equal(streams[1], before[1])
-
     @pytest.mark.parametrize("seed", [-1, 1.0, True, "3", None])
     def test_of_a_seed_that_is_none_are_refused(self, seed: object):
         with pytest.raises(ValueError, match=r"seed .*, got"):

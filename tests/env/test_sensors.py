@@ -10,35 +10,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
-from scipy.integrate import quad
 from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import chi2, norm
 
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
-from beltarm_env.physics.kinematics import TipMotion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import rollout
-from beltarm_env.task.accelerometer import (
-    BANDWIDTH,
-    BIAS,
-    NOISE,
-    RANGE,
-    along_and_across,
-    bias_of,
-    low_passed,
-    noise,
-    noise_seed,
-    reading,
-)
+from beltarm_env.task.accelerometer import BANDWIDTH, BIAS, NOISE, RANGE, bias_of, noise, noise_seed
 from beltarm_env.task.draws import DRAWS
-from beltarm_env.task.sensors import (
-    ENCODER_COUNTS,
-    around_half_a_turn,
-    between_samples,
-    speed_from_counts,
-    to_counts,
-)
+from beltarm_env.task.sensors import around_half_a_turn, between_samples, to_counts
 
 Floats = NDArray[np.float64]
 
@@ -66,10 +47,6 @@ class TestCounting:
         assert to_counts(math.nextafter(halves, math.inf), 1.0) == math.floor(halves) + 1
         assert to_counts(math.nextafter(halves, -math.inf), 1.0) == math.floor(halves)
 
-    def test_one_count_per_sample_is_about_one_radian_per_second(self):
-        assert ENCODER_COUNTS == 4000
-        assert speed_from_counts(8.0, 7.0, RESOLUTION) == pytest.approx(1.0472, abs=1e-4)
-
 
 @examples(200)
 @given(st.floats(-1000, 1000))
@@ -89,19 +66,6 @@ def both_of(state: ArmState) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 class TestBetweenSamples:
-    @examples(100)
-    @given(ANGLES, SPEEDS, st.floats(-1e5, 1e5), st.floats(-1e8, 1e8), SHARES)
-    def test_cubics_are_exact(self, angle: float, speed: float, acceleration: float, jerk: float, back: float):
-        def at(time: float) -> tuple[float, float]:
-            course = np.polynomial.Polynomial([angle, speed, acceleration / 2, jerk / 6])
-            return float(course(time)), float(course.deriv()(time))
-
-        before, now = ArmState(*at(0.0), *at(0.0)), ArmState(*at(CONTROL_PERIOD), *at(CONTROL_PERIOD))
-        for shown, shown_speed in both_of(between_samples(before, now, back)):
-            expected, expected_speed = at((1 - back) * CONTROL_PERIOD)
-            assert shown == pytest.approx(expected, abs=1e-11)
-            assert shown_speed == pytest.approx(expected_speed, abs=1e-8)
-
     @examples(200)
     @given(st.lists(st.tuples(SHARES, st.floats(-1e4, 1e4)), min_size=1, max_size=4), SHARES)
     def test_error_is_bounded_by_the_change_of_acceleration(self, jumps: list[tuple[float, float]], back: float):
@@ -125,29 +89,6 @@ def test_numbers_of_the_data_sheet():
     assert (RANGE / G, BIAS / G, BANDWIDTH) == (pytest.approx(8), pytest.approx(0.05), 260.0)
     assert NOISE / G == pytest.approx(400e-6 * math.sqrt(math.pi / 2 * 260))
     assert 2 * BANDWIDTH < 1 / CONTROL_PERIOD, "no more bandwidth than is sampled"
-
-
-class TestLowPass:
-    @examples(50)
-    @given(st.floats(-100, 100), st.floats(-2, 2), st.floats(-2, 2))
-    def test_is_that_of_a_velocity_linear_in_between(self, filtered: float, before: float, now: float):
-        slope = (now - before) / CONTROL_PERIOD
-        driven, _ = quad(lambda s: math.exp(-(CONTROL_PERIOD - s) / TAU) * slope / TAU, 0, CONTROL_PERIOD)
-        expected = filtered * math.exp(-CONTROL_PERIOD / TAU) + driven
-        assert low_passed(filtered, before, now) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-@examples(100)
-@given(st.floats(-1.5, 1.5), st.floats(-0.2, 0.6), st.floats(-100, 100), st.floats(-100, 100))
-def test_axes_are_those_of_the_hand(angle: float, reach: float, x: float, y: float):
-    tip = TipMotion(reach * math.cos(angle), reach * math.sin(angle), 0.0, 0.0)
-    along, across = along_and_across(x, y, tip)
-    if abs(reach) > 1e-6:
-        assert along == pytest.approx(x * math.cos(angle) + y * math.sin(angle), abs=1e-10)
-        assert across == pytest.approx(y * math.cos(angle) - x * math.sin(angle), abs=1e-10)
-    assert math.hypot(along, across) <= math.hypot(x, y) * (1 + 1e-12)
-    folded = along_and_across(x, y, TipMotion(0.0, 0.0, 0.0, 0.0))  # onto joint 1
-    assert np.isfinite(folded).all()
 
 
 @pytest.fixture(scope="module")
@@ -183,16 +124,6 @@ class TestNoise:
         }
         for name, (a, b) in pairs.items():
             assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / math.sqrt(a.size), name
-
-    @examples(100)
-    @given(st.floats(0, 1, exclude_max=True), st.floats(-1e3, 1e3), st.integers(0, 1202), st.sampled_from([0, 1]))
-    def test_seed_bias_and_reading(self, uniform: float, acceleration: float, sample: int, axis: Any):
-        seed, bias = noise_seed(uniform), bias_of(uniform)
-        assert 0 <= seed < 2**32 and seed == int(seed)
-        assert -BIAS <= bias < BIAS
-        shown = reading(acceleration, bias, seed, float(sample), axis)
-        errors = bias + NOISE * noise(seed, float(sample), axis)
-        assert shown == pytest.approx(min(max(acceleration + errors, -RANGE), RANGE), abs=1e-12)
 
 
 # Through the environment

@@ -112,12 +112,6 @@ print(rewards.sum().hex(), np.sum(costs).hex())
 
 
 class TestNumber:
-    def test_small_batches_use_fewer(self, monkeypatch: pytest.MonkeyPatch):
-        monkeypatch.undo()
-        assert [blocks.threads_for(count, False, False, 4) for count in (1, 15, 16, 24, 1000)] == [1, 1, 2, 3, 4]
-        assert [blocks.threads_for(count, False, True, 4) for count in (1, 59, 60, 90, 1000)] == [1, 1, 2, 3, 4]
-        assert [blocks.threads_for(count, True, True, 2) for count in (1, 3, 4, 30)] == [1, 1, 2, 2]
-
     def test_what_tells_no_number_is_a_thread_for_each_core(self, monkeypatch: pytest.MonkeyPatch):
         for word in ("", "0", "-2", "many"):
             monkeypatch.setenv("OMP_NUM_THREADS", word)

@@ -18,6 +18,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -110,22 +111,29 @@ def test_batch_is_bit_for_bit_gymnasiums_batch_of_single_environments(count: int
     assert finished > 0 and (left > 0 or count == 1), "the actions should end episodes in both ways"
 
 
-@pytest.mark.parametrize(
-    ("case", "delays"),
-    [
-        ({"randomization": "train"}, [0, 0.25, 1.5]),
-        ({"randomization": "train", "sensors": "tip", "profile": "scurve", "model": "lagrangian"}, [0, 1, 2]),
-        ({"randomization": "ideal", "sensors": "full", "profile": "quintic", "model": "lagrangian"}, [0, 0, 0.7]),
-        ({"randomization": "train", "sensors": "accelerometer", "profile": "quintic"}, [2, 0, 0.25]),
-    ],
-    ids=str,
+@examples(20, shrink=False)
+@given(
+    case=st.fixed_dictionaries(
+        {
+            "sensors": st.sampled_from(["encoder", "tip", "full", "accelerometer"]),
+            "profile": st.sampled_from(["trapezoid", "scurve", "quintic"]),
+            "model": st.sampled_from(["lumped", "lagrangian"]),
+            "randomization": st.sampled_from(["off", "ideal", "train", {"payload_mass": (0.1, 0.5)}]),
+            "encoder_counts": st.sampled_from([1000, 4000, 20_000]),
+        }
+    ),
+    delays=st.lists(st.sampled_from([0.0, 1.0, 2.0]) | st.floats(0, 2), min_size=1, max_size=3),
+    strength=st.floats(0.1, 2),
+    seed=st.integers(0, 2**31),
 )
-def test_every_tier_profile_model_and_delay_agrees_with_single_arms(case: dict[str, Any], delays: list[float]):
-    given_delays = np.array(delays, float)
-    envs = make(3, delay=given_delays, autoreset_mode="SameStep", **case)
-    given_delays[:] = 0.0  # which the batch does not see
-    singles = [BeltArmEnv(delay=delay, **case) for delay in delays]
-    assert assert_as_alone(envs, singles, random_actions(1300, 3), 20) >= 3
+def test_arms_of_any_batch_are_environments_alone_bit_for_bit(
+    case: dict[str, Any], delays: list[float], strength: float, seed: int
+):
+    late, actions = np.array(delays), strength * random_actions(500, len(delays), seed)
+    actions[:, 0] = 1.0  # which drives the first arm out of its workspace
+    envs = make(len(delays), delay=late, autoreset_mode="SameStep", **case)
+    late[:] = 0.0  # which the batch does not see
+    assert assert_as_alone(envs, [BeltArmEnv(delay=delay, **case) for delay in delays], actions, seed) >= 1
 
 
 def test_arms_in_any_place_of_a_large_batch_agree_with_single_arms():
@@ -300,6 +308,20 @@ class TestGymnasium:
         assert (envs.num_envs, envs.render_mode) == (2, None)
 
     @pytest.mark.parametrize("mode", MODES[:2], ids=lambda mode: mode.value)
+    def test_statistics_of_gymnasiums_wrapper_are_the_totals(self, mode: AutoresetMode):
+        envs, episodes = RecordEpisodeStatistics(make(3, autoreset_mode=mode)), 0
+        envs.reset(seed=0)
+        for _ in range(EPISODE_STEPS + 10):
+            *_, info = envs.step(np.array([[0], [1], [-1]], np.float32))
+            if "episode" in info:
+                totals = info["final_info"] if mode is AutoresetMode.SAME_STEP else info
+                ended = info["_episode"]
+                assert -info["episode"]["r"][ended] == pytest.approx(totals["total_cost"][ended], rel=1e-6)
+                assert np.array_equal(info["episode"]["l"][ended], totals["episode_steps"][ended])
+                episodes += int(ended.sum())
+        assert episodes > 3
+
+    @pytest.mark.parametrize("mode", MODES[:2], ids=lambda mode: mode.value)
     def test_nothing_returned_shares_memory(self, mode: AutoresetMode):
         envs, actions = make(3, autoreset_mode=mode), np.array([[0.0], [2.0], [-3.0]])
         returned: list[Any] = [envs.reset(seed=0)]
@@ -384,11 +406,28 @@ def test_never_a_nan_and_always_within_bounds(
     assert np.isfinite(envs.state).all()
 
 
-@pytest.mark.parametrize("state", [[60.0, 0.0, 0.0, 1e5], [60.0, 1e9, 0.0, 0.0]], ids=["torsion", "motor"])
-def test_motion_too_wild_to_integrate_is_refused_or_ends_without_a_nan(state: list[float]):
+HEAVY_PAYLOAD = {
+    **{"gear_ratio": 1.0, "link_length": 1.0, "motor_inertia": 0.0067, "arm_inertia": 0.05, "arm_inertia_swing": 0.0},
+    **{"payload_mass": 1.0, "belt_stiffness": 1.0, "belt_damping_ratio": 1.0},
+}
+HEAVY_SWING = {
+    **{"gear_ratio": 598.0, "link_length": 1.38, "motor_inertia": 4.68e-7, "motor_viscous_friction": 5.52e-6},
+    **{"coulomb_friction": 0.0, "arm_inertia": 1.48e-4, "arm_inertia_swing": 1.64, "belt_stiffness": 31900.0},
+    **{"belt_damping_ratio": 0.0, "torque_limit": 4.41},
+}
+WILD: dict[str, dict[str, Any]] = {
+    "heavy payload": {"params": HEAVY_PAYLOAD, "state": [1.0, -86.0, 0.0, 0.0]},
+    "heavy swing, from rest": {"params": HEAVY_SWING, "move": {"start": 0.8, "goal": 1.4}},
+    "fast torsion": {"state": [60.0, 0.0, 0.0, 1e5]},
+    "fast motor": {"state": [60.0, 1e9, 0.0, 0.0]},
+}
+
+
+@pytest.mark.parametrize("options", WILD.values(), ids=WILD)
+def test_motion_too_wild_to_integrate_is_refused_or_ends_without_a_nan(options: dict[str, Any]):
     env, over = BeltArmEnv(sensors="full"), False
     try:
-        observation, _ = env.reset(seed=0, options={"state": state})
+        observation, _ = env.reset(seed=0, options=options)
     except ValueError as error:
         assert "state" in str(error)
         return
