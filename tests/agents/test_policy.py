@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import subprocess
@@ -19,13 +20,9 @@ from networks import SHAPES, episodes, lively
 from refusals import refused
 from torch import nn
 
+from agents.policy import network
 from agents.policy.actor import Actor, ActorShape, actor_of
-from agents.policy.bundle import (
-    FELT_POLICIES,
-    POLICIES,
-    load_controller,
-    read_spec,
-)
+from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
@@ -187,6 +184,14 @@ def test_shipped_policies_act_and_are_compared_without_pytorch():
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller = load_controller(POLICIES / "ppo" / "seed0")
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
+
+
+@given(st.floats(-30, 30))
+def test_functions_of_one_number(x: float):
+    assert network._tanh(x) == pytest.approx(math.tanh(x), abs=3e-7, rel=3e-6)
+    assert network._tanh(-x) == -network._tanh(x)
+    assert network._sigmoid(x) == pytest.approx(1 / (1 + math.exp(-x)), abs=3e-7)
+    assert network._activated(x, network._ELU) == pytest.approx(x if x > 0 else math.expm1(x), abs=3e-6)
 
 
 class Echo:

@@ -130,10 +130,11 @@ def test_workers_have_the_folder_and_the_threads_that_they_are_given(
     place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Also those that have run tasks elsewhere before."""
-    place.outcomes({"a": where, "b": where})
+    tasks = {"a": where, "b": where}  # a single one would run in this process
+    place.outcomes(tasks)
     monkeypatch.chdir(tmp_path)
-    assert place.outcomes({"a": where}) == {"a": (str(tmp_path), "1")}
-    assert place.outcomes({"a": where}, threads=2) == {"a": (str(tmp_path), "2")}
+    for threads in (1, 2):
+        assert place.outcomes(tasks, threads=threads) == dict.fromkeys(tasks, (str(tmp_path), str(threads)))
     if place is RAY:
         with pytest.raises(ValueError, match="--threads 3"):
             place.outcomes({"a": where}, threads=3)

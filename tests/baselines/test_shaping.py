@@ -12,6 +12,7 @@ from scipy.signal import lsim
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
 from baselines.reading import read
+from baselines.servo.paper import PaperController
 from baselines.servo.pid import MOST_RAMPS
 from baselines.servo.shaping import (
     GAINS,
@@ -25,6 +26,7 @@ from baselines.servo.shaping import (
 )
 from baselines.servo.smooth import SmoothController, plan_smooth
 from beltarm_env import ArmParams, BeltArmVectorEnv, state_space
+from beltarm_env.rollout import rollout
 from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, Reference, reference_at
 
 NOMINAL = ArmParams()
@@ -161,6 +163,13 @@ class TestShapedMoves:
         task = [reference_at(TRAPEZOID, MoveShape(*move), t).acceleration for t in time]
         _, _, unshaped = lsim(system, np.array(task), time)
         assert np.linalg.norm(shaped[-1]) < 0.01 * np.linalg.norm(unshaped[-1])
+
+    def test_shaping_quietens_the_nominal_arm(self):
+        shaped, paper = (
+            rollout(controller, 64, seed=5_000_000).metrics()["residual_pp_mm"]
+            for controller in (ShapingController(params=NOMINAL, kind="zv"), PaperController())
+        )
+        assert np.median(shaped) < 0.2 * np.median(paper)
 
     def test_refuses_unknown_kinds_and_gains_of_another(self):
         with pytest.raises(ValueError, match="kind must be one of 'zv', 'zvd', 'ei', got 'zvdd'"):

@@ -99,13 +99,6 @@ class Watched(RetunedController):
         return super().predict(observation, state, episode_start, deterministic)
 
 
-class Lawless(Counting):
-    """A controller without a linear law."""
-
-    def __init__(self, gains: TwoGains) -> None:
-        super().__init__(OneGain())
-
-
 KIND, GUARDED = Tunable(Counting, OneGain), Tunable(Watched, TwoGains)
 
 
@@ -198,7 +191,6 @@ with own(Path({str(journal)!r})):
     [
         (Fragile, BadGain, "untuned gains: no solution"),
         (Watched, WildGains, r"modulus=0\.0.*WildGains"),
-        (Lawless, TwoGains, "LAWS.*--no-margins"),
     ],
 )
 def test_search_cannot_begin_with_untuned_gains_that_fail(controller: Any, gains: Any, words: str, tmp_path: Path):
