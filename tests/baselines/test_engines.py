@@ -17,17 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 from clusters import local_cluster
 from gymnasium.error import DependencyNotInstalled
-from tasks import (
-    die_at_first,
-    fail,
-    give_unpicklable,
-    last,
-    raise_unpicklable,
-    slow_square,
-    square,
-    until_begun,
-    where,
-)
+from tasks import die_at_first, fail, give_unpicklable, last, raise_unpicklable, slow_square, square, until_begun, where
 
 from baselines.engines import ray_cluster, ray_pool
 from baselines.engines.carrying import carry

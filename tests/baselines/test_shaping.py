@@ -99,11 +99,7 @@ class TestShaper:
         root = math.sqrt(1 - zeta**2)
         half, k = math.pi / (20 * root), math.exp(-math.pi * zeta / root)
         mode = Mode(2 * half, k)
-        closed: dict[Kind, list[float]] = {
-            "zv": [1, k],
-            "zvd": [1, 2 * k, k * k],
-            "ei": [1.1, 1.8 * k, 1.1 * k * k],
-        }
+        closed: dict[Kind, list[float]] = {"zv": [1, k], "zvd": [1, 2 * k, k * k], "ei": [1.1, 1.8 * k, 1.1 * k * k]}
         for kind, shares in closed.items():
             weights, delays = shaper(kind, mode, 0.1)
             np.testing.assert_allclose(weights, np.array(shares) / sum(shares), rtol=1e-14)

@@ -188,10 +188,7 @@ with own(Path({str(journal)!r})):
 
 @pytest.mark.parametrize(
     ("controller", "gains", "words"),
-    [
-        (Fragile, BadGain, "untuned gains: no solution"),
-        (Watched, WildGains, r"modulus=0\.0.*WildGains"),
-    ],
+    [(Fragile, BadGain, "untuned gains: no solution"), (Watched, WildGains, r"modulus=0\.0.*WildGains")],
 )
 def test_search_cannot_begin_with_untuned_gains_that_fail(controller: Any, gains: Any, words: str, tmp_path: Path):
     condition = None if controller is Fragile else MarginCondition()
