@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import mistake
+from refusals import refused
 
 from baselines import TUNABLE, PaperController, PaperGains
 from baselines.engines.parallel import Channel
@@ -26,7 +27,7 @@ from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.tune import main
 from baselines.tuning.race import MIN_BUDGET, RUNGS, charged, estimate, hopeless, split_budget
 from baselines.tuning.search import SearchProgress, search
-from baselines.tuning.study import begin_anew, open_study, rounded, space
+from baselines.tuning.study import begin_anew, open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.jit import ANNOUNCEMENT
 
@@ -114,7 +115,7 @@ def interrupted_after(calls: int) -> Channel:
 
 
 def test_a_search_keeps_its_budget_helps_and_is_that_of_its_seed(tmp_path: Path):
-    budget, reported = 2 * MIN_BUDGET + 1, list[SearchProgress]()
+    budget, reported = 3 * MIN_BUDGET + 1, list[SearchProgress]()
     Counting.steps = 0
     first = search(KIND, budget, 3, tmp_path / "a", Channel(reported.append))
     assert first.steps == Counting.steps == reported[-1].steps <= budget
@@ -163,25 +164,12 @@ def test_a_search_that_is_killed_in_the_middle_of_a_line_goes_on(tmp_path: Path)
 def test_journal_of_another_search_is_left_alone(tmp_path: Path):
     """Its journal, and the lock by which Optuna writes to it."""
     journal, optuna_lock = tmp_path / "journal", tmp_path / "journal.lock"
-    code = f"""
-import sys, time
-sys.path.insert(0, {str(ROOT)!r})
-from pathlib import Path
-from baselines.tuning.study import own
-with own(Path({str(journal)!r})):
-    print("held", flush=True)
-    time.sleep(300)
-"""
-    other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert other.stdout is not None and other.stdout.readline() == "held\n"
-    journal.write_text("theirs")
-    optuna_lock.write_text("")
-    for attempt in (lambda: search(Tunable(Counting, OneGain), MIN_BUDGET, 0, journal), lambda: begin_anew(journal)):
-        with pytest.raises(ValueError, match=r"another process tunes with .*journal: wait for it"):
-            attempt()
-    assert journal.read_text() == "theirs" and optuna_lock.exists()
-    other.kill()
-    other.communicate()
+    with own(journal):
+        journal.write_text("theirs")
+        optuna_lock.write_text("")
+        for attempt in (lambda: search(KIND, MIN_BUDGET, 0, journal), lambda: begin_anew(journal)):
+            refused(ValueError, ("another process", str(journal)), attempt)
+        assert journal.read_text() == "theirs" and optuna_lock.exists()
     begin_anew(journal)
     assert not journal.exists() and not optuna_lock.exists()
 
@@ -197,10 +185,10 @@ def test_search_cannot_begin_with_untuned_gains_that_fail(controller: Any, gains
 
 
 def test_controllers_that_fail_are_survived(tmp_path: Path):
-    actual = search(Tunable(Fragile, OneGain), 2 * MIN_BUDGET, 0, tmp_path / "journal")
+    actual = search(Tunable(Fragile, OneGain), 4 * MIN_BUDGET, 0, tmp_path / "journal")
     assert actual.failed > 0
     assert 0.03 <= actual.gains["vibration"] <= 0.3
-    assert actual.steps <= 2 * MIN_BUDGET
+    assert actual.steps <= 4 * MIN_BUDGET
 
 
 class TestMargins:
@@ -320,10 +308,7 @@ def test_command_writes_gains_with_their_provenance(tmp_path: Path, tune: Any, c
     assert sorted(file.name for file in tmp_path.iterdir()) == ["gains.json", "results"]
 
 
-@pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_interrupted_command_leaves_the_file_and_goes_on(
-    interrupt: signal.Signals, tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]
-):
+def test_interrupted_command_leaves_the_file_and_goes_on(tmp_path: Path, tune: Any, capsys: pytest.CaptureFixture[str]):
     name, out, journal = NAMES[0], tmp_path / "gains.json", tmp_path / "results" / "tune" / f"{NAMES[0]}.journal"
     out.write_text("{}")
     script = [sys.executable, str(ROOT / "baselines/tune.py"), name, "--out", "gains.json"]
@@ -331,7 +316,7 @@ def test_interrupted_command_leaves_the_file_and_goes_on(
     deadline = time.monotonic() + 300
     while not (journal.exists() and '"costs"' in journal.read_text()) and time.monotonic() < deadline:
         time.sleep(0.05)
-    process.send_signal(interrupt)
+    process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert errors.replace(f"{ANNOUNCEMENT}\n", "") == ""
