@@ -263,21 +263,6 @@ def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
     np.testing.assert_allclose(residuals, expected.clamp(-1, 1).numpy(), atol=2e-5)
 
 
-@pytest.mark.slow
-def test_a_memory_learns_what_it_can_see(tmp_path: Path):
-    """Of two numbers, one is in the first hold of an episode; the other cannot be known, and is guessed as its mean."""
-    learner = Rma(tiny("rma", tmp_path, rounds=3, epochs=150, batch_size=32, latent=2, learning_rate=0.02, gru_width=8))
-    random = torch.Generator().manual_seed(4)
-    z = 2 * torch.rand(256, 2, generator=random) - 1
-    inputs = torch.zeros(8, 256, learner.config.spec().shape().inputs)
-    inputs[0, :, 2] = z[:, 0]
-    learner.rounds, learner._moves = 2, [(inputs.half(), z)]
-    learner._fit_memory(learner._regression.averaged(), lambda _: None)
-    late = learner._memory.averaged()(inputs)[-1]
-    assert (late[:, 0] - z[:, 0]).square().mean() < 0.01
-    assert late[:, 1].std() < 0.15 and abs(float(late[:, 1].mean())) < 0.15
-
-
 # Runs
 
 

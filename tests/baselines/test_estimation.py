@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from baselines.estimation import believed_arm as arm_of
@@ -120,11 +119,12 @@ class TestObserver:
 
 
 @cache
-def followed(name: str, arms: int = 6) -> tuple[Floats, Floats, Floats, Any]:
+def followed() -> tuple[Floats, Floats, Floats, Any]:
     """States and readings of drawn arms at every sample, their constants, and the controller's memory at the end."""
-    env = BeltArmVectorEnv(arms, autoreset_mode=AutoresetMode.DISABLED, randomization="train", sensors="accelerometer")
+    arms = 6
+    env = BeltArmVectorEnv(arms, autoreset_mode="Disabled", randomization="train", sensors="accelerometer")
     observation, _ = env.reset(seed=SEED)
-    controller, memory, states, felt = FELT[name](), None, [], []
+    controller, memory, states, felt = FELT["adaptive"](), None, [], []
     for _ in range(STEPS - 1):
         seen = decode(observation, "accelerometer")
         felt.append(np.stack([seen["tip_acceleration_along"], seen["tip_acceleration_across"]], axis=1))
@@ -145,7 +145,7 @@ def tip(states: Floats, table: Floats) -> Floats:
 class TestMeasurementEquation:
     def test_readings_are_accelerations_of_the_tip_with_a_constant_and_white_noise(self):
         """Of drawn arms that move: the tip's velocity by finite differences of its place."""
-        states, felt, table, _ = followed("adaptive")
+        states, felt, table, _ = followed()
         moved = states.copy()
         moved[..., 0], moved[..., 2] = states[..., 1], states[..., 3]  # rates of the angles
         moved[..., 1] = moved[..., 3] = 0.0
@@ -210,7 +210,7 @@ class TestGains:
 
 class TestKnowledge:
     def test_kinematic_error_and_zero_g_output_are_found(self):
-        _, felt, table, memory = followed("adaptive")
+        _, felt, table, memory = followed()
         size, phase = table[:, COLUMN.kinematic_error], table[:, COLUMN.kinematic_error_phase]
         z = memory.belief.tracks.mean.T
         np.testing.assert_allclose(z[arm_of.ERROR_SINE], size * np.cos(phase), atol=8e-6)
@@ -219,17 +219,16 @@ class TestKnowledge:
         np.testing.assert_allclose(z[arm_of.BIAS :].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
         assert np.sqrt(memory.belief.variance[:, arm_of.BIAS :]).max() < 0.5 * SPREAD
 
-    @pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
-    def test_with_an_accelerometer_the_torsion_is_known_better_and_the_arm_vibrates_less(self, name: str, most: float):
+    def test_with_an_accelerometer_the_torsion_is_known_better_and_the_arm_vibrates_less(self):
         error, cost, ringing = [], [], []
         arms = development_set().splits["randomized"].arguments(slice(16))
-        for make, sensors in ((CONTROLLERS[name], "encoder"), (FELT[name], "accelerometer")):
+        for make, sensors in ((CONTROLLERS["adaptive"], "encoder"), (FELT["adaptive"], "accelerometer")):
             noted = Noted(make())
             run = rollout(noted, 16, **{**arms, "sensors": sensors})
             error.append(np.std(np.array(noted.torsions[1:]) - run.state[:-1, :, 2]))
             cost.append(run.cost)
             ringing.append(run.metrics()["residual_pp_mm"].mean())
-        assert error[1] < most * error[0]
+        assert error[1] < 0.4 * error[0]
         assert np.median(cost[1] - cost[0]) < 0 and ringing[1] < 0.9 * ringing[0]
 
 
@@ -242,6 +241,5 @@ class Noted:
 
     def predict(self, *arguments: Any, **named: Any) -> Any:
         action, memory = self.controller.predict(*arguments, **named)
-        estimate = memory.belief if hasattr(memory, "belief") else memory.estimate
-        self.torsions.append(estimate.state[:, 2])
+        self.torsions.append(memory.belief.state[:, 2])
         return action, memory

@@ -104,26 +104,6 @@ class TestDrive:
         true, believed = (t[:, of[0]] * np.exp(1j * t[:, of[1]]) for t in (table, actual))
         assert np.median(np.abs(believed - true)) < 0.03
 
-    def test_predicts_the_state_at_which_a_command_will_act(self):
-        env, controller, memory = batch(16, randomization="train"), AdaptiveController(), None
-        observations, _ = env.reset(seed=SEED)
-        identifier, ahead, now, states, delays = ArmIdentifier(design_model()), [], [], [], []
-        for _ in range(400):
-            action, memory = controller.predict(observations, memory)
-            ahead.append(identifier.estimate(memory.belief).states[:, 1])
-            now.append(memory.belief.state[:, 1])
-            delays.append(memory.belief.delay)
-            states.append(env.state[:, 1])
-            observations, *_ = env.step(action)
-        speed, worse, better = np.array(states), [], []
-        for k in range(100, 390):
-            whole = delays[k].astype(int)
-            before, after = (speed[k + whole + i, np.arange(16)] for i in (0, 1))
-            then = before + (delays[k] - whole) * (after - before)
-            better.append(ahead[k] - then)
-            worse.append(now[k] - then)
-        assert np.std(better) < 0.7 * np.std(worse)
-
 
 class TestTrust:
     def test_begins_anew_where_what_it_believes_is_wrong(self):

@@ -104,15 +104,6 @@ class TestRetuned:
             assert moving.all() or now.step[0] == 0
             np.testing.assert_allclose(action[moving, 0], np.clip(torque / 0.3, -1, 1)[moving], atol=1e-6)
 
-    def test_friction_compensation_ends_the_stuck_motors_error(self):
-        # Stiction would hold a PD of K_p = 50 up to tau_c / (M_a1 K_p) = 10 rad from its goal.
-        errors = {}
-        for share in (0.0, 0.95):
-            run = over_the_range(RetunedController(RetunedGains(angle=50.0, friction=share)))
-            errors[share] = np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1])
-        assert np.median(errors[0.0]) > 2.0
-        assert np.median(errors[0.95]) < 0.25 * np.median(errors[0.0])
-
 
 class TestPid:
     def test_integral_holds_still_while_the_torque_is_at_its_limit(self):

@@ -105,14 +105,6 @@ class TestShaper:
             np.testing.assert_allclose(weights, np.array(shares) / sum(shares), rtol=1e-14)
             np.testing.assert_allclose(delays, half * np.arange(len(shares)), rtol=1e-14)
 
-    @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])
-    @pytest.mark.parametrize("kind", ["zv", "zvd"])
-    def test_matched_oscillator_is_left_at_rest(self, kind: Kind, zeta: float):
-        root = math.sqrt(1 - zeta**2)
-        mode = Mode(2 * math.pi / (20 * root), math.exp(-math.pi * zeta / root))
-        weights, delays = shaper(kind, mode)
-        assert residual(weights, delays, 20.0, zeta) < 1e-12
-
     @pytest.mark.parametrize("limit", [0.02, 0.05, 0.2])
     def test_ei_reaches_its_limit_at_the_mode_and_zero_on_both_sides(self, limit: float):
         weights, delays = shaper("ei", Mode(2 * math.pi / 20, 1.0), limit)
