@@ -247,10 +247,6 @@ class TestRay:
             WithStorage(**options).check_engine()
 
 
-def where_it_works(folder: Path, _: Channel) -> str:
-    return str(folder)
-
-
 class TestFolders:
     def test_a_storage_keeps_folders(self, tmp_path: Path):
         storage, folder = Storage(str(tmp_path / "store")), tmp_path / "run"
