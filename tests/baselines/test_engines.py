@@ -17,14 +17,24 @@ from typing import Any, NamedTuple
 import pytest
 from clusters import local_cluster
 from gymnasium.error import DependencyNotInstalled
-from tasks import die_at_first, fail, give_unpicklable, last, raise_unpicklable, slow_square, square, until_begun, where
+from tasks import (
+    die_at_first,
+    fail,
+    give_unpicklable,
+    last,
+    raise_unpicklable,
+    slow_square,
+    square,
+    until_begun,
+    where,
+    where_it_works,
+)
 
 from baselines.engines import ray_cluster, ray_pool
 from baselines.engines.carrying import carry
 from baselines.engines.options import WithStorage
 from baselines.engines.parallel import (
     BrokenOff,
-    Channel,
     Engine,
     Failure,
     Interrupted,
