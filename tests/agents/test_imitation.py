@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +12,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 from trainings import StopAfter, weights
 
 import agents.learners.student
 import agents.runs.monitor
 from agents.learners import teaching
-from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, Told, merged, told_constants
+from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, merged, told_constants
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, ask, best_changes
 from agents.policy.bundle import load_controller, read_spec
@@ -53,11 +50,6 @@ OPTIONS: dict[str, Any] = {
     **{"arms": 4, "rounds": 2, "remembered": 2, "epochs": 2, "batch_size": 2, "gru_width": 6},
     **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none"},
 }
-TINY = [
-    word
-    for name, value in OPTIONS.items()
-    for word in (f"--{name.replace('_', '-')}", str(value[0] if isinstance(value, tuple) else value))
-]
 KINDS = {
     "student": (StudentConfig, Student, OPTIONS),
     "rma": (RmaConfig, Rma, {**OPTIONS, "rounds": 3, "told": 0.6, "latent": 3}),
@@ -180,16 +172,6 @@ def test_labels_are_what_would_have_been_best_of_a_held_residual(residual: float
     assert float(advice.weights.mean()) == pytest.approx(1.0, rel=1e-5)
 
 
-def test_a_student_is_simulated_as_it_was(recording: Recording):
-    np.testing.assert_array_equal(teaching._motion(recording)[1:, :, :4], recording.state[:-1])
-
-
-def test_arms_that_have_left_are_not_asked_about():
-    advice, own = ask(trial, student(1.0, limit=2.0, hold=10))
-    assert not own.finished.any()
-    assert advice.inputs.shape[1] == advice.labels.shape[1] == advice.weights.shape[1] == 0
-
-
 class TestFit:
     """What a student learns is the weighted mean of the advice about what it cannot tell apart."""
 
@@ -233,13 +215,6 @@ def table(arms: int = 400) -> np.ndarray[Any, Any]:
     env = BeltArmVectorEnv(arms, randomization="train")
     env.reset(seed=SEED)
     return env.params_table
-
-
-def test_what_is_told_fills_its_range():
-    reported = told_constants(table())
-    assert reported.min() >= -1 and reported.max() <= 1
-    assert (reported.min(axis=0) < -0.95).all() and (reported.max(axis=0) > 0.95).all()
-    assert np.abs(np.corrcoef(reported.T) - np.eye(reported.shape[1])).max() < 0.25, "nothing is told twice"
 
 
 def test_all_that_varies_is_told():
@@ -286,30 +261,6 @@ def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
         residual, state = policy.predict(seen, state)
         residuals.append(residual)
     np.testing.assert_allclose(residuals, expected.clamp(-1, 1).numpy(), atol=2e-5)
-
-
-def test_a_policy_is_told_the_arm_of_its_row():
-    informed = shaken(InformedActor(SHAPE, CONSTANTS, LATENT))
-    constants = np.random.default_rng(1).uniform(-1, 1, (6, CONSTANTS)).astype(np.float32)
-    residual, _ = Told(informed, constants).predict(np.zeros((6, 5), np.float32))
-    alone, _ = Told(informed, constants[4:5]).predict(np.zeros((1, 5), np.float32))
-    assert len(np.unique(residual)) == 6 and np.abs(residual).max() <= 1
-    np.testing.assert_allclose(residual[4:5], alone, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_memory_learns_what_it_can_see(tmp_path: Path):
-    """Of two numbers, one is in the first hold of an episode; the other cannot be known, and is guessed as its mean."""
-    learner = Rma(tiny("rma", tmp_path, rounds=3, epochs=150, batch_size=32, latent=2, learning_rate=0.02, gru_width=8))
-    random = torch.Generator().manual_seed(4)
-    z = 2 * torch.rand(256, 2, generator=random) - 1
-    inputs = torch.zeros(8, 256, learner.config.spec().shape().inputs)
-    inputs[0, :, 2] = z[:, 0]
-    learner.rounds, learner._moves = 2, [(inputs.half(), z)]
-    learner._fit_memory(learner._regression.averaged(), lambda _: None)
-    late = learner._memory.averaged()(inputs)[-1]
-    assert (late[:, 0] - z[:, 0]).square().mean() < 0.01
-    assert late[:, 1].std() < 0.15 and abs(float(late[:, 1].mean())) < 0.15
 
 
 # Runs
@@ -384,23 +335,6 @@ def test_more_rounds_go_on_from_the_last(tmp_path: Path):
         run(replace(config, resume=True, remembered=3))
 
 
-@pytest.mark.slow
-def test_the_script_is_stopped_and_goes_on(tmp_path: Path):
-    """As a user does it: SIGTERM within a round, and the line that is printed."""
-    command = [sys.executable, str(ROOT / "train/student.py"), "--out", "run", *TINY]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 300
-    while not (tmp_path / "run/checkpoint.pkl").exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGTERM)
-    output, errors = process.communicate(timeout=300)
-    assert process.returncode == 130, errors
-    assert "python train/student.py --out run" in output and output.rstrip().endswith("--resume")
-    run(tiny("student", tmp_path / "run", resume=True))
-    run(tiny("student", tmp_path / "whole"))
-    assert weights(tmp_path / "run/last") == weights(tmp_path / "whole/last")
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_the_untrained_policy_is_its_base(name: str, tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
@@ -410,19 +344,7 @@ def test_the_untrained_policy_is_its_base(name: str, tmp_path: Path):
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
 
-def test_the_memory_of_rma_moves_the_torque_once_it_is_fitted(tmp_path: Path):
-    """Its weights into the first layer are zero as long as it is not."""
-    run(tiny("rma", tmp_path))
-    trained: Any = load_controller(tmp_path / "last").policy
-    seen = np.zeros((2, trained.shape.inputs), np.float32)
-    memories = np.zeros((2, 6), np.float32)
-    memories[1] = 0.5
-    residuals, _ = trained.predict(seen, memories)
-    assert residuals[0, 0] != residuals[1, 0]
-    untrained, _ = NetworkPolicy(Rma(tiny("rma", tmp_path)).actor().weights()).predict(seen, memories)
-    assert untrained[0, 0] == untrained[1, 0]
-
-
+@examples(20)
 @given(st.integers(0, MAX_TRAINING_SEED), st.integers(1, 50), st.integers(1, SEED_SPACING))
 def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int, arms: int):
     config = StudentConfig(seed=seed, rounds=rounds, arms=arms)

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from bundles import SPEC, new_weights
 from gymnasium.error import DependencyNotInstalled
 from networks import SHAPES, episodes, lively
 
-from agents.policy.actor import Actor
 from agents.policy.bundle import MANIFEST, POLICIES, BundleError, read_spec, save_bundle
 from agents.policy.network import NetworkPolicy
 from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
@@ -85,13 +83,6 @@ def test_a_damaged_bundle_makes_no_model(tmp_path: Path):
     weights.write_bytes(weights.read_bytes()[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(BundleError, match="damaged"):
         onnx_model(tmp_path)
-
-
-def test_weights_that_are_no_numbers_are_refused():
-    actor = Actor(MORE["no hidden layer"]).requires_grad_(False)
-    next(actor.parameters())[0] = torch.inf
-    with pytest.raises(ValueError, match="weights that are not finite numbers, in layers"):
-        model_of(actor.weights(), {})
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import subprocess
@@ -16,15 +17,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from networks import SHAPES, episodes, lively
+from refusals import refused
 from torch import nn
 
+from agents.policy import network
 from agents.policy.actor import Actor, ActorShape, actor_of
-from agents.policy.bundle import (
-    FELT_POLICIES,
-    POLICIES,
-    load_controller,
-    read_spec,
-)
+from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
@@ -38,38 +36,20 @@ INPUTS = 3
 STEPS = 160  # of an episode: the arm sets out, and what differs by a rounding has time to grow
 
 
-class TestShape:
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            ({"hidden": (0,)}, "hidden.* 0"),
-            ({"hidden": (4, 1025)}, "hidden.* 1025"),
-            ({"hidden": (4, True)}, "True"),
-            ({"hidden": (4.0,)}, "4.0"),
-            ({"hidden": (4,) * 9}, "8 hidden.* 9"),
-            ({"lstm": -1}, "LSTM.* -1"),
-            ({"gru": -1}, "GRU.* -1"),
-            ({"gru": 1025}, "1025"),
-            ({"lstm": False}, "False"),
-            ({"lstm": 4, "gru": 5}, "4 and 5"),
-            ({"activation": "gelu"}, "activation.*'gelu'"),
-        ],
-    )
-    def test_sizes_that_are_not_allowed(self, change: dict[str, Any], words: str):
-        with pytest.raises(ValueError, match=words):
-            ActorShape(INPUTS, **{"hidden": (4,), **change})
-
-    @pytest.mark.parametrize(
-        ("change", "memory"),
-        [
-            ({"hidden": ()}, (0,)),
-            ({"hidden": (1,) * 8, "activation": "elu"}, (0,)),
-            ({"hidden": (1024,), "gru": 7}, (7,)),
-            ({"lstm": 1024}, (2, 1024)),
-        ],
-    )
-    def test_sizes_that_are_and_what_is_remembered_of_an_arm(self, change: dict[str, Any], memory: tuple[int, ...]):
-        assert ActorShape(INPUTS, **{"hidden": (4,), **change}).memory == memory
+def test_sizes_that_are_not_allowed():
+    for change, words in (
+        ({"hidden": (0,)}, ("hidden", "0")),
+        ({"hidden": (4, 1025)}, ("hidden", "1025")),
+        ({"hidden": (4, True)}, ("True",)),
+        ({"hidden": (4,) * 9}, ("8 hidden", "9")),
+        ({"lstm": -1}, ("LSTM", "-1")),
+        ({"gru": 1025}, ("GRU", "1025")),
+        ({"lstm": 4, "gru": 5}, ("4 and 5",)),
+        ({"activation": "gelu"}, ("activation", "'gelu'")),
+    ):
+        refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
+    memories = [ActorShape(INPUTS, (4,), **cells).memory for cells in ({}, {"gru": 7}, {"lstm": 1024})]
+    assert memories == [(0,), (7,), (2, 1024)]
 
 
 def test_weights_are_the_arrays_of_the_layers_and_no_others():
@@ -165,29 +145,21 @@ def test_a_memory_begins_anew_where_an_episode_does():
     assert following is not None and following.shape == (3, shape.gru)
 
 
-def test_weights_are_copied():
-    """Training goes on with an actor that a policy was made of."""
-    actor = lively(SHAPES["student"])
-    policy, seen = NetworkPolicy(actor.weights()), episodes(SHAPES["student"], 2)
-    before = answers(policy, seen)
-    for tensor in actor.state_dict().values():
-        tensor.add_(1.0)
-    np.testing.assert_array_equal(answers(policy, seen), before)
-
-
 PLAIN = """
 import sys; sys.path[:0] = ["tests/agents", "tests/helpers"]
 import numpy as np
 from networks import SHAPES, episodes, lively
 from test_policy import NetworkPolicy, answers
-found = {name: answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3)) for name in NAMES}
+def of(name):
+    return answers(NetworkPolicy(lively(SHAPES[name]).weights()), episodes(SHAPES[name], 9, 3))
+answered = {name: of(name) for name in NAMES}
 """
 
 
 @pytest.mark.slow
 def test_without_compiler_the_very_same_numbers(tmp_path: Path):
     names = ("elu", "tanh", "recurrent")
-    code = f"NAMES = {names!r}\n{PLAIN}\nnp.savez({str(tmp_path / 'plain.npz')!r}, **found)"
+    code = f"NAMES = {names!r}\n{PLAIN}\nnp.savez({str(tmp_path / 'plain.npz')!r}, **answered)"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True)
     with np.load(tmp_path / "plain.npz") as plain:
@@ -212,6 +184,14 @@ def test_shipped_policies_act_and_are_compared_without_pytorch():
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, check=True)
     controller = load_controller(POLICIES / "ppo" / "seed0")
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
+
+
+@given(st.floats(-30, 30))
+def test_functions_of_one_number(x: float):
+    assert network._tanh(x) == pytest.approx(math.tanh(x), abs=3e-7, rel=3e-6)
+    assert network._tanh(-x) == -network._tanh(x)
+    assert network._sigmoid(x) == pytest.approx(1 / (1 + math.exp(-x)), abs=3e-7)
+    assert network._activated(x, network._ELU) == pytest.approx(x if x > 0 else math.expm1(x), abs=3e-6)
 
 
 class Echo:

@@ -18,7 +18,6 @@ from trainings import weights
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
-from agents.learners.tuning import TuningConfig, counted, tune
 from agents.policy.bundle import read_spec
 from agents.runs.command_line import main
 from agents.runs.monitor import News
@@ -74,20 +73,8 @@ def test_the_command_runs_on_a_cluster_that_is_there(tmp_path: Path):
     """Whose workers know the command's folder, where a file has the name of a package."""
     ray = pytest.importorskip("ray")
     address = ray.get_runtime_context().gcs_address
-    words = (
-        "--methods",
-        "paper",
-        "rigid",
-        "--splits",
-        "nominal",
-        "--episodes",
-        "4",
-        "--engine",
-        "ray",
-        "--address",
-        address,
-    )
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *words, "--out", "out"]
+    words = f"--methods paper rigid --splits nominal --episodes 4 --engine ray --address {address} --out out"
+    command = [sys.executable, str(ROOT / "eval/compare.py"), *words.split()]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "out/parts").iterdir())) == 2
@@ -140,11 +127,3 @@ def test_a_training_whose_worker_is_killed_goes_on_and_is_the_local_one(
     assert "store already holds seed0: continue it with --resume" in capsys.readouterr().err
     train(monkeypatch, die_once, "--out", tmp_path / "other", "--seeds", 2, *options, "--resume")
     assert weights(tmp_path / "other/seed1/last") == weights(tmp_path / "here/last"), "from another machine"
-
-
-@pytest.mark.slow
-def test_a_search_for_hyper_parameters_runs_on_ray(tmp_path: Path):
-    few: dict[str, Any] = {"trials": 2, "jobs": 2, "samples": 7680, "arms": 4, "validation_arms": 2}
-    study = tune(TuningConfig("ppo", out=tmp_path, engine="ray", **few))
-    assert len(counted(study)) >= 2 and study.best_value > 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["ppo.db"], "trials work elsewhere"

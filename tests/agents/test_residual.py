@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -13,14 +15,10 @@ import torch
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 from refusals import refused
-from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.vec_env import VecMonitor
 
 from agents.policy.actor import Actor
-from agents.policy.bundle import (
-    BundleSpec,
-)
+from agents.policy.bundle import BundleSpec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings, combine
 from agents.residual.env import ResidualEnv, ResidualVecEnv
@@ -31,7 +29,6 @@ from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import read
 from beltarm_env import EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.observation import index, size
-from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.rollout import Recording, rollout
 
 BASES = ("paper", "rigid")
@@ -91,23 +88,28 @@ class Silent:
         return np.zeros((len(observation), 1), np.float32), state
 
 
-class TestSettings:
-    @pytest.mark.parametrize("value", [0, -0.1, 2.1, math.nan, math.inf, "0.5", None, True], ids=repr)
-    def test_limit(self, value: Any):
-        refused((ValueError, TypeError), ("limit", repr(value)), lambda: ResidualSettings(limit=value))
-
-    @pytest.mark.parametrize("value", [0, -1, 101, 4.0, "4", None, True], ids=repr)
-    def test_hold(self, value: Any):
-        refused((ValueError, TypeError), ("hold", repr(value)), lambda: ResidualSettings(hold=value))
-
-    @pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
-    def test_a_batch_needs_same_step_reset(self, mode: str):
-        envs = BeltArmVectorEnv(2, autoreset_mode=mode)
-        refused(ValueError, (repr(mode), "SameStep"), lambda: ResidualVecEnv(envs, CONTROLLERS["paper"](), SETTINGS))
-
-    def test_another_environment_is_refused(self):
-        with pytest.raises((TypeError, ValueError), match="BeltArm"):
-            ResidualEnv(gym.make("CartPole-v1"), CONTROLLERS["paper"](), SETTINGS)
+def test_what_does_not_fit_is_refused():
+    paper, batch, single = CONTROLLERS["paper"], many(3), single_env()
+    sheet = ArmParams(gear_ratio=100.0)
+    other = ResidualController(CONTROLLERS["ei"](params=sheet), Silent(), SETTINGS)
+    weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
+    refused(ResetNeeded, ("reset()",), lambda: single.step(np.zeros(1, np.float32)))
+    single.reset(seed=0)
+    batch.reset()
+    calls: list[tuple[tuple[str, ...], Callable[[], object]]] = [
+        *((("limit", repr(v)), partial(ResidualSettings, limit=v)) for v in (0, 2.1, math.nan, "0.5", True)),
+        *((("hold", repr(v)), partial(ResidualSettings, hold=v)) for v in (0, 101, 4.0, "4", True)),
+        (("NextStep", "SameStep"), lambda: ResidualVecEnv(BeltArmVectorEnv(2), paper(), SETTINGS)),
+        (("BeltArm",), lambda: ResidualEnv(gym.make("CartPole-v1"), paper(), SETTINGS)),
+        *(((str(shape), "(3, 1)"), partial(batch.step, np.zeros(shape))) for shape in ((3,), (1, 1), (3, 2), ())),
+        (("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32))),
+        *(((), partial(single.step, residual)) for residual in ([math.nan], [0.1, 0.2], "0.5", [])),
+        (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),
+        (("gear_ratio 100.0", "88.0"), lambda: single.reset(options={"params": {"gear_ratio": 100.0}})),
+        (("torque_limit 0.2", "0.3"), lambda: ResidualVecEnv(weak, paper(), SETTINGS).reset()),
+    ]
+    for words, call in calls:
+        refused((ValueError, TypeError), words, call)
 
 
 class TestZeroResidual:
@@ -139,23 +141,6 @@ class TestZeroResidual:
         assert combine(base, np.zeros_like(base), 0.7).tobytes() == base.tobytes()
         base, residual = np.array([[0.1], [0.9], [-0.9]], np.float32), np.array([[-1], [1], [-0.5]], np.float32)
         assert combine(base, residual, 0.5).ravel().tolist() == pytest.approx([-0.4, 1.0, -1.0])
-
-
-class TestResiduals:
-    @pytest.mark.parametrize("residual", [[math.nan], [math.inf], [0.1, 0.2], "0.5", []], ids=repr)
-    def test_bad_ones_are_refused(self, residual: Any):
-        env = single_env()
-        refused(ResetNeeded, ("reset()",), lambda: env.step(np.zeros(1, np.float32)))
-        env.reset(seed=0)
-        with pytest.raises(ValueError):
-            env.step(residual)
-
-    @pytest.mark.parametrize("shape", [(3,), (1, 1), (2, 1), (3, 2), ()], ids=str)
-    def test_those_of_another_shape_or_not_finite_are_refused_by_a_batch(self, shape: tuple[int, ...]):
-        batch = many(3)
-        observed(batch)
-        refused(ValueError, (str(shape), "(3, 1)"), lambda: batch.step(np.zeros(shape, np.float32)))
-        refused(ValueError, ("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32)))
 
 
 def test_batch_agrees_with_single_arms_bit_for_bit():
@@ -212,17 +197,6 @@ def test_controller_holds_the_residual_and_restarts_with_an_episode():
     assert residuals == [[1, 1], [1, 1], [1, 1], [2, 2], [2, 3], [2, 3], [4, 3], [4, 5]]
 
 
-def test_prediction_is_deterministic_and_leaves_its_arguments_alone():
-    controller = ResidualController(CONTROLLERS["paper"](), lively_policy(), SETTINGS)
-    seen = np.random.default_rng(0).normal(size=(3, size())).astype(np.float32)
-    before = seen.copy()
-    _, memory = controller.predict(seen)
-    first, second = controller.predict(seen, memory), controller.predict(seen, memory)
-    assert np.array_equal(first[0], second[0]) and np.array_equal(first[1].residual, second[1].residual)
-    assert np.array_equal(seen, before)
-    assert first[0].dtype == np.float32 and first[0].shape == (3, 1)
-
-
 def test_what_the_agent_observes():
     """The observation, the base's torque, and what the identification makes of the encoder."""
     batch = many(3)
@@ -258,19 +232,6 @@ def test_what_the_agent_observes():
         observations, *_ = stepped(batch, np.zeros((3, 1), np.float32))
 
 
-def test_believed_tip_errors_are_the_true_ones_of_a_true_state():
-    plain = BeltArmVectorEnv(4)
-    seen, _ = plain.reset(seed=30)
-    for _ in range(60):
-        seen, *_ = plain.step(np.full((4, 1), 0.4, np.float32))
-    reading, exact = read(seen, ArmParams()), plain.tip_errors()
-    reference = np.stack([reading.reference_angle, reading.reference_speed], axis=1)
-    errors = tip_errors(plain.state, reference, ArmParams().plant())
-    assert np.abs(exact[:, 1]).min() > 1e-4
-    np.testing.assert_allclose(errors[:, 0], exact[:, 0], atol=1e-7)
-    np.testing.assert_allclose(errors[:, 1], exact[:, 1], atol=1e-7)
-
-
 class TestArmsOfAnotherDataSheet:
     """Observations are relative to gear ratio and torque limit, see `Controller`."""
 
@@ -290,18 +251,6 @@ class TestArmsOfAnotherDataSheet:
         reported = informed.seen(seen, memory)[:, size() :] * [entry.scale for entry in ENTRIES["belief"]]
         np.testing.assert_allclose(reported[:, 4:6], plain.tip_errors()[:, :2], atol=1e-3)
 
-    def test_residual_controller_is_made_for_the_arm_of_its_base(self):
-        residual = ResidualController(CONTROLLERS["ei"](params=self.PARAMS), Silent(), SETTINGS)
-        with pytest.raises(ValueError, match=r"gear_ratio 88.0.*ResidualController.*100.0"):
-            rollout(residual, 2, seed=30)
-
-    def test_environments_refuse_others(self):
-        with pytest.raises(ValueError, match=r"arm 0 has gear_ratio 100.0, but PaperController is made for 88.0"):
-            single_env().reset(seed=0, options={"params": {"gear_ratio": 100.0}})
-        with pytest.raises(ValueError, match=r"torque_limit 0.2, but PaperController is made for 0.3"):
-            weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
-            ResidualVecEnv(weak, CONTROLLERS["paper"](), SETTINGS).reset()
-
 
 def test_knowledge_none_is_the_base_torque_alone():
     settings = replace(SETTINGS, knowledge="none")
@@ -311,15 +260,7 @@ def test_knowledge_none_is_the_base_torque_alone():
     assert np.array_equal(observations[:, size() :], action)
 
 
-def test_a_base_that_identifies_the_arm_is_not_asked_twice():
-    informed = InformedBase(CONTROLLERS["adaptive"]())
-    seen, _ = BeltArmVectorEnv(2).reset(seed=0)
-    memory = informed.advance(seen, None, None)
-    assert memory.belief is memory.base.belief
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.01])
-@pytest.mark.parametrize("hold", [1, 4, 7])
+@pytest.mark.parametrize(("hold", "scale"), [(1, 1.0), (4, 0.01), (7, 1.0)])
 def test_reward_is_the_scaled_sum_over_a_hold(hold: int, scale: float):
     batch = many(3, replace(SETTINGS, hold=hold), reward_scale=scale)
     observed(batch)
@@ -397,8 +338,7 @@ def test_an_arm_that_leaves_within_a_hold():
     assert np.array_equal(seen[0, : size()], observation)
 
 
-@pytest.mark.parametrize("hold", [4, 7])
-@pytest.mark.parametrize("count", [1, 10])
+@pytest.mark.parametrize(("count", "hold"), [(1, 4), (10, 7)])
 def test_staggering_spreads_the_arms_over_the_episode(count: int, hold: int):
     batch = many(count, replace(SETTINGS, hold=hold), stagger=True)
     phases = np.sort(observed(batch)[:, index("elapsed_time")])
@@ -425,25 +365,6 @@ def test_staggered_arms_go_on_as_if_they_had_been_alone():
         assert np.array_equal(observations[arm], informed.seen(seen[None], memory)[0])
 
 
-def test_same_seed_same_run_and_seeds_are_used_once():
-    first, second = many(3), many(3)
-    assert np.array_equal(observed(first), observed(second))
-    assert np.array_equal(stepped(first, random_residuals(3)[0])[0], stepped(second, random_residuals(3)[0])[0])
-    following = observed(first)
-    assert np.array_equal(following, observed(second))
-    first.seed(30)
-    assert not np.array_equal(following, observed(first))
-
-
-def test_nothing_returned_is_shared():
-    batch = many(3)
-    returned = [observed(batch)]
-    for residuals in random_residuals(3)[:3]:
-        seen, rewards, done, _ = stepped(batch, residuals)
-        returned += [seen, rewards, done]
-    assert all(not np.shares_memory(a, b) for k, a in enumerate(returned) for b in returned[k + 1 :])
-
-
 class TestStableBaselines:
     def test_spaces_and_protocol(self):
         batch = many(3)
@@ -459,15 +380,3 @@ class TestStableBaselines:
         batch.close()
         batch.close()
         check_env(single_env(), warn=True, skip_render_check=True)
-
-    def test_ppo_learns_on_it(self):
-        batch = VecMonitor(many(8, stagger=True, reward_scale=0.01))
-        arguments: dict[str, Any] = {"n_steps": 40, "batch_size": 80, "n_epochs": 2, "seed": 0, "device": "cpu"}
-        model = PPO("MlpPolicy", batch, policy_kwargs={"net_arch": [16]}, **arguments)
-        before = [parameter.detach().clone() for parameter in model.policy.parameters()]
-        model.learn(640)
-        assert model.num_timesteps == 640
-        after = list(model.policy.parameters())
-        assert all(torch.isfinite(parameter).all() for parameter in after)
-        assert all(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
-        assert model.ep_info_buffer and all(episode["l"] > 0 for episode in model.ep_info_buffer)

@@ -20,7 +20,6 @@ from agents.policy.together import are_alike, load_together
 from agents.residual.bases import make_base
 from agents.residual.controller import ResidualController, ResidualSettings, combined
 from agents.residual.knowledge import filters_of
-from baselines.estimation.identification import ArmIdentifier
 from baselines.reading import Sample, sample_of
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import size
@@ -94,13 +93,6 @@ def test_only_those_of_one_build_act_together(tmp_path: Path):
     assert unlike.batches(10) == [range(1), range(1, 2)]
 
 
-def test_batches_stay_small():
-    five = method("ppo", 5)
-    assert five.batches(50) == [range(5)]
-    assert five.batches(200) == [range(2), range(2, 4), range(4, 5)]
-    assert five.batches(501) == [range(k, k + 1) for k in range(5)]
-
-
 @pytest.mark.parametrize("guarded", [False, True])
 def test_a_comparison_runs_training_seeds_together(guarded: bool):
     """On a split where delays and encoders are not the usual ones."""
@@ -156,12 +148,6 @@ def test_so_they_are_for_shipped_policies(name: str):
     controller = load_controller(POLICIES / name / "seed0")
     spec, _ = read_spec(POLICIES / name / "seed0")
     assert_same(controller, spec.sensors, 200)
-
-
-def test_a_filter_runs_beside_a_base_that_has_none():
-    assert correction(lively(SPECS["gru"])).identifier is None
-    assert correction(lively(SPECS["told nothing"])).identifier is None
-    assert isinstance(correction(lively(SPECS["lstm"])).identifier, ArmIdentifier)
 
 
 def test_what_is_no_kernel_is_refused():

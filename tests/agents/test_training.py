@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib
 import json
 import os
 import pickle
@@ -22,60 +21,22 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from stable_baselines3.common.base_class import BaseAlgorithm
-from trainings import weights
+from trainings import MODULES, NAMES, SHORT, TINY, as_script, run, tiny, weights
 
-import agents.residual.bases
-import agents.runs.checkpoint
-import agents.runs.monitor
 from agents.learners.ppo import PpoConfig
-from agents.learners.registry import ALGORITHMS
-from agents.learners.reinforcement import ModelLearner, ReinforcementConfig, make_env
-from agents.learners.sac import ClippedAdam
-from agents.policy.actor import actor_of
-from agents.policy.bundle import MAX_BYTES, load_controller, read_spec
-from agents.policy.network import NetworkPolicy
-from agents.residual.env import ResidualVecEnv
+from agents.learners.reinforcement import ModelLearner, ReinforcementConfig
+from agents.policy.bundle import read_spec
 from agents.runs.checkpoint import VERSION, RunFolder
 from agents.runs.command_line import main, run_in, runs_of
 from agents.runs.monitor import News, TrainingMonitor
-from agents.runs.settings import RunConfig
 from agents.runs.training import train
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
 from baselines.engines.workplace import Workplace
 from baselines.tools.files import sealed
-from beltarm_env.task.cost import MAX_COST
-from beltarm_env.task.seeds import MAX_TRAINING_SEED, training_arms
-from beltarm_env.task.streams import seeded
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # which have tests of their own
-MODULES = {name: importlib.import_module(f"agents.learners.{name}") for name in NAMES}  # for their models
-ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
-OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
-OWN: dict[str, dict[str, Any]] = {
-    "ppo": ON_POLICY,
-    "recurrent_ppo": {**ON_POLICY, "lstm_width": 8},
-    "sac": OFF_POLICY,
-}
-SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
-TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
-
-
-def tiny(name: str, out: Path, **options: Any) -> ReinforcementConfig:
-    """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
-    common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
-    kind: Any = ALGORITHMS[name].config
-    return kind(**{"out": out, **common, **OWN[name], **options})
-
-
-def as_script(out: Path, **options: Any) -> ReinforcementConfig:
-    """What a script makes of TINY."""
-    return tiny("ppo", out, **{"total_steps": 256, "validation_every": 128, **options})
-
-
-def run(config: RunConfig, stop: StopRequest | None = None) -> TrainingMonitor:
-    return train(config, MODULES[config.algorithm].make_learner, Channel(stop=stop or StopRequest()))
 
 
 class StopAt(StopRequest):
@@ -253,14 +214,6 @@ def test_a_run_is_not_mixed_with_another(options: dict[str, Any], words: str, co
     assert sorted((path.name, path.stat().st_mtime_ns) for path in copied.iterdir()) == before
 
 
-def test_another_tuning_of_the_base_is_not_resumed(copied: Path, monkeypatch: pytest.MonkeyPatch):
-    content = json.loads((copied / "config.json").read_text())
-    content["identity"]["base_hash"] = "x"
-    (copied / "config.json").write_text(json.dumps(content))
-    with pytest.raises(ValueError, match="began with other gains of the base"):
-        run(resumed(copied))
-
-
 def test_overwriting_deletes_the_run_and_nothing_else(copied: Path, tmp_path: Path):
     (copied / "notes.txt").write_text("mine")
     old = weights(copied / "last")
@@ -289,17 +242,26 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "no pickle": lambda _: b"not a pickle",
     "another pickle": lambda _: pickle.dumps([1, 2]),
     "another pickle with a hash": lambda _: sealed(pickle.dumps([1, 2])),
-    **{f"a bit at {share}": partial(flipped, share) for share in (0.001, 0.5, 0.999)},
+    **{f"a bit at {share}": partial(flipped, share) for share in (0.001, 0.999)},
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_checkpoints(damage: str, copied: Path):
-    path = copied / "checkpoint.pkl"
-    path.write_bytes(DAMAGES[damage](path.read_bytes()))
-    with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read.*--out") as end:
-        run(resumed(copied))
-    assert "--overwrite" not in str(end.value) and "delete" not in str(end.value)
+def test_damaged_checkpoints_and_settings(copied: Path):
+    path, settings = copied / "checkpoint.pkl", copied / "config.json"
+    whole, config = path.read_bytes(), settings.read_text()
+    for damage in DAMAGES.values():
+        path.write_bytes(damage(whole))
+        with pytest.raises(ValueError, match=r"checkpoint\.pkl cannot be read.*--out") as end:
+            run(resumed(copied))
+        assert "--overwrite" not in str(end.value) and "delete" not in str(end.value)
+    path.write_bytes(whole)
+    for text in ("", "[]", '{"identity": 3}', '{"identity": {"options": 3}}'):
+        settings.write_text(text)
+        refused(ValueError, ("config.json", "damaged", "--out"), lambda: run(resumed(copied)))
+    content = json.loads(config)
+    content["identity"]["base_hash"] = "x"
+    settings.write_text(json.dumps(content))
+    refused(ValueError, ("gains of the base",), lambda: run(resumed(copied)))
 
 
 def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -312,10 +274,7 @@ def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 MISFITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "another format": (lambda content: content.update(version=99), f"format 99, this version has {VERSION}"),
     "an entry that is gone": (lambda content: content["learner"].pop("replay"), "KeyError: 'replay'"),
-    "an attribute that is gone": (
-        lambda content: content["learner"]["variables"].update(gone=0),
-        "AttributeError: ",
-    ),
+    "an attribute that is gone": (lambda content: content["learner"]["variables"].update(gone=0), "AttributeError: "),
     "another kind": (lambda content: content["learner"].update(env=3), "TypeError: "),
 }
 
@@ -325,30 +284,13 @@ def test_checkpoints_of_another_version_are_not_given_up(case: str, copied: Path
     """What did not fit is said, and who can go on; nothing is changed, and nobody is told to delete."""
     change, words = MISFITS[case]
     changed(copied / "checkpoint.pkl", change)
-    changed(
-        copied / "checkpoint.pkl", lambda content: content.update(written_by={"version": "9.9", "commit": "abc123"})
-    )
+    writer = {"version": "9.9", "commit": "abc123"}
+    changed(copied / "checkpoint.pkl", lambda content: content.update(written_by=writer))
     before = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
-    with pytest.raises(
-        ValueError, match=rf"does not fit this version \(.*{words}.*beltarm 9\.9 at commit abc123"
-    ) as end:
+    with pytest.raises(ValueError, match=rf"\(.*{words}.*9\.9 at commit abc123") as end:
         run(resumed(copied))
     assert "--overwrite" not in str(end.value)
     assert {path.name: path.stat().st_mtime_ns for path in copied.iterdir()} == before
-
-
-def test_a_checkpoint_with_a_class_that_is_gone_names_the_writer_in_its_settings(copied: Path):
-    (copied / "checkpoint.pkl").write_bytes(sealed(b"\x80\x04\x8c\x06agents\x8c\x04Gone\x93."))
-    commit = json.loads((copied / "config.json").read_text())["written_by"]["commit"]
-    with pytest.raises(ValueError, match=rf"AttributeError.*Gone.* at commit {commit}"):
-        run(resumed(copied))
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"identity": 3}', '{"identity": {"options": 3}}'])
-def test_damaged_settings(text: str, copied: Path):
-    (copied / "config.json").write_text(text)
-    with pytest.raises(ValueError, match=r"config\.json is damaged.*--out"):
-        run(resumed(copied))
 
 
 def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -368,119 +310,6 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
     monkeypatch.undo()
     assert [path.name for path in tmp_path.glob(".*")] == [".lock"]
     assert [steps for steps, _ in costs(run(replace(config, resume=True)))] == [0, 64, 128, 192, 256]
-
-
-# What is trained
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_actor_acts_as_the_policy_that_it_is_of(name: str, tmp_path: Path):
-    config = tiny(name, tmp_path)
-    env = make_env(config)
-    env.seed(0)
-    model = MODULES[name].make_model(config, env)
-    seen, residuals = env.reset(), []
-    assert np.abs(model.predict(seen, deterministic=True)[0]).max() < 0.1, "untrained, it is nearly its base"
-    with torch.no_grad():
-        for parameter in model.policy.parameters():
-            parameter.add_(0.1 * torch.randn(parameter.shape))
-    policy = NetworkPolicy(actor_of(model.policy, config.spec().shape()).weights())
-    ours, theirs = None, None
-    begins = np.ones(config.arms, np.bool_)
-    with pytest.raises(ValueError, match=f"{seen.shape[1]} entries.*--sensors"):
-        policy.predict(seen[:, 1:])
-    for step in range(20):
-        residual, ours = policy.predict(seen, ours, begins)
-        expected, theirs = model.predict(seen, theirs, begins, deterministic=True)
-        np.testing.assert_allclose(residual, expected, atol=1e-6)
-        residuals.append(residual)
-        seen, _, begins, _ = env.step(residual)
-        assert isinstance(seen, np.ndarray)
-        begins[0] |= step == 10
-    assert np.std(residuals) > 1e-3
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_bundles_of_all_algorithms(name: str, tmp_path: Path):
-    monitor = run(tiny(name, tmp_path, total_steps=128))
-    controller = load_controller(tmp_path / "last")
-    spec, _ = read_spec(tmp_path / "last")
-    assert spec.algorithm == name and all(path.stat().st_size < MAX_BYTES for path in (tmp_path / "last").iterdir())
-    assert spec.provenance["curve"] == [list(point) for point in monitor.curve]
-    validated = agents.runs.monitor.validate(controller, 4)
-    assert validated == spec.provenance["reached"]["validation"]
-    card = (tmp_path / "last" / "README.md").read_text()
-    for word in (name, "`paper`", "layout", "stable-baselines3", "seed | 0", f"{validated['cost']:.4g}"):
-        assert word in card
-    best, _ = read_spec(tmp_path / "best")
-    assert best.provenance["run"]["steps"] == 128
-
-
-@pytest.mark.parametrize(
-    ("base", "sensors"), [("none", "encoder"), ("zvd", "tip"), ("rigid", "full"), ("paper", "accelerometer")]
-)
-def test_bases_and_sensors(base: str, sensors: Any, tmp_path: Path):
-    config = tiny("ppo", tmp_path, base=base, sensors=sensors, knowledge="none", total_steps=64)
-    run(config)
-    spec, _ = read_spec(tmp_path / "best")
-    assert (spec.base, spec.sensors, spec.residual.knowledge) == (base, sensors, "none")
-
-
-def test_what_leaving_costs(tmp_path: Path):
-    """Cut: for PPO to the highest cost of three holds, off-policy to the highest cost for ever."""
-    worst = {}
-    for name in ("ppo", "sac"):
-        env = make_env(tiny(name, tmp_path, reward_scale=0.1, gamma=0.9, residual_limit=2.0, base="none"))
-        env.seed(0)
-        env.reset()
-        worst[name] = -min(env.step(np.ones((8, 1), np.float32))[1].min() for _ in range(20))
-    assert worst["sac"] == pytest.approx(MAX_COST * 0.1 / (1 - 0.9))
-    assert worst["ppo"] == pytest.approx(3 * MAX_COST * 0.1)
-
-
-@pytest.mark.parametrize("batch_size", [24, 1024])
-def test_a_batch_that_does_not_divide_a_rollout_is_no_reason_to_warn(batch_size: int, tmp_path: Path):
-    """In a search with few arms it is the rule, and warnings are errors here."""
-    monitor = run(tiny("ppo", tmp_path, batch_size=batch_size, total_steps=64))
-    assert monitor.curve[-1][0] == 64
-
-
-def test_gradients_are_clipped():
-    weight = torch.nn.Parameter(torch.zeros(2))
-    optimiser = ClippedAdam([weight], lr=0.1)
-    weight.grad = torch.tensor([300.0, 400.0])
-    optimiser.step()
-    torch.testing.assert_close(weight.grad, torch.tensor([0.6, 0.8]))
-
-
-def test_an_error_that_is_no_divergence_is_not_said_to_be_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def fail(*_: object) -> None:
-        raise ValueError("infeasible, no information, must be finite")
-
-    monkeypatch.setattr(ResidualVecEnv, "step_wait", fail)
-    with pytest.raises(ValueError, match=r"^infeasible"):
-        run(tiny("ppo", tmp_path))
-
-
-def test_arms_are_seeded_as_documented(tmp_path: Path):
-    config = tiny("ppo", tmp_path, seed=2, total_steps=64)
-    monitor = run(config)
-    env = make_env(config)
-    env.seed(training_arms(2).first)
-    env.reset()
-    assert isinstance(monitor.learner, ModelLearner)
-    expected = seeded([training_arms(2).first + 3])[0]
-    for arms in (env.env, monitor.learner.env.env):
-        assert arms._streams is not None
-        assert np.array_equal(arms._streams[3, 2:], expected[2:])  # what does not change as numbers are drawn
-
-
-@pytest.mark.parametrize("algorithm", ["ppo", "recurrent_ppo"])
-def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Path):
-    """A run ends with a whole rollout, beyond its steps: a negative rate there would climb the loss."""
-    config = tiny(algorithm, tmp_path)
-    schedule = MODULES[algorithm].make_learner(config).model.lr_schedule
-    assert [schedule(left) for left in (1.0, 0.5, 0.0, -0.02)] == [config.learning_rate, config.learning_rate / 2, 0, 0]
 
 
 # Several seeds side by side
@@ -535,7 +364,7 @@ def test_several_seeds_are_saved_when_interrupted(tmp_path: Path):
     assert {path.name for path in (tmp_path / "many").rglob(".*")} == {".lock"}
 
 
-# Progress and options
+# Progress
 
 
 @pytest.mark.parametrize(("base", "rings"), [("paper", True), ("none", False)])
@@ -551,35 +380,3 @@ def test_progress_is_reported(base: str, rings: bool, tmp_path: Path):
     names = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert "validation/cost_over_base" in names and "validation/residual_pp_mm" in names
     assert ("validation/residual_pp_mm_over_base" in names) == rings
-
-
-BAD: list[tuple[str, dict[str, Any], str]] = [
-    ("ppo", {"base": "papre"}, "'papre'.*'paper'"),
-    ("ppo", {"base": "xyzzyx"}, "'xyzzyx'"),
-    ("ppo", {"device": "cuda"}, "--device cuda.*--device cpu"),
-    ("ppo", {"device": "gpu"}, "--device .* 'gpu'"),
-    ("ppo", {"arms": 50_000}, "--arms .* 50000"),
-    ("ppo", {"seed": MAX_TRAINING_SEED + 1}, "--seed"),
-    ("ppo", {"seed": MAX_TRAINING_SEED, "seeds": 2}, "--seed"),
-    ("ppo", {"learning_rate": float("nan")}, "--learning-rate .* nan"),
-    ("ppo", {"gamma": 1.5}, "--gamma .* 1.5"),
-    ("ppo", {"hidden": (0,)}, "hidden"),
-    ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
-    ("ppo", {"jobs": 0}, "--jobs .* 0"),
-    ("ppo", {"resume": True}, "nothing to resume"),
-    ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
-    ("ppo", {"epochs": 0}, "--epochs"),
-    ("sac", {"buffer_size": 10}, "--buffer-size"),
-    ("sac", {"exploration": 0.0}, "--exploration"),
-    ("sac", {"tau": 2.0}, "--tau"),
-    ("recurrent_ppo", {"lstm_width": 0}, "--lstm-width"),
-]
-
-
-@pytest.mark.parametrize(("name", "options", "words"), BAD, ids=str)
-def test_bad_options(name: str, options: dict[str, Any], words: str, tmp_path: Path):
-    if options.get("device") == "cuda" and torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    with pytest.raises((ValueError, FileNotFoundError), match=words):
-        run(tiny(name, tmp_path / "run", **options))
-    assert "diverged" in words or not (tmp_path / "run").exists()

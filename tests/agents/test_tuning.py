@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,14 +45,6 @@ def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
         assert config.run(settings, 3) == own and (own.seed, own.overwrite) == (53, True)
         assert config.run(settings, 64).seed == 64
         assert own.total_steps * own.hold == config.samples
-
-
-def test_trials_simulate_the_same_number_of_samples(tmp_path: Path):
-    config = TuningConfig("ppo", out=tmp_path, samples=80_000)
-    trials = [config.run({"hold": hold, "hidden": "64 32"}, 0) for hold in (4, 8)]
-    assert [trial.total_steps for trial in trials] == [20_000, 10_000]
-    assert [trial.validation_every for trial in trials] == [2_000, 1_000]
-    assert trials[0].hidden == (64, 32)
 
 
 @pytest.mark.slow
@@ -141,33 +130,6 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
     assert whole_trials(study) == whole_trials(open_study(whole))
     settings = {str(trial.params) for trial in counted(study)}
     assert len(settings) == len(counted(study)) == 14 < len(study.get_trials())
-
-
-@pytest.mark.slow
-def test_a_search_that_is_killed_and_resumed_is_the_uninterrupted_one(tmp_path: Path):
-    """With the options that it was begun with; no trial is drawn twice, and none leaves its run."""
-    whole = whole_trials(tune(few(tmp_path / "whole", trials=4)))
-    part, script = tmp_path / "part", [sys.executable, str(ROOT / "train/tune.py"), "sac", "--out", "part"]
-    options = ("--trials", "4", "--jobs", "1", "--samples", "2560", "--arms", "4", "--validation-arms", "2")
-    process = subprocess.Popen([*script, *options], cwd=tmp_path, start_new_session=True, stdout=subprocess.DEVNULL)
-    wait_for(part / "sac-trial2" / "validation.csv")
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    result = run("train/tune.py", "sac", "--out", "part", "--resume", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    study = open_study(few(part))
-    assert [trial.state for trial in study.get_trials()].count(TrialState.FAIL) == 1
-    assert whole_trials(study) == whole
-    settings = [str(params) for params, *_ in whole]
-    assert len(set(settings)) == len(settings) == 4
-    assert {path.name for path in part.iterdir()} == {"sac.csv", "sac.db", "sac.json"}
-
-
-def wait_for(path: Path) -> None:
-    deadline = time.monotonic() + 300
-    while not path.exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert path.exists()
 
 
 @pytest.mark.parametrize(

@@ -18,16 +18,11 @@ import numpy as np
 import pytest
 
 import baselines
-from baselines import CONTROLLERS, TUNABLE, PaperController, PaperGains
+from baselines import CONTROLLERS, TUNABLE, PaperController
 from baselines.optimal.adaptive_law import begun, renewed, torque
 from baselines.reading import read, sample_of
 from baselines.registry import FELT
-from beltarm_env import (
-    ArmParams,
-    BeltArmVectorEnv,
-    design_model,
-    observation,
-)
+from beltarm_env import ArmParams, BeltArmVectorEnv, design_model, observation
 from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import VALIDATION
 
@@ -48,7 +43,6 @@ KERNELS = [
     if hasattr(make(), "kernel")
 ]
 MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
-PRECISE = ("lqg", "preview", "adaptive")
 
 
 def test_public_names_are_imported_on_first_use():
@@ -203,14 +197,6 @@ class TestDriving:
         assert np.abs(joint_error).max() < math.radians(1.0)
         assert np.abs(run.state[-200:, :, 2]).max() < 0.06  # and the belt rings no more than stiction hides
 
-    @pytest.mark.parametrize("name", PRECISE)
-    def test_moves_an_arm_that_it_knows_anywhere_to_within_millimetres(self, name: str):
-        start, goal = np.radians([(0.0, 90.0), (90.0, 0.0), (10.0, 30.0), (80.0, 60.0)]).T
-        move = {"start": start, "goal": goal, "duration": np.full(4, 1.1), "ramp_time": np.full(4, 0.25)}
-        run = rollout(CONTROLLERS[name](params=ArmParams()), 4, seed=0, options={"move": move})
-        assert np.abs(run.tip_error[-200:]).max() < 2e-3
-        assert np.abs(run.tip_error).max() < 0.02
-
     @pytest.mark.parametrize("name", TUNABLE)
     def test_does_better_than_the_paper(self, name: str):
         """On the nominal arm, or, by what its margins leave of its gain, on the arms that it is for."""
@@ -221,14 +207,6 @@ class TestDriving:
             assert np.median(tuned["residual_pp_mm"]) < 0.4 * np.median(paper["residual_pp_mm"])
         else:
             assert np.median(tuned["cost"]) < 0.9 * np.median(paper["cost"])
-
-    def test_adaptive_beats_fixed_beats_paper_on_arms_that_differ(self):
-        cost = {
-            name: rollout(CONTROLLERS[name](), 40, seed=SEED, randomization="ideal").cost
-            for name in ("adaptive", "preview", "mpc", "paper")
-        }
-        assert cost["adaptive"].mean() < 0.7 * cost["preview"].mean() < 0.7 * 0.5 * cost["paper"].mean()
-        assert np.median(cost["mpc"]) < 0.4 * np.median(cost["paper"])
 
     def test_a_torque_that_is_cut_much_does_not_go_on_ringing(self):
         """On this arm the optimal plan alone ends in a limit cycle between both limits, at a cost above 4000."""
@@ -260,13 +238,6 @@ class TestDataSheet:
         with pytest.raises(ValueError, match=message + rf"params=ArmParams\({field}={value}\)"):
             rollout(PaperController(), 2, seed=0, options=options)
 
-    def test_controller_that_is_made_for_no_arm_in_particular_takes_any(self):
-        class Idle:
-            def predict(self, observation, state=None, episode_start=None, deterministic=True):
-                return np.zeros((len(observation), 1), np.float32), None
-
-        assert rollout(Idle(), 1, seed=0, options={"params": GEARED}).params[0, 0] == 100.0
-
 
 class TestGains:
     @pytest.mark.parametrize("name", TUNABLE)
@@ -280,10 +251,6 @@ class TestGains:
             words: dict[str, Any] = {gain.name: "1"}
             with pytest.raises(TypeError, match=gain.name):
                 kind(**words)
-
-    def test_of_the_paper_are_finite(self):
-        with pytest.raises(ValueError, match=r"PaperGains.angle .* nan"):
-            PaperGains(angle=math.nan)
 
     def test_are_the_same_with_an_accelerometer(self):
         assert set(FELT) <= set(CONTROLLERS)
@@ -307,14 +274,8 @@ def test_only_designs_that_are_said_to_depend_on_the_kernels_of_linear_algebra()
     page = (ROOT / "docs" / "benchmark" / "protocol.md").read_text(encoding="utf-8")
     (named,) = re.findall(r"The designs of ([^.]*) do not", page)
     command = [sys.executable, "-c", COSTS, *re.findall(r"`(\w+)`", named)]
-    actual = {
-        subprocess.run(
-            command,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **kernels},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for kernels in ({}, {"OPENBLAS_CORETYPE": "Nehalem"})
-    }
+    known, actual = {**os.environ, "PYTHONPATH": str(ROOT)}, set[str]()
+    for kernels in ({}, {"OPENBLAS_CORETYPE": "Nehalem"}):
+        done = subprocess.run(command, env={**known, **kernels}, capture_output=True, text=True, check=True)
+        actual.add(done.stdout)
     assert len(actual) == 1 and "adaptive" in actual.pop()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, replace
 from functools import cache
 from itertools import pairwise
@@ -10,23 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from baselines.estimation import believed_arm as arm_of
 from baselines.estimation.felt import SPREAD, unfiltered
-from baselines.estimation.felt_observer import felt_gains, felt_slopes, steady_felt_gain
+from baselines.estimation.felt_observer import felt_slopes, steady_felt_gain
 from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
-from baselines.optimal.mpc import MpcController
 from baselines.reading import read
 from baselines.registry import CONTROLLERS, FELT
-from beltarm_env import (
-    CONTROL_PERIOD,
-    ArmParams,
-    BeltArmVectorEnv,
-    design_model,
-)
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
@@ -111,15 +103,7 @@ class TestObserver:
             observations, *_ = env.step(np.array([[command(k) / 0.3]], np.float32))
         return [np.array(part) for part in zip(*rows, strict=True)]
 
-    def test_finds_the_torsion_of_the_design_model_behind_its_drive(self):
-        noise = Noise(torque=1e-4, acceleration=100.0, disturbance=1e-4)
-        start = [GEAR * 0.8, 0.0, 0.03, 0.0]  # the observer begins without torsion
-        true, actual, _ = self.observed(design_model(), start, noise, lambda k: 0.12 * math.sin(0.02 * k), 900)
-        errors = np.abs(actual - true)
-        assert errors[0, 2] == pytest.approx(0.03)
-        assert errors[600:, 2].max() < 3e-4
-
-    @pytest.mark.parametrize("latency", [0.0, 0.75, 1.0, 2.9])
+    @pytest.mark.parametrize("latency", [0.0, 0.75, 2.9])
     def test_state_ahead_is_the_one_that_comes(self, latency: float):
         params = replace(design_model(), command_latency=latency * CONTROL_PERIOD)
         start = [GEAR * 0.8, 0.0, 0.0, 0.0]
@@ -134,25 +118,13 @@ class TestObserver:
             assert (errors < [1e-3, 0.02, 1e-5, 2e-3]).all()
 
 
-def test_estimated_torsion_follows_the_true_one_on_the_nominal_arm():
-    env = BeltArmVectorEnv(8, autoreset_mode="Disabled")
-    seen, _ = env.reset(seed=SEED)
-    controller, memory = MpcController(params=ArmParams()), None
-    errors, true = [], []
-    for _ in range(400):
-        action, memory = controller.predict(seen, memory)
-        true.append(env.state[:, 2:])
-        errors.append(memory.estimate.state[:, 2:] - env.state[:, 2:])
-        seen, *_ = env.step(action)
-    assert (np.std(errors, axis=(0, 1)) < 0.1 * np.std(true, axis=(0, 1))).all()
-
-
 @cache
-def followed(name: str, arms: int = 6) -> tuple[Floats, Floats, Floats, Any]:
+def followed() -> tuple[Floats, Floats, Floats, Any]:
     """States and readings of drawn arms at every sample, their constants, and the controller's memory at the end."""
-    env = BeltArmVectorEnv(arms, autoreset_mode=AutoresetMode.DISABLED, randomization="train", sensors="accelerometer")
+    arms = 6
+    env = BeltArmVectorEnv(arms, autoreset_mode="Disabled", randomization="train", sensors="accelerometer")
     observation, _ = env.reset(seed=SEED)
-    controller, memory, states, felt = FELT[name](), None, [], []
+    controller, memory, states, felt = FELT["adaptive"](), None, [], []
     for _ in range(STEPS - 1):
         seen = decode(observation, "accelerometer")
         felt.append(np.stack([seen["tip_acceleration_along"], seen["tip_acceleration_across"]], axis=1))
@@ -173,7 +145,7 @@ def tip(states: Floats, table: Floats) -> Floats:
 class TestMeasurementEquation:
     def test_readings_are_accelerations_of_the_tip_with_a_constant_and_white_noise(self):
         """Of drawn arms that move: the tip's velocity by finite differences of its place."""
-        states, felt, table, _ = followed("adaptive")
+        states, felt, table, _ = followed()
         moved = states.copy()
         moved[..., 0], moved[..., 2] = states[..., 1], states[..., 3]  # rates of the angles
         moved[..., 1] = moved[..., 3] = 0.0
@@ -196,13 +168,6 @@ class TestMeasurementEquation:
         _, variance = unfiltered(now, np.ones((2, 2)))
         assert variance[0] == pytest.approx(SPREAD**2)
         assert variance[1, 1] == pytest.approx(SPREAD**2) and variance[1, 0] > 1e5
-
-    def test_slopes_at_rest_are_those_of_the_kinematics(self):
-        plant, angle = ArmParams().plant(), 0.9
-        reach = plant.double_link * np.cos(angle) + plant.hand
-        along = -plant.double_link * np.sin(angle) * np.array([0, plant.inverse_gear, 0, -1]) / CONTROL_PERIOD
-        across = np.array([0, 0, 0, reach]) / CONTROL_PERIOD
-        np.testing.assert_allclose(felt_slopes(angle, plant), [along, across], rtol=1e-6, atol=1e-6)
 
 
 class TestGains:
@@ -242,17 +207,10 @@ class TestGains:
         np.testing.assert_allclose(actual[:, 0], kalman_gains(design_model(), self.noise)[11], rtol=1e-5)
         assert np.abs(actual[:, 1:]).max() < 1e-6
 
-    def test_a_motor_that_sticks_stays_where_it_is(self):
-        slides, sticks = felt_gains(design_model(), self.noise)
-        assert not sticks[:, [1, 4]].any() and not sticks[:, 0, 1:].any()
-        assert (np.abs(sticks[:, 3, 2]) > 0).all(), "what is felt across the hand tells the torsion's rate"
-        across = np.abs(slides[:, :, 3, 2])
-        assert (np.diff(across, axis=1) < 0).all(), "the faster the motor, the more the kinematic error is felt"
-
 
 class TestKnowledge:
     def test_kinematic_error_and_zero_g_output_are_found(self):
-        _, felt, table, memory = followed("adaptive")
+        _, felt, table, memory = followed()
         size, phase = table[:, COLUMN.kinematic_error], table[:, COLUMN.kinematic_error_phase]
         z = memory.belief.tracks.mean.T
         np.testing.assert_allclose(z[arm_of.ERROR_SINE], size * np.cos(phase), atol=8e-6)
@@ -261,24 +219,16 @@ class TestKnowledge:
         np.testing.assert_allclose(z[arm_of.BIAS :].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
         assert np.sqrt(memory.belief.variance[:, arm_of.BIAS :]).max() < 0.5 * SPREAD
 
-    def test_errors_are_as_large_as_the_filter_believes(self):
-        """It may believe them larger: its gains are the encoder's, with noise for a model that is often wrong."""
-        states, _, _, memory = followed("adaptive")
-        errors = memory.belief.state - states[-1]
-        shares = errors[:, 2:] ** 2 / memory.belief.variance[:, 2:4]
-        assert shares.max() < 9 and np.median(shares) > 0.005
-
-    @pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
-    def test_with_an_accelerometer_the_torsion_is_known_better_and_the_arm_vibrates_less(self, name: str, most: float):
+    def test_with_an_accelerometer_the_torsion_is_known_better_and_the_arm_vibrates_less(self):
         error, cost, ringing = [], [], []
         arms = development_set().splits["randomized"].arguments(slice(16))
-        for make, sensors in ((CONTROLLERS[name], "encoder"), (FELT[name], "accelerometer")):
+        for make, sensors in ((CONTROLLERS["adaptive"], "encoder"), (FELT["adaptive"], "accelerometer")):
             noted = Noted(make())
             run = rollout(noted, 16, **{**arms, "sensors": sensors})
             error.append(np.std(np.array(noted.torsions[1:]) - run.state[:-1, :, 2]))
             cost.append(run.cost)
             ringing.append(run.metrics()["residual_pp_mm"].mean())
-        assert error[1] < most * error[0]
+        assert error[1] < 0.4 * error[0]
         assert np.median(cost[1] - cost[0]) < 0 and ringing[1] < 0.9 * ringing[0]
 
 
@@ -291,6 +241,5 @@ class Noted:
 
     def predict(self, *arguments: Any, **named: Any) -> Any:
         action, memory = self.controller.predict(*arguments, **named)
-        estimate = memory.belief if hasattr(memory, "belief") else memory.estimate
-        self.torsions.append(estimate.state[:, 2])
+        self.torsions.append(memory.belief.state[:, 2])
         return action, memory

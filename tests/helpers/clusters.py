@@ -21,6 +21,7 @@ def local_cluster() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("PYTHONPATH", f"{ROOT}:{ROOT / 'tests' / 'helpers'}")
+        patched.setenv("RAY_worker_niceness", "0")  # else nothing is left for its workers on a machine that is busy
         with ray_cluster.connected(None, 2):
             yield
     for number, handler in before.items():

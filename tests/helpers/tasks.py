@@ -50,6 +50,10 @@ def where(_: Channel) -> tuple[str, str | None]:
     return os.getcwd(), os.environ.get("OMP_NUM_THREADS")
 
 
+def where_it_works(folder: Path, _: Channel) -> str:
+    return str(folder)
+
+
 class UnpicklableError(Exception):
     def __init__(self, first: int, second: int) -> None:
         super().__init__(f"{first} and {second}")

@@ -1,10 +1,41 @@
-"""What tests of training runs share: a stop at a chosen moment, and the weights that a run leaves."""
+"""Tiny training runs: their options, a stop at a chosen moment, and the weights that they leave."""
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
+from typing import Any
 
-from baselines.engines.parallel import StopRequest
+from agents.learners.registry import ALGORITHMS
+from agents.learners.reinforcement import ReinforcementConfig
+from agents.runs.monitor import TrainingMonitor
+from agents.runs.settings import RunConfig
+from agents.runs.training import train
+from baselines.engines.parallel import Channel, StopRequest
+
+NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # which have tests of their own
+MODULES = {name: importlib.import_module(f"agents.learners.{name}") for name in NAMES}  # for their models
+ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
+OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
+OWN: dict[str, dict[str, Any]] = {"ppo": ON_POLICY, "recurrent_ppo": {**ON_POLICY, "lstm_width": 8}, "sac": OFF_POLICY}
+SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
+TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
+
+
+def tiny(name: str, out: Path, **options: Any) -> ReinforcementConfig:
+    """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
+    common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
+    kind: Any = ALGORITHMS[name].config
+    return kind(**{"out": out, **common, **OWN[name], **options})
+
+
+def as_script(out: Path, **options: Any) -> ReinforcementConfig:
+    """What a script makes of TINY."""
+    return tiny("ppo", out, **{"total_steps": 256, "validation_every": 128, **options})
+
+
+def run(config: RunConfig, stop: StopRequest | None = None) -> TrainingMonitor:
+    return train(config, MODULES[config.algorithm].make_learner, Channel(stop=stop or StopRequest()))
 
 
 class StopAfter(StopRequest):
