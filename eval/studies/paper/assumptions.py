@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 
 from beltarm_env import ArmParams
+from beltarm_env.arm import FIELDS
+from beltarm_env.arrays import Floats
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.report.text import degrees
 from eval.studies.paper.linear import ServoGains
-from eval.studies.paper.ringing import Suppression, suppression
-from eval.studies.paper.runs import Conditions, is_allowed
+from eval.studies.paper.runs import Conditions, is_allowed, suppression
 
 USUAL_MOVE = MoveShape(np.pi / 4, np.pi / 2, 0.8, 0.12)
 """The standard move where no other is asked for."""
-_RAMP_TIMES = (0.08, 0.10, 0.16, 0.20, 0.25, 0.30)
-_LENGTHENED = (0.8, 1.25, 1.5)
 _TABLE_1 = ArmParams()
 
 
@@ -31,90 +30,61 @@ class Alternative:
     chosen: str
     label: str
     move: MoveShape
-    arm: Mapping[str, float] = field(default_factory=dict)  # what differs of `ArmParams`
-    unknown: bool = False  # whether it does so unknown to the controller
-    changes: Mapping[str, Any] = field(default_factory=dict)  # what else differs of `Conditions`
+    changes: Mapping[str, Any] = field(default_factory=dict)  # of `ArmParams` or `Conditions`
 
     def under(self, base: Conditions) -> Conditions:
-        """Conditions with this value, all others as in `base`."""
-        known = base.arm if self.unknown else base.known
-        return replace(base, arm=replace(base.arm, **self.arm), known=known, **self.changes)
-
-
-def _arm(*, unknown: bool = False, **constants: float) -> dict[str, Any]:
-    return {"arm": constants, "unknown": unknown}
-
-
-def _settings(**changes: Any) -> dict[str, Any]:
-    return {"changes": changes}
+        """Conditions with this value, all others as in `base`; unless `told`, the controller believes in that arm."""
+        arm = {name: value for name, value in self.changes.items() if name in FIELDS}
+        others = {name: value for name, value in self.changes.items() if name not in (*arm, "told")}
+        known = base.known if self.changes.get("told", True) else base.arm
+        return replace(base, arm=replace(base.arm, **arm), known=known, **others)
 
 
 _FRICTION, _DAMPING = _TABLE_1.coulomb_friction, _TABLE_1.belt_damping_ratio
-_OF_ARM_AND_SERVO: tuple[tuple[str, str, dict[str, dict[str, Any]]], ...] = (
-    ("how the arm folds", "as printed", {"full two-link arm": _settings(model="lagrangian")}),
-    (
-        "M2(90°)",
-        f"{_TABLE_1.arm_inertia + _TABLE_1.arm_inertia_swing:.2f} kg m²",
-        {
-            "M2(90°) 0.04 kg m²": _arm(arm_inertia_swing=0.03),
-            "M2(90°) 0.10 kg m²": _arm(arm_inertia_swing=0.09),
-            "payload 0.2 kg: 0.12 kg m²": _arm(payload_mass=0.2),
-            "M2(90°) 0.05, taken for 0.07": _arm(unknown=True, arm_inertia_swing=0.04),
-            "M2(90°) 0.09, taken for 0.07": _arm(unknown=True, arm_inertia_swing=0.08),
-        },
-    ),
-    (
-        "Coulomb friction",
-        f"{_FRICTION:g} N m, set-valued: the motor sticks",
-        {
-            "no Coulomb friction": _arm(coulomb_friction=0.0),
-            "Coulomb friction × 0.7": _arm(coulomb_friction=0.7 * _FRICTION),
-            "Coulomb friction of Table 1": _arm(coulomb_friction=_FRICTION),
-            "Coulomb friction × 1.3": _arm(coulomb_friction=1.3 * _FRICTION),
-        },
-    ),
-    (
-        "belt damping ratio",
-        f"ζ = {_DAMPING:g} at 90°",
-        {f"belt damping ζ = {ratio:g}": _arm(belt_damping_ratio=ratio) for ratio in (0.0, 0.005, _DAMPING, 0.05)},
-    ),
-    (
-        "torque limit",
-        f"{_TABLE_1.torque_limit:g} N m",
-        {f"torque limit {limit:g} N m": _arm(torque_limit=limit) for limit in (0.12, 0.10, 0.08)},
-    ),
-    (
-        "length l3 of the hand",
-        f"{_TABLE_1.hand_length:.2f} m",
-        {"hand 0 m": _arm(hand_length=0.0), "hand 0.20 m": _arm(hand_length=0.20)},
-    ),
-    (
-        "sign of the friction compensation",
-        "that of the reference speed",
-        {
-            "compensated by measured speed": _settings(friction_sign="measured"),
-            "friction not compensated": _settings(friction_sign="none"),
-        },
-    ),
-    ("torsional velocity", "simulated from encoder data", {"torsion measured exactly": _settings(true_torsion=True)}),
-    (
-        "encoder",
-        f"{ENCODER_COUNTS} counts per revolution",
-        {
-            "encoder 1000 counts": _settings(encoder_counts=1000),
-            "encoder 100 000 counts": _settings(encoder_counts=100_000),
-        },
-    ),
-)
-"""Name, chosen value, and settings of each `Alternative`, by its label."""
+_OF_ARM_AND_SERVO: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
+    ("how the arm folds", "as printed"): {"full two-link arm": {"model": "lagrangian"}},
+    ("M2(90°)", f"{_TABLE_1.arm_inertia + _TABLE_1.arm_inertia_swing:.2f} kg m²"): {
+        "M2(90°) 0.04 kg m²": {"arm_inertia_swing": 0.03},
+        "M2(90°) 0.10 kg m²": {"arm_inertia_swing": 0.09},
+        "payload 0.2 kg: 0.12 kg m²": {"payload_mass": 0.2},
+        "M2(90°) 0.05, taken for 0.07": {"arm_inertia_swing": 0.04, "told": False},
+        "M2(90°) 0.09, taken for 0.07": {"arm_inertia_swing": 0.08, "told": False},
+    },
+    ("Coulomb friction", f"{_FRICTION:g} N m, set-valued: the motor sticks"): {
+        "no Coulomb friction": {"coulomb_friction": 0.0},
+        "Coulomb friction × 0.7": {"coulomb_friction": 0.7 * _FRICTION},
+        "Coulomb friction of Table 1": {"coulomb_friction": _FRICTION},
+        "Coulomb friction × 1.3": {"coulomb_friction": 1.3 * _FRICTION},
+    },
+    ("belt damping ratio", f"ζ = {_DAMPING:g} at 90°"): {
+        f"belt damping ζ = {ratio:g}": {"belt_damping_ratio": ratio} for ratio in (0.0, 0.005, _DAMPING, 0.05)
+    },
+    ("torque limit", f"{_TABLE_1.torque_limit:g} N m"): {
+        f"torque limit {limit:g} N m": {"torque_limit": limit} for limit in (0.12, 0.10, 0.08)
+    },
+    ("length l3 of the hand", f"{_TABLE_1.hand_length:.2f} m"): {
+        "hand 0 m": {"hand_length": 0.0},
+        "hand 0.20 m": {"hand_length": 0.20},
+    },
+    ("sign of the friction compensation", "that of the reference speed"): {
+        "compensated by measured speed": {"friction_sign": "measured"},
+        "friction not compensated": {"friction_sign": "none"},
+    },
+    ("torsional velocity", "simulated from encoder data"): {"torsion measured exactly": {"true_torsion": True}},
+    ("encoder", f"{ENCODER_COUNTS} counts per revolution"): {
+        "encoder 1000 counts": {"encoder_counts": 1000},
+        "encoder 100 000 counts": {"encoder_counts": 100_000},
+    },
+}
+"""Changes of each `Alternative` by its label, for each assumption with the value chosen."""
 
 
 def list_alternatives(standard: MoveShape) -> list[Alternative]:
     """Other values of everything assumed, one at a time around the standard move."""
     others = [
-        Alternative(name, chosen, label, standard, **values)
-        for name, chosen, alternatives in _OF_ARM_AND_SERVO
-        for label, values in alternatives.items()
+        Alternative(*assumption, label, standard, changes)
+        for assumption, alternatives in _OF_ARM_AND_SERVO.items()
+        for label, changes in alternatives.items()
     ]
     return [*_of_the_move(standard), *others]
 
@@ -125,11 +95,11 @@ def _of_the_move(standard: MoveShape) -> Iterator[Alternative]:
     length = abs(goal - start)
     named = {
         ("ramp time of the trapezoid", f"{ramp_time:g} s"): {
-            f"ramps of {ramp:g} s": standard._replace(ramp_time=ramp) for ramp in _RAMP_TIMES
+            f"ramps of {ramp:g} s": standard._replace(ramp_time=ramp) for ramp in (0.08, 0.10, 0.16, 0.20, 0.25, 0.30)
         },
         ("duration of the move", f"{duration:g} s"): {
             f"move of {factor * duration:.3g} s": MoveShape(start, goal, factor * duration, factor * ramp_time)
-            for factor in _LENGTHENED
+            for factor in (0.8, 1.25, 1.5)
         },
         ("where the move leads", f"{degrees(start)} to {degrees(goal)}"): {
             "backwards": standard._replace(start=goal, goal=start),
@@ -145,13 +115,13 @@ def _of_the_move(standard: MoveShape) -> Iterator[Alternative]:
                 yield Alternative(*assumption, label, move)
 
 
-def try_alternatives(alternatives: list[Alternative], base: Conditions, gains: ServoGains) -> dict[str, Suppression]:
-    """Run every alternative under the conditions `base`, else unchanged; by its label."""
+def try_alternatives(alternatives: list[Alternative], base: Conditions, gains: ServoGains) -> dict[str, Floats]:
+    """Ringing by the label of the alternative, shape (2, len(PHASES)); equal conditions are run side by side."""
     grouped: dict[Conditions, list[Alternative]] = {}
     for alternative in alternatives:
         grouped.setdefault(alternative.under(base), []).append(alternative)
-    results: dict[str, Suppression] = {}
+    results: dict[str, Floats] = {}
     for conditions, group in grouped.items():
-        together = suppression(conditions, gains, [alternative.move for alternative in group])
-        results |= {alternative.label: together.only(k) for k, alternative in enumerate(group)}
+        ringing = suppression(conditions, gains, [alternative.move for alternative in group])
+        results |= {alternative.label: ringing[:, :, k] for k, alternative in enumerate(group)}
     return results

@@ -10,8 +10,7 @@ import numpy as np
 
 from eval.comparison.effects import ALL, IDEAL, heading
 from eval.report.text import degrees, markdown_table, number, poles_text
-from eval.studies.paper.ringing import ANSWERS, PHASES
-from eval.studies.paper.runs import AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, STANDARD, TO_0
+from eval.studies.paper.runs import ANSWERS, AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, PHASES, STANDARD, TO_0
 
 Data = dict[str, Any]
 LEFT = "the arm left its workspace"
