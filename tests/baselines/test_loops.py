@@ -39,7 +39,7 @@ from baselines.servo.smooth import SmoothController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, sampled_state_space
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import TRAIN_RANGES, design_model
-from eval.studies.loops.symbols import MEANING
+from eval.studies.loops.page import MEANING
 
 Floats = NDArray[np.float64]
 
@@ -311,7 +311,7 @@ def test_many_loops_at_once_have_the_margins_of_each():
 def test_every_gain_has_a_symbol_and_a_unit():
     for name in CONTROLLERS:
         for gain in fields(CONTROLLERS[name]().gains):
-            assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/studies/loops/symbols.py"
+            assert gain.name in MEANING, f"{name}: add {gain.name} to MEANING in eval/studies/loops/page.py"
 
 
 class TestCorners:

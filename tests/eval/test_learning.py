@@ -21,8 +21,7 @@ from beltarm_env import EPISODE_STEPS
 from eval import study
 from eval.studies import learning
 from eval.studies.learning import page, runs
-from eval.studies.learning.runs import Run, score, training_digest
-from eval.studies.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
+from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score, training_digest
 
 BY_NAME = {variant.name: variant for variant in VARIANTS}
 

@@ -15,16 +15,18 @@ from baselines.gains import read_file
 from baselines.loops.condition import MarginCondition
 from baselines.tools.command import require_known
 from baselines.tools.progress import progress_over
+from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.check import measure_times
 from eval.studies._frame import StudyOptions
 from eval.studies.loops.changes import CHANGES, LIMITS
-from eval.studies.loops.costs import PRIVILEGED, makers, measure_costs, optimum, price, worth
-from eval.studies.loops.pictures import pictures
+from eval.studies.loops.costs import blind, measure_costs, optimum, price, worth
+from eval.studies.loops.page import pictures, tables
 from eval.studies.loops.scan import ARMS, scan
-from eval.studies.loops.tables import tables
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
+ORACLE = "privileged"
+"""Name of the controller that knows arm and state; never ranked."""
 QUICK = {"names": ("paper", "ei"), "arms": 8, "batch": 2}
 
 
@@ -43,7 +45,7 @@ class Options(StudyOptions):
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Everything about the chosen controllers; the oracle `PRIVILEGED`, the last, has costs alone.
+    """Everything about the chosen controllers; `ORACLE`, the last, has costs alone.
 
     Raises:
         ValueError: If a name is unknown, or a file of gains or of the optimum is damaged.
@@ -51,9 +53,10 @@ def measure(options: Options) -> dict[str, Any]:
     require_known(options.names, CONTROLLERS, "no controller {} to show: --names")
     names = list(dict.fromkeys(options.names)) or list(CONTROLLERS)
     entries, built_costs, rows = {}, {}, {}
-    for name, make in progress_over("controllers", list(makers(names).items())):
+    makers = {**{name: blind(CONTROLLERS[name]()) for name in names}, ORACLE: PrivilegedController}
+    for name, make in progress_over("controllers", list(makers.items())):
         built, rows[name] = measure_costs(make, options.arms, options.arms // 4)
-        if name == PRIVILEGED:
+        if name == ORACLE:
             continue
         built_costs[name] = built
         rows[name] |= {
@@ -67,7 +70,7 @@ def measure(options: Options) -> dict[str, Any]:
         "moves": options.arms // 4,
         "batch": options.batch,
         "first_seed": LOOPS.first,
-        "oracle": PRIVILEGED,
+        "oracle": ORACLE,
         "changes": [change.title for change in CHANGES],
         "limits": [change.title for change in LIMITS],
         "corners": ARMS,

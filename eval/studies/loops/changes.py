@@ -34,26 +34,25 @@ def _scaled(title: str, factor: float, *names: str) -> Change:
     return Change(f"{title} ×{factor:g}", {name: factor * getattr(_DESIGN, name) for name in names})
 
 
-def _later(samples: float) -> Change:
-    return Change(
-        f"latency +{samples:g} sample", {"command_latency": _DESIGN.command_latency + samples * CONTROL_PERIOD}
-    )
+def _latency(title: str, samples: float) -> Change:
+    return Change(f"latency {title}", {"command_latency": samples * CONTROL_PERIOD})
 
 
-def _torque_constant(percent: int) -> Change:
-    return Change(f"torque constant {percent:+d} %".replace("-", "−"), {"torque_constant_error": percent / 100})
-
-
-def _effect(name: str, size: float) -> Change:
-    """An effect of the drive at a multiple of the upper end of its training range."""
+def _effect(name: str) -> Change:
+    """An effect of the drive half as large again as the upper end of its training range."""
     effect = EFFECTS[name]
-    title = f"{effect.column or effect.title} {effect.sign}{effect.shown(name, size)} {effect.unit}"
-    return Change(title, {name: size * DRIVE_RANGES[name][1]})
+    title = f"{effect.column or effect.title} {effect.sign}{effect.shown(name, 1.5)} {effect.unit}"
+    return Change(title, {name: 1.5 * DRIVE_RANGES[name][1]})
 
 
 _FRICTION = ("coulomb_friction", "motor_viscous_friction")
-_BEYOND = 1.5
-_TORQUE_CONSTANT = (_torque_constant(15), _torque_constant(-15))
+_EFFECTS = ("current_loop_time_constant", "static_friction_excess", "friction_variation")
+_EFFECTS += ("torque_ripple", "kinematic_error", "belt_stiffening")
+_OWN, _MOST = (latency / CONTROL_PERIOD for latency in (_DESIGN.command_latency, DRIVE_RANGES["command_latency"][1]))
+_TORQUE_CONSTANT = (
+    Change("torque constant +15 %", {"torque_constant_error": 0.15}),
+    Change("torque constant −15 %", {"torque_constant_error": -0.15}),
+)
 CHANGES = (
     Change("payload 0.2 kg", {"payload_mass": 0.2}),
     Change("payload 0.5 kg", {"payload_mass": 0.5}),
@@ -63,25 +62,14 @@ CHANGES = (
     _scaled("friction", 1.8, *_FRICTION),
     _scaled("motor inertia", 0.85, "motor_inertia"),
     _scaled("motor inertia", 1.15, "motor_inertia"),
-    _later(0.5),
-    _later(1.0),
+    _latency("+0.5 sample", _OWN + 0.5),
+    _latency("+1 sample", _OWN + 1.0),
     *_TORQUE_CONSTANT,
-    *(
-        _effect(name, _BEYOND)
-        for name in (
-            *("current_loop_time_constant", "static_friction_excess", "friction_variation", "torque_ripple"),
-            *("kinematic_error", "belt_stiffening"),
-        )
-    ),
+    *map(_effect, _EFFECTS),
     Change("encoder of 1000 counts", settings={"encoder_counts": 1000}),
     Change("encoder 1 sample late", settings={"delay": 1}),
     Change("full two-link arm", settings={"model": "lagrangian"}),
 )
-"""Changes of the design model with its drive; effects of the drive are half as large again as the most in training."""
-
-_LATEST = DRIVE_RANGES["command_latency"][1]
-LIMITS = (
-    Change(f"latency {_LATEST / CONTROL_PERIOD + 0.5:g} samples", {"command_latency": _LATEST + 0.5 * CONTROL_PERIOD}),
-    *_TORQUE_CONSTANT,
-)
+"""Changes of the design model with its drive."""
+LIMITS = (_latency(f"{_MOST + 0.5:g} samples", _MOST + 0.5), *_TORQUE_CONSTANT)
 """Changes of arms as they are built: latency half a sample and torque constants beyond their training ranges."""

@@ -11,7 +11,7 @@ with the seed and budget of those with.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,6 @@ from baselines.loops.condition import least_margins
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.yardsticks.oracle import METRICS
 from baselines.yardsticks.oracle import read_file as read_optimum
-from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import params_columns, params_table
 from beltarm_env.arrays import Floats
@@ -36,8 +35,6 @@ from beltarm_env.task.seeds import LOOPS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
 from eval.studies.loops.changes import CHANGES, LIMITS, Change
 
-PRIVILEGED = "privileged"
-"""Name of the oracle that knows arm and state; never ranked."""
 IDENTIFYING = "adaptive"
 """Name of the controller whose identification is looked at."""
 WORSE = 1.2
@@ -48,15 +45,6 @@ WITHOUT = FILE.with_name("gains_without_margins.json")
 _UNEXPLAINED = 5e-3  # [N m], of a filter that identifies nothing: what one torque has to stand for then
 
 Maker = Callable[[list[ArmParams]], Controller]
-
-
-def makers(names: Sequence[str]) -> dict[str, Maker]:
-    """Constructors of controllers for given arms, by name; only the one added, `PRIVILEGED`, looks at the arms.
-
-    Raises:
-        ValueError: If the file of gains is damaged.
-    """
-    return {**{name: blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: PrivilegedController}
 
 
 def blind(controller: Controller) -> Maker:
@@ -91,6 +79,9 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
         Costs on the arms as they are built, shape (arms,), and what the page shows.
     """
     design, built = np.tile(design_model().row(), (moves, 1)), built_arms(arms)
+    scenarios = read_optimum()[1]
+    table = params_table([scenario.params for scenario in scenarios])
+    drawn = {field: [getattr(scenario.move, field) for scenario in scenarios] for field in MoveShape._fields}
     as_designed, as_built = run_arms(make, design), run_arms(make, built)
     metrics = as_built.metrics()
     return metrics["cost"], {
@@ -101,22 +92,15 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
         "design": interquartile_mean(as_designed.cost),
         "changes": [_effect(make, design, change, as_designed.cost) for change in CHANGES],
         "limits": [_effect(make, built, change, as_built.cost) for change in LIMITS],
-        "optimum": _beside_optimum(make),
+        "optimum": run_arms(make, table, options={"move": drawn}).cost,
     }
 
 
 def _effect(make: Maker, table: Floats, change: Change, before: Floats) -> dict[str, float]:
     """Mean and interquartile mean of the cost over those without a change, and how many arms left the workspace."""
     run = run_arms(make, change.applied(table), **change.settings)
-    iqm = interquartile_mean(run.cost) / interquartile_mean(before)
-    return {"mean": float(run.cost.mean() / before.mean()), "iqm": iqm, "left": int((~run.finished).sum())}
-
-
-def _beside_optimum(make: Maker) -> Floats:
-    """Costs in the scenarios of the clairvoyant optimum."""
-    _, scenarios, _ = read_optimum()
-    move = {field: [getattr(s.move, field) for s in scenarios] for field in MoveShape._fields}
-    return run_arms(make, params_table([s.params for s in scenarios]), options={"move": move}).cost
+    ratios = {"mean": run.cost.mean() / before.mean(), "iqm": interquartile_mean(run.cost) / interquartile_mean(before)}
+    return {**ratios, "left": int((~run.finished).sum())}
 
 
 def optimum() -> dict[str, Any]:

@@ -45,7 +45,7 @@ def run_drives(gains: ServoGains, moves: list[MoveShape], conditions: Conditions
 
 
 def compare(runs: list[Recording], draws: int) -> list[list[dict[str, Any]]]:
-    """Peak-to-peak motion and ringing, without and with vibration feedback, for each move a row for each of `DRIVES`."""
+    """Motion and ringing without and with vibration feedback: for each move a row for each of `DRIVES`."""
     motions = np.array([np.where(run.finished, run.metrics()["residual_pp_mm"], np.inf) for run in runs])
     motions = motions.reshape(2, -1, len(DRIVES), draws)
     ringing = np.array([ringing_of(run) for run in runs]).reshape(2, len(PHASES), *motions.shape[1:])

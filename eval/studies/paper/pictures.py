@@ -44,6 +44,7 @@ _LABELS = {
     "lateral_acceleration": "lateral acc. ÿ (m/s²)",
 }
 _DRIVES = {IDEAL: "ideal drive", ALL: "all effects of the drive"}
+_RATIO = "ringing with K4 = {k4:g} over that with 0"
 _BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False}  # the legend of a figure
 
 
@@ -101,7 +102,7 @@ def _over_time(
     """
     size = (9, 1.0 + 1.9 * len(rows))
     figure, axes = plt.subplots(len(rows), 2, figsize=size, layout="constrained", sharex=True, sharey=sharey)
-    titles = ("K4 = 0 (as Fig. 4b)", f"K4 = {data['gains']['k4']:g} (as Fig. 8b)")
+    titles = ("K4 = 0", f"K4 = {data['gains']['k4']:g}")
     for row, (label, (columns, reference)) in zip(axes, rows.items(), strict=True):
         for axis, lines, colour in zip(row, columns, _COLOURS, strict=True):
             axis.axvspan(0, move["duration"], color=_PHASE_SHADE, zorder=0)
@@ -161,9 +162,7 @@ def _ratios(data: Data, names: list[str], ratios: Data, lines: list[int], height
         for bound in (data["bounds"]["removed"], data["bounds"]["reduced"]):
             axis.axvline(bound, color="0.4", lw=1, ls=":")
         axis.axvline(1, color="0.4", lw=1)
-        axis.set(
-            xscale="log", title=PHASES[phase], xlabel=f"ringing with K4 = {data['gains']['k4']:g} over that with 0"
-        )
+        axis.set(xscale="log", title=PHASES[phase], xlabel=_RATIO.format(**data["gains"]))
         mark_one_two_five(axis.xaxis)
         axis.xaxis.set_minor_locator(NullLocator())
     axes[0].set_yticks(range(len(names)), names, fontsize=9)
@@ -192,7 +191,7 @@ def _moves(data: Data) -> Figure:
     right.axvline(1, color="0.5", lw=1, ls=":")
     right.axvspan(reduced, 1 / reduced, color=_PHASE_SHADE, zorder=0)
     right.set(xscale="log", xlim=(0.08, 8), ylim=(0, 100), ylabel="share of moves up to here (%)")
-    right.set_xlabel(f"ringing with K4 = {gains[1]} over that with 0")
+    right.set_xlabel(_RATIO.format(**data["gains"]))
     right.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
     right.set_title(f"{data['random_moves']['size']} random moves", fontsize=11)
     for axis in (left, right):

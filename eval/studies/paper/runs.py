@@ -211,8 +211,7 @@ def answer(ratio: float) -> str:
 def signals_of(recording: Recording, episode: int = 0) -> dict[str, Floats]:
     """Signals of Figs. 4 and 8 of one recorded move by name, SI units, shape (T,); NaN once the arm left its workspace.
 
-    Those of a rigid arm on the reference end in `_reference`. Accelerations are, as in the paper, the tachometer's speed
-    differentiated.
+    Those of a rigid arm on the reference end in `_reference`. Accelerations are differences of speeds, as in the paper.
     """
     plant, move = plant_of(recording.params[episode]), MoveShape(*recording.moves[episode].tolist())
     states = recording.state[:, episode]
