@@ -69,12 +69,6 @@ def test_prices_are_of_the_same_law_and_search(tmp_path: Path, monkeypatch: pyte
     assert price("ei", kept) is None and price("paper", kept) is None
 
 
-def test_the_file_has_gains_that_were_found_without_margins():
-    entries = read_file(costs.WITHOUT)
-    assert {"adaptive", "preview", "mpc"} <= set(entries)
-    assert all(entry["provenance"]["margins"] == "not asked for" for entry in entries.values())
-
-
 def test_identification_is_beside_the_best_that_does_not():
     by_name = {"ei": np.full(4, 100.0), "zv": np.full(4, 300.0), "adaptive": np.array([100.0, 119.0, 121.0, 90.0])}
     same, best = worth(by_name)
