@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from commands import mistake
@@ -93,6 +94,13 @@ class TestLoop:
                 values = np.linalg.eigvals(a - b @ row)
                 pair = values[values.imag > 1e-6]
                 assert found[i, j] == pytest.approx((-pair.real / np.abs(pair)).min(), abs=1e-9)
+
+    def test_k4_locus_is_that_of_python_control(self):
+        gains = np.array([0.0, 0.15, 0.5])
+        a, (_, b, _) = closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)
+        torsion_speed = control.StateSpace(a, b, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
+        expected = np.sort_complex(np.asarray(control.root_locus_map(torsion_speed, gains=gains).loci))
+        np.testing.assert_allclose(np.sort_complex(locus(DEG_90, TABLE_2, "k4", gains)), expected, atol=1e-6)
 
     def test_natural_frequency_locus_goes_from_soft_and_damped_to_barely_stable(self):
         frequencies = np.array([1.0, 5.0, 15.0])
@@ -216,6 +224,7 @@ class TestRuns:
     def test_every_assumption_is_tried_at_other_values(self):
         alternatives = list_alternatives(USUAL_MOVE)
         assert len({tried.label for tried in alternatives}) == len(alternatives)
+        assert len({tried.move for tried in alternatives}) == 12, "no move twice"
         for tried in alternatives:
             differs = [(tried.under(base), tried.move) != (base, USUAL_MOVE) for base in (SIMULATED, ANALYSED)]
             assert any(differs), tried.label
@@ -227,10 +236,6 @@ class TestRuns:
         for tried in alternatives:
             alone = suppression(tried.under(ANALYSED), TABLE_2, [tried.move])[:, :, 0]
             np.testing.assert_allclose(together[tried.label], alone, rtol=1e-6)
-
-    def test_moves_to_try_are_all_different(self):
-        places = [a for a in list_alternatives(MoveShape(0.0, DEG_90, 0.8, 0.2)) if a.assumption.startswith("where")]
-        assert [tried.move[:2] for tried in places] == [(DEG_90, 0.0)]
 
     def test_the_full_arm_folds_differently(self):
         full = Conditions(model="lagrangian")
@@ -292,14 +297,9 @@ def test_words_of_the_page_are_those_of_its_numbers():
     assert 0.8 * REMOVED < scenes[AS_ANALYSED][STANDARD]["ratios"]["end"] < REMOVED, "close to the bound"
     assert scenes[MEASURED][TO_0]["ratios"]["end"] < 1e-3
     assert scenes[AS_ANALYSED][STANDARD]["motions"][1]["stuck_share"] == 0, "as analysed it never sticks"
-    changed: dict[str, list[bool]] = {}
-    for row in data["alternatives"]:
-        views = row["views"]
-        changed.setdefault(row["assumption"], []).append(views[AS_ANALYSED]["answer"] != "yes")
-        if "friction" in row["label"] and not views[AS_ANALYSED]["same"]:
-            assert views[AS_ANALYSED]["answer"] == "in part"
-    assert all(changed["duration of the move"]) and all(changed["how the arm folds"])
-    assert all(np.mean(changed[most]) > 0.5 for most in ("ramp time of the trapezoid", "M2(90°)"))
+    for assumption, least in (("duration of the move", 1.0), ("how the arm folds", 1.0), ("M2(90°)", 0.5)):
+        views = [row["views"][AS_ANALYSED] for row in data["alternatives"] if row["assumption"] == assumption]
+        assert np.mean([row["answer"] != "yes" for row in views]) >= least
     labels = {row["label"]: row["views"] for row in data["alternatives"]}
     named = ("ramps of 0.25 s", "ramps of 0.3 s", "move of 1.2 s")
     assert counts(data, AS_ANALYSED)["no"] == counts(data, FRICTION)["yes"] == 1 and counts(data, FRICTION)["no"] == 3
@@ -312,12 +312,7 @@ def test_words_of_the_page_are_those_of_its_numbers():
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ("--k4", "-1"),
-        ("--natural-frequency", "nan"),
-        ("--start-deg", "95"),
-        ("--duration", "0.3", "--ramp-time", "0.1"),
-    ],
+    [("--k4", "-1"), ("--natural-frequency", "nan"), ("--start-deg", "95"), ("--duration", "0.3")],
 )
 def test_bad_options(words: tuple[str, ...], tmp_path: Path):
     line = mistake(study.main, ("paper", *words), tmp_path)

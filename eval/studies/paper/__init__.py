@@ -16,17 +16,15 @@ import numpy as np
 from baselines.tools.options import Groups
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
-from beltarm_env.rollout import Recording
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES, PAPER_MOVES, SeedRange
-from eval.comparison.effects import ALL, IDEAL
 from eval.studies._frame import StudyOptions
 from eval.studies.paper import runs
 from eval.studies.paper.assumptions import USUAL_MOVE, Alternative, list_alternatives, try_alternatives
-from eval.studies.paper.drives import DRIVES, compare, run_drives
+from eval.studies.paper.drives import compare, run_drives
 from eval.studies.paper.linear import ServoGains, linear_numbers
 from eval.studies.paper.pictures import pictures
-from eval.studies.paper.runs import BOTH_ARMS, FRICTION, MAIN, PHASES, REDUCED, REMOVED, STANDARD, TO_0, VIEWS
+from eval.studies.paper.runs import BOTH_ARMS, MAIN, PHASES, REDUCED, REMOVED, STANDARD, TO_0, VIEWS
 from eval.studies.paper.tables import tables
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
@@ -104,7 +102,6 @@ def measure(options: Options) -> dict[str, Any]:
     random_moves = SeedRange(PAPER_MOVES.first, options.moves)
     scenes, signals = run_scenes(gains, places)
     usual = {scene["view"]: scene["phases"] for scene in scenes if scene["place"] == STANDARD}
-    drives, swings = on_drives(gains, places, options.draws)
     return {
         "gains": asdict(gains),
         "move": move._asdict(),
@@ -118,8 +115,7 @@ def measure(options: Options) -> dict[str, Any]:
         "sweep": sweep(gains, move),
         "random": {view: random(runs.suppression(under, gains, random_moves)) for view, under in BOTH_ARMS.items()},
         "linear": linear_numbers(gains),
-        "drives": drives,
-        "swings": swings,
+        "drives": on_drives(gains, places, options.draws),
     }
 
 
@@ -207,22 +203,11 @@ def random(pair: Floats) -> dict[str, Any]:
     return {"phases": phases, "left": np.isinf(pair[:, 1]).sum(axis=1)}
 
 
-def on_drives(gains: ServoGains, places: Mapping[str, MoveShape], draws: int) -> tuple[list[Any], dict[str, Any]]:
-    """Motion and ringing on all drives, and the tip's velocity on the standard move, ideal and with all effects."""
-    rows, swings = [], dict[str, Any]()
+def on_drives(gains: ServoGains, places: Mapping[str, MoveShape], draws: int) -> list[dict[str, Any]]:
+    """Motion and ringing on all drives, by place and conditions."""
+    rows = []
     for view, conditions in progress_over("drives", list(MAIN.items())):
         pair = run_drives(gains, list(places.values()), conditions, draws)
         for (place, move), drives in zip(places.items(), compare(pair, draws), strict=True):
             rows.append({"place": place, "view": view, "move": move._asdict(), "drives": drives})
-        if view == FRICTION:
-            swings = {
-                "time": thinned(pair[0].time, 8),
-                **{drive: _swings(pair, drive, draws) for drive in (IDEAL, ALL)},
-            }
-    return sorted(rows, key=lambda row: list(places).index(row["place"])), swings
-
-
-def _swings(pair: list[Recording], drive: str, draws: int) -> list[list[list[float]]]:
-    """Error of the tip's velocity along x on the first move, without and with vibration feedback, a line per drive."""
-    first, count = DRIVES.index(drive) * draws, 1 if drive == IDEAL else draws  # all ideal drives are the same
-    return [[thinned(line, 8) for line in run.tip_velocity_error[:, first : first + count, 0].T] for run in pair]
+    return sorted(rows, key=lambda row: list(places).index(row["place"]))

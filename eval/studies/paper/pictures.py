@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
-from eval.comparison.effects import ALL, IDEAL, heading
+from eval.comparison.effects import heading
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, mark_one_two_five
 from eval.report.text import degrees
 from eval.studies._frame import Pictures
@@ -43,7 +43,6 @@ _LABELS = {
     "lateral_speed": "lateral velocity ẏ (m/s)",
     "lateral_acceleration": "lateral acc. ÿ (m/s²)",
 }
-_DRIVES = {IDEAL: "ideal drive", ALL: "all effects of the drive"}
 _RATIO = "ringing with K4 = {k4:g} over that with 0"
 _BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False}  # the legend of a figure
 
@@ -60,7 +59,6 @@ def pictures(data: Data) -> Pictures:
         "damping_map.png": lambda: _damping(gains),
         "assumptions.png": lambda: _assumptions(data),
         "moves.png": lambda: _moves(data),
-        "drive.png": lambda: _swings(data),
         "drive_ratios.png": lambda: _drive_ratios(data),
     }
 
@@ -72,51 +70,26 @@ def _array(values: Sequence[Any]) -> Floats:
 def _responses(data: Data, place: str, view: str) -> Figure:
     """Motor and tip over time, Figs. 4(b) and 8(b) side by side."""
     (move,) = [scene["move"] for scene in data["scenes"] if (scene["place"], scene["view"]) == (place, view)]
-    signals = data["signals"][f"{place}, {view}"]
-    rows = {
-        _LABELS[name]: ([[signals[key][name]] for key in ("without", "suppressed")], signals.get(f"{name}_reference"))
-        for name in SIGNALS[place, view]
-    }
-    figure = _over_time(data, signals["time"], move, rows, sharey="row")
-    figure.suptitle(f"{degrees(move['start'])} to {degrees(move['goal'])}, {view} (grey: the move)", fontsize=12)
-    return figure
-
-
-def _swings(data: Data) -> Figure:
-    """Velocity of the tip against a rigid arm on the reference, over time: ideal drive above, all effects below."""
-    rows = {f"{title}:\nerror of ẋ (m/s)": (data["swings"][drive], None) for drive, title in _DRIVES.items()}
-    return _over_time(data, data["swings"]["time"], data["move"], rows, sharey="all")
-
-
-def _over_time(
-    data: Data, time: list[float], move: Data, rows: dict[str, tuple[list[Any], list[float] | None]], sharey: Any
-) -> Figure:
-    """Draw signals over time without and with vibration feedback, side by side.
-
-    Args:
-        data: Of the study.
-        time: Of the samples [s].
-        move: Whose duration is shaded.
-        rows: By label the lines without and with vibration feedback, and the reference, None for 0.
-        sharey: Which axes have the same limits.
-    """
-    size = (9, 1.0 + 1.9 * len(rows))
-    figure, axes = plt.subplots(len(rows), 2, figsize=size, layout="constrained", sharex=True, sharey=sharey)
-    titles = ("K4 = 0", f"K4 = {data['gains']['k4']:g}")
-    for row, (label, (columns, reference)) in zip(axes, rows.items(), strict=True):
-        for axis, lines, colour in zip(row, columns, _COLOURS, strict=True):
+    signals, names = data["signals"][f"{place}, {view}"], SIGNALS[place, view]
+    time, size = signals["time"], (9, 1.0 + 1.9 * len(names))
+    figure, axes = plt.subplots(len(names), 2, figsize=size, layout="constrained", sharex=True, sharey="row")
+    titles = ("K4 = 0 (as Fig. 4b)", f"K4 = {data['gains']['k4']:g} (as Fig. 8b)")
+    for column, key, title, colour in zip(axes.T, ("without", "suppressed"), titles, _COLOURS, strict=True):
+        for axis, name in zip(column, names, strict=True):
             axis.axvspan(0, move["duration"], color=_PHASE_SHADE, zorder=0)
-            axis.plot(time, reference or np.zeros(len(time)), color="0.35", lw=1.2, ls="--", label="rigid arm")
-            axis.plot(time, _array(lines).T, color=colour, lw=1.4 if len(lines) == 1 else 0.7)
+            reference = signals.get(f"{name}_reference", np.zeros(len(time)))
+            axis.plot(time, reference, color="0.35", lw=1.2, ls="--", label="rigid arm on the reference")
+            axis.plot(time, _array(signals[key][name]), color=colour, lw=1.4)
             axis.set_xlim(0, time[-1])
             axis.grid(alpha=0.3)
-        row[0].set_ylabel(label)
-    for axis, title in zip(axes[0], titles, strict=True):
-        axis.set_title(title, fontsize=11)
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+        column[0].set_title(title, fontsize=11)
+        column[-1].set_xlabel("time (s)")
+    for axis, name in zip(axes[:, 0], names, strict=True):
+        axis.set_ylabel(_LABELS[name])
+    figure.suptitle(f"{degrees(move['start'])} to {degrees(move['goal'])}, {view} (grey: the move)", fontsize=12)
     figure.align_ylabels()
-    axes[0][0].legend(fontsize=8, loc="lower right")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, **_BELOW)
     return figure
 
 

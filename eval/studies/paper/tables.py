@@ -35,7 +35,6 @@ def tables(data: Data) -> Data:
         "random": _random(data),
         "drives": {_title(row): _drives(data, row) for row in data["drives"]},
         "verdicts": [_verdict(standard[view]) for view in (AS_ANALYSED, FRICTION)],
-        "extremes": [_extremes(row) for row in data["drives"]],
     }
 
 
@@ -189,11 +188,3 @@ def _verdict(row: Data) -> Data:
         survives = "in part" if 2 * reduced > draws else "no"
     left = {"left": _left(driven), "left_ideal": _left(ideal)}
     return {"view": row["view"], "usual": usual, "answers": answers, "reduced": reduced, "survives": survives, **left}
-
-
-def _extremes(row: Data) -> Data:
-    """The effects that leave the most and the least of the ringing by themselves."""
-    left = {drive["drive"]: _left(drive) for drive in row["drives"]}
-    single = sorted((name for name in left if name not in (IDEAL, ALL)), key=lambda name: left[name])
-    least, most = ((heading(name), left[name]) for name in (single[0], single[-1]))
-    return {"title": _title(row), "ideal": left[IDEAL], "all": left[ALL], "most": most, "least": least}
