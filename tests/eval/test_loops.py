@@ -14,10 +14,8 @@ from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.seeds import LOOPS
-from eval.studies.loops import costs, gains
-from eval.studies.loops.changes import CHANGES, LIMITS
-from eval.studies.loops.costs import blind, built_arms, price, run_arms, worth
-from eval.studies.loops.scan import NONE_LEFT, scan
+from eval.studies.loops import NONE_LEFT, costs, gains, scan
+from eval.studies.loops.costs import CHANGES, LIMITS, blind, built_arms, price, run_arms, worth
 
 
 def test_the_worst_margins_are_those_of_the_condition():

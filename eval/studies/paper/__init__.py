@@ -20,12 +20,18 @@ from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES, PAPER_MOVES, SeedRange
 from eval.studies._frame import StudyOptions
 from eval.studies.paper import runs
-from eval.studies.paper.assumptions import USUAL_MOVE, Alternative, list_alternatives, try_alternatives
-from eval.studies.paper.drives import compare, run_drives
 from eval.studies.paper.linear import ServoGains, linear_numbers
 from eval.studies.paper.pictures import pictures
 from eval.studies.paper.runs import BOTH_ARMS, MAIN, PHASES, REDUCED, REMOVED, STANDARD, TO_0, VIEWS
 from eval.studies.paper.tables import tables
+from eval.studies.paper.variations import (
+    USUAL_MOVE,
+    Alternative,
+    compare,
+    list_alternatives,
+    run_drives,
+    try_alternatives,
+)
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
 QUICK = {"draws": 1, "moves": 8}
