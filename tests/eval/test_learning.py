@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
-import numpy as np
 import pytest
 from commands import mistake
 
@@ -21,8 +20,7 @@ from beltarm_env import EPISODE_STEPS
 from eval import study
 from eval.studies import learning
 from eval.studies.learning import page, runs
-from eval.studies.learning.runs import Run, score, training_digest
-from eval.studies.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
+from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score, training_digest
 
 BY_NAME = {variant.name: variant for variant in VARIANTS}
 
@@ -68,8 +66,7 @@ def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
 
 def test_scores_are_the_same_again():
     scores = score(PaperController(), 4)
-    assert scores == score(PaperController(), 4) and scores["left_percent"] == 0
-    assert set(page.COLUMNS) <= set(scores)
+    assert scores == score(PaperController(), 4) and scores["left_percent"] == 0 and set(page.COLUMNS) <= set(scores)
 
 
 def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
@@ -100,21 +97,18 @@ def test_runs_of_another_command_or_other_code_are_refused(done: tuple[Run, dict
     shutil.copytree(done[0].runs, runs_there)
     run = Run(DEFAULT, 0, 5_000, runs_there, quick=True)
     record = run.folder / "ablation.json"
-    with pytest.raises(ValueError, match="--runs"):
-        Run(DEFAULT, 0, 10_000, runs_there, quick=True).finished(4)
-    with pytest.raises(ValueError, match="--runs"):
-        run.finished(5)
     kept = json.loads(record.read_text())
-    record.write_text(json.dumps({**kept, "digest": "0" * 64}))
-    with pytest.raises(ValueError, match="--runs"):
-        run.finished(4)
+    for other, arms in ((Run(DEFAULT, 0, 10_000, runs_there, quick=True), 4), (run, 5)):
+        with pytest.raises(ValueError, match="--runs"):
+            other.finished(arms)
+    for wrong, complaint in (({**kept, "digest": "0" * 64}, "--runs"), ([], "damaged")):
+        record.write_text(json.dumps(wrong))
+        with pytest.raises(ValueError, match=complaint):
+            run.finished(4)
     del kept["digest"]
     record.write_text(json.dumps(kept))
     result = run.finished(4)
     assert result is not None and result["digest"] is None, "a record of before there were digests"
-    record.write_text("[]")
-    with pytest.raises(ValueError, match="damaged"):
-        run.finished(4)
 
 
 def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
@@ -136,49 +130,30 @@ def test_bad_options(words: tuple[str, str], tmp_path: Path):
     assert words[0] in line and words[1] in line
 
 
-def made_up(seeds: int = 2) -> dict[str, Any]:
-    """Data with all variants; costs rise from 300 on."""
-
+def test_tables_and_panels_compare_the_variants_of_a_factor_with_their_default():
     def run(cost: float, seed: int) -> dict[str, Any]:
-        curve = [[0, 0.0, 2000.0], [500, 0.5, 2 * cost], [1000, 1.0, cost]]
-        scores = {name: cost + 10 * seed for name in page.COLUMNS}
-        own = {"seed": seed, "command": f"python train/student.py --rounds 8 --seed {seed}", "minutes": 1.0}
-        known = {"base": "paper", "commit": "1234567", "digest": None, "validation_of_base": 2000.0}
-        return {**own, **known, "scores": scores, "curve": curve}
+        own = {"seed": seed, "command": f"python train/student.py --seed {seed}", "minutes": 1.0, "base": "paper"}
+        curve = [[0, 0.0, 2000.0], [1000, 1.0, cost]]
+        known = {"commit": "1234567", "digest": None, "validation_of_base": 2000.0, "curve": curve}
+        return {**own, **known, "scores": dict.fromkeys(page.COLUMNS, cost + 10 * seed)}
 
-    costs = np.linspace(300, 900, len(VARIANTS)).tolist()
-    return {
-        "variants": [
-            {**asdict(variant), "runs": [run(cost, seed) for seed in range(seeds)]}
-            for variant, cost in zip(VARIANTS, costs, strict=True)
-        ],
-        "references": {"paper": dict.fromkeys(page.COLUMNS, 2000.0)},
-        "best_classical": {"name": "adaptive", "validated": 210.0},
-    }
-
-
-def test_a_table_compares_the_variants_of_a_factor_with_their_default():
-    data = made_up()
-    shown = page.tables(data)
-    assert set(shown["factors"]) == {factor.question for factor in FACTORS.values()}
-    costs = {variant["name"]: page.scores(variant, "cost_mean") for variant in data["variants"]}
-    for name, factor in FACTORS.items():
-        first, *others = [line.split(" | ") for line in shown["factors"][factor.question].splitlines()[2:]]
-        own = [variant for variant in VARIANTS if variant.factor == name]
-        assert "(default)" in first[0] and first[8] == "1.00" and len(others) == len(own)
-        for variant, cells in zip(own, others, strict=True):
-            low, high = costs[variant.name]
-            assert cells[2] == f"{(low + high) / 2:.0f} [{low:.0f}, {high:.0f}]"
-            assert cells[8] == f"{(low + high) / costs[factor.against].sum():.2f}"
-
-
-def test_the_picture_has_a_panel_for_each_factor_on_common_axes():
-    figure = page._ablations(made_up())
+    costs = {variant.name: 300.0 + 50 * k for k, variant in enumerate(VARIANTS)}
+    variants = [{**asdict(v), "runs": [run(costs[v.name], seed) for seed in range(2)]} for v in VARIANTS]
+    references = {"paper": dict.fromkeys(page.COLUMNS, 2000.0)}
+    data = {"variants": variants, "references": references, "best_classical": {"name": "adaptive", "validated": 210.0}}
+    shown, figure = page.tables(data)["factors"], page._ablations(data)
     panels = [axis for axis in figure.axes if axis.get_visible()]
-    assert [panel.get_title("left") for panel in panels] == [factor.question for factor in FACTORS.values()]
     assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
-    for panel, results in zip(panels, page.by_factor(made_up()).values(), strict=True):
+    for (name, factor), panel in zip(FACTORS.items(), panels, strict=True):
+        first, *others = [line.split(" | ") for line in shown[factor.question].splitlines()[2:]]
+        own = [variant for variant in VARIANTS if variant.factor == name]
+        assert "(default)" in first[0] and first[8] == "1.00"
+        for variant, cells in zip(own, others, strict=True):
+            cost = costs[variant.name]
+            assert cells[2] == f"{cost + 5:.0f} [{cost:.0f}, {cost + 10:.0f}]"
+            assert cells[8] == f"{(cost + 5) / (costs[factor.against] + 5):.2f}"
         legend = panel.get_legend()
-        assert legend is not None and len(legend.get_texts()) == len(results)
+        assert panel.get_title("left") == factor.question
+        assert legend is not None and len(legend.get_texts()) == len(own) + 1
         assert not legend.get_window_extent().overlaps(panel.get_window_extent()), "names are beside the curves"
     plt.close(figure)

@@ -14,10 +14,8 @@ from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.seeds import LOOPS
-from eval.studies.loops import costs, gains
-from eval.studies.loops.changes import CHANGES, LIMITS
-from eval.studies.loops.costs import blind, built_arms, price, run_arms, worth
-from eval.studies.loops.scan import NONE_LEFT, scan
+from eval.studies.loops import NONE_LEFT, costs, gains, scan
+from eval.studies.loops.costs import CHANGES, LIMITS, blind, built_arms, price, run_arms, worth
 
 
 def test_the_worst_margins_are_those_of_the_condition():
@@ -67,12 +65,6 @@ def test_prices_are_of_the_same_law_and_search(tmp_path: Path, monkeypatch: pyte
     write_entry("zv", tuned("zv", TUNABLE["zv"].gains), {**same, "budget": same["budget"] + 1}, file)
     assert price("zv", kept) is None, "of another budget"
     assert price("ei", kept) is None and price("paper", kept) is None
-
-
-def test_the_file_has_gains_that_were_found_without_margins():
-    entries = read_file(costs.WITHOUT)
-    assert {"adaptive", "preview", "mpc"} <= set(entries)
-    assert all(entry["provenance"]["margins"] == "not asked for" for entry in entries.values())
 
 
 def test_identification_is_beside_the_best_that_does_not():

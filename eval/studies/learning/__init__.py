@@ -1,6 +1,6 @@
 """What makes learning work on this arm: variants of a student's training, trained side by side and scored.
 
-Each variant changes one thing of `train/student.py` (see `variants.py`). All have the same shortened budget of
+Each variant changes one thing of `train/student.py` (see `runs.py`). All have the same shortened budget of
 simulated samples, over which the learning rate falls to zero. Finished runs are kept in `--runs` and not repeated;
 interrupted ones continue. Beside them are the learning curves of the shipped policies.
 """
@@ -27,8 +27,7 @@ from beltarm_env.task.seeds import ABLATIONS
 from eval.report.curves import BEST_CLASSICAL, classical_cost, find_curves, levels
 from eval.studies._frame import StudyOptions
 from eval.studies.learning.page import pictures, tables
-from eval.studies.learning.runs import Run, score
-from eval.studies.learning.variants import DEFAULT, FACTORS, VARIANTS, Variant
+from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
 QUICK = {"only": ("default",), "samples": 5_000, "seeds": 1, "arms": 4, "runs": Path("runs/ablations-quick")}

@@ -9,15 +9,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from beltarm_env.arrays import Floats
 from eval.report.curves import Curve, curves_figure
 from eval.report.style import COLOURS, mark_one_two_five
 from eval.report.text import markdown_table
 from eval.studies._frame import Pictures
-from eval.studies.learning.variants import DEFAULT, FACTORS
+from eval.studies.learning.runs import DEFAULT, FACTORS
 
-Floats = NDArray[np.float64]
 Data = dict[str, Any]
 
 COLUMNS = {
@@ -30,9 +29,7 @@ COLUMNS = {
 }
 """Title and decimals of the scores that are shown."""
 _TITLES = [title for title, _ in COLUMNS.values()]
-_ACROSS = 4  # panels side by side
 _TOP = 5  # of the picture, over the base's cost; what is above has lost arms
-_DASHES = ("--", ":")
 
 
 def tables(data: Data) -> Data:
@@ -64,27 +61,22 @@ def scores(variant: Data, name: str) -> Floats:
 
 
 def _label(variant: Data, factor: str) -> str:
-    if factor and variant["name"] == FACTORS[factor].against:
-        return f"{FACTORS[factor].default} (default)"
-    return variant["label"]
+    default = factor and variant["name"] == FACTORS[factor].against
+    return f"{FACTORS[factor].default} (default)" if default else variant["label"]
 
 
 def _table(factor: str, variants: list[Data]) -> str:
-    default = float(scores(variants[0], "cost_mean").mean())
-    rows = []
+    default, rows = float(scores(variants[0], "cost_mean").mean()), []
     for variant in variants:
         cells = [_cell(scores(variant, name), decimals) for name, (_, decimals) in COLUMNS.items()]
-        ratio = float(scores(variant, "cost_mean").mean()) / default
-        minutes = float(np.mean([run["minutes"] for run in variant["runs"]]))
-        rows.append([_label(variant, factor), _changed(variant), *cells, f"{ratio:.2f}", f"{minutes:.1f}"])
+        script = [] if variant["script"] == DEFAULT.script else [f"train/{variant['script']}.py"]
+        words = shlex.join([*script, *variant["options"]])
+        ratio = scores(variant, "cost_mean").mean() / default
+        minutes = np.mean([run["minutes"] for run in variant["runs"]])
+        changed = f"`{words}`" if words else "–"
+        rows.append([_label(variant, factor), changed, *cells, f"{ratio:.2f}", f"{minutes:.1f}"])
     titles = ["", "changed", *_TITLES, "vs default", "minutes"]
     return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
-
-
-def _changed(variant: Data) -> str:
-    words = [] if variant["script"] == DEFAULT.script else [f"train/{variant['script']}.py"]
-    words += variant["options"]
-    return f"`{shlex.join(words)}`" if words else "–"
 
 
 def _cell(values: Floats, decimals: int) -> str:
@@ -114,20 +106,19 @@ def pictures(data: Data) -> Pictures:
 def _ablations(data: Data) -> Figure:
     """Draw the curves of every factor, on common axes."""
     factors = by_factor(data) or {"": data["variants"][:1]}
-    across = min(_ACROSS, len(factors))
+    across = min(4, len(factors))
     down = -(-len(factors) // across)
     size = (3.4 * across + 0.8, 3.1 * down + 0.5)
     figure, grid = plt.subplots(down, across, figsize=size, layout="constrained", sharey=True, squeeze=False)
-    panels = list(grid.flat)
     best, default = data["best_classical"], data["variants"][0]["runs"][0]
     levels = {default["base"]: default["validation_of_base"], best["name"]: best["validated"]}
     lowest = min(point[2] for variant in data["variants"] for run in variant["runs"] for point in run["curve"])
-    for axis, (factor, variants) in zip(panels, factors.items(), strict=False):
+    for axis, (factor, variants) in zip(grid.flat, factors.items(), strict=False):
         _panel(axis, levels, factor, variants)
         bottom, top = 0.7 * min(lowest, best["validated"]), _TOP * default["validation_of_base"]
         axis.set(yscale="log", xlim=(0, None), ylim=(bottom, top))
         mark_one_two_five(axis.yaxis)
-    for axis in panels[len(factors) :]:
+    for axis in list(grid.flat)[len(factors) :]:
         axis.set_visible(False)
     figure.supxlabel("simulated samples (millions)", fontsize=10)
     figure.supylabel("mean episode cost, validation arms", fontsize=10)
@@ -136,7 +127,7 @@ def _ablations(data: Data) -> Figure:
 
 def _panel(axis: Axes, levels: dict[str, float], factor: str, variants: list[Data]) -> None:
     sides = ("center",) if len(levels) == 1 else ("bottom", "top")
-    for (name, level), dashes, side in zip(levels.items(), _DASHES, sides, strict=False):
+    for (name, level), dashes, side in zip(levels.items(), ("--", ":"), sides, strict=False):
         axis.axhline(level, color="0.45", lw=1, ls=dashes, zorder=1)
         end = axis.get_yaxis_transform()
         axis.text(1.01, level, name, transform=end, color="0.35", va=side, ha="left", fontsize=7)
@@ -148,8 +139,6 @@ def _panel(axis: Axes, levels: dict[str, float], factor: str, variants: list[Dat
         middle = np.exp(np.mean([np.log(curve[:shortest, 2]) for curve in curves], axis=0))
         axis.plot(curves[0][:shortest, 0] / 1e6, middle, color=colour, lw=1.8, label=_label(variant, factor))
     axis.set_title(FACTORS[factor].question if factor else "", fontsize=9, loc="left")
-    axis.legend(
-        fontsize=7, frameon=False, borderpad=0.3, handlelength=1.2, loc="upper left", bbox_to_anchor=(0, -0.08), ncols=2
-    )
+    axis.legend(fontsize=7, frameon=False, handlelength=1.2, loc="upper left", bbox_to_anchor=(0, -0.08), ncols=2)
     axis.grid(alpha=0.3, which="both")
     axis.tick_params(labelsize=8)

@@ -1,4 +1,4 @@
-"""Training runs of the ablations, and the scores of their policies.
+"""Variants that the ablations train, their training runs, and the scores of their policies.
 
 A run has the options that its command gives it, so the command in the results is one that makes them again. The last
 policy is scored, not the best one: choosing the best of a curve would flatter the variants whose curves are noisy.
@@ -11,7 +11,7 @@ import shlex
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,11 +30,60 @@ from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.seeds import ABLATIONS
 from eval.comparison.provenance import inputs_digest
 from eval.report.curves import find_curves
-from eval.studies.learning.variants import Variant
 
 _VALIDATIONS = 8  # per run, and rounds of a student
 _RECORD = "ablation.json"
 _QUICK = ("--validation-arms", "4")
+
+
+class Factor(NamedTuple):
+    """Something that is varied."""
+
+    question: str
+    default: str  # its setting in the run that its variants are compared with
+    against: str = "default"  # name of that run
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Training run that changes one option of the default run, or learns in another way."""
+
+    name: str  # its folder's
+    factor: str  # key of `FACTORS`
+    label: str
+    options: tuple[str, ...] = ()
+    script: str = "student"
+    once: bool = False  # whether one seed is enough: what it shows is larger than what seeds differ by
+
+
+FACTORS = {
+    "learner": Factor("Which way of learning?", "student, on adaptive"),
+    "sight": Factor("What must PPO be told of the arm?", "belief of the filter", "ppo"),
+    "told": Factor("What must a student be told of the arm?", "belief of the filter"),
+    "memory": Factor("What is its memory worth?", "GRU of 96"),
+    "base": Factor("Which controller should it correct?", "adaptive"),
+    "drive": Factor("Which arms should it be trained on?", "with drives as built"),
+    "price": Factor("What should changes of the torque cost?", "5 times the task's price"),
+}
+"""Everything that is varied, by name."""
+DEFAULT = Variant("default", "default", "default")
+_ALL = ("--residual-limit", "1.0")
+VARIANTS = (
+    DEFAULT,
+    Variant("rma", "learner", "RMA, on adaptive", script="rma", once=True),
+    Variant("ppo", "learner", "PPO, on paper", script="ppo"),
+    Variant("ppo-nothing", "sight", "nothing", ("--knowledge", "none"), "ppo", once=True),
+    Variant("ppo-torsion", "sight", "true torsion, and belief", ("--sensors", "full"), "ppo", once=True),
+    Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo", once=True),
+    Variant("ppo-price-1", "learner", "PPO, on paper, the task's price", ("--torque-price", "1"), "ppo", once=True),
+    Variant("sac", "learner", "SAC, on paper", script="sac", once=True),
+    Variant("nothing", "told", "nothing", ("--knowledge", "none")),
+    Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full")),
+    Variant("gru-0", "memory", "none", ("--gru-width", "0")),
+    Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
+    Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal")),
+    Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25"), once=True),
+)
 
 
 @cache
@@ -92,21 +141,23 @@ class Run:
         record = self.folder / _RECORD
         if not record.exists():
             return None
-        remedy = f"delete {self.folder}, or choose another --runs"
         try:
             kept = json.loads(record.read_text(encoding="utf-8"))
-            before, scored, digest = kept["command"], kept["arms"], kept.setdefault("digest", None)
+            digest = kept.setdefault("digest", None)
+            if (kept["command"], kept["arms"]) != (self.command, arms):
+                raise BundleError(
+                    f"is of `{kept['command']}` on {kept['arms']} arms, not of `{self.command}` on {arms}"
+                )
+            if digest not in (None, training_digest()):
+                raise BundleError("was trained by other code than today's")
             read_spec(self.folder / "last")
         except BundleError as error:
-            raise ValueError(f"{error}; {remedy}") from None
+            problem = str(error)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"{record} is damaged ({error!r}): {remedy}") from None
-        if (before, scored) != (self.command, arms):
-            held, wanted = f"`{before}` on {scored} arms", f"`{self.command}` on {arms}"
-            raise ValueError(f"{self.folder} holds {held}, not {wanted}: {remedy}")
-        if digest not in (None, training_digest()):
-            raise ValueError(f"{self.folder} was trained by other code than today's: {remedy}")
-        return kept
+            problem = f"is damaged ({error!r})"
+        else:
+            return kept
+        raise ValueError(f"{record}: {problem}; delete {self.folder}, or choose another --runs")
 
     def finish(self, arms: int, place: Path | None = None, channel: Channel | None = None) -> dict[str, Any]:
         """Train, going on where an interrupted run stopped, and score the last policy.

@@ -11,8 +11,8 @@ with the seed and budget of those with.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +25,81 @@ from baselines.loops.condition import least_margins
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.yardsticks.oracle import METRICS
 from baselines.yardsticks.oracle import read_file as read_optimum
-from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env import ArmParams, BeltArmVectorEnv, design_model
-from beltarm_env.arm import params_columns, params_table
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, design_model
+from beltarm_env.arm import COLUMN, params_columns, params_table
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUES
 from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
+from eval.comparison.effects import EFFECTS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
-from eval.studies.loops.changes import CHANGES, LIMITS, Change
 
-PRIVILEGED = "privileged"
-"""Name of the oracle that knows arm and state; never ranked."""
+_DESIGN = design_model()
+
+
+@dataclass(frozen=True)
+class Change:
+    """Arms or sensors that differ in one respect."""
+
+    title: str
+    constants: dict[str, float] = field(default_factory=dict)  # of the arms
+    settings: dict[str, Any] = field(default_factory=dict)  # of the environment
+
+    def applied(self, table: Floats) -> Floats:
+        """Arms with this change, columns as `ArmParams`, shape (n, len(FIELDS))."""
+        changed = table.copy()
+        for name, value in self.constants.items():
+            changed[:, getattr(COLUMN, name)] = value
+        return changed
+
+
+def _scaled(title: str, factor: float, *names: str) -> Change:
+    return Change(f"{title} ×{factor:g}", {name: factor * getattr(_DESIGN, name) for name in names})
+
+
+def _latency(title: str, samples: float) -> Change:
+    return Change(f"latency {title}", {"command_latency": samples * CONTROL_PERIOD})
+
+
+def _drive_effect(name: str) -> Change:
+    """An effect of the drive half as large again as the upper end of its training range."""
+    effect = EFFECTS[name]
+    title = f"{effect.column or effect.title} {effect.sign}{effect.shown(name, 1.5)} {effect.unit}"
+    return Change(title, {name: 1.5 * DRIVE_RANGES[name][1]})
+
+
+_FRICTION = ("coulomb_friction", "motor_viscous_friction")
+_EFFECTS = ("current_loop_time_constant", "static_friction_excess", "friction_variation")
+_EFFECTS += ("torque_ripple", "kinematic_error", "belt_stiffening")
+_OWN, _MOST = (latency / CONTROL_PERIOD for latency in (_DESIGN.command_latency, DRIVE_RANGES["command_latency"][1]))
+_TORQUE_CONSTANT = (
+    Change("torque constant +15 %", {"torque_constant_error": 0.15}),
+    Change("torque constant −15 %", {"torque_constant_error": -0.15}),
+)
+CHANGES = (
+    Change("payload 0.2 kg", {"payload_mass": 0.2}),
+    Change("payload 0.5 kg", {"payload_mass": 0.5}),
+    _scaled("belt stiffness", 0.8, "belt_stiffness"),
+    _scaled("belt stiffness", 0.5, "belt_stiffness"),
+    _scaled("friction", 1.3, *_FRICTION),
+    _scaled("friction", 1.8, *_FRICTION),
+    _scaled("motor inertia", 0.85, "motor_inertia"),
+    _scaled("motor inertia", 1.15, "motor_inertia"),
+    _latency("+0.5 sample", _OWN + 0.5),
+    _latency("+1 sample", _OWN + 1.0),
+    *_TORQUE_CONSTANT,
+    *map(_drive_effect, _EFFECTS),
+    Change("encoder of 1000 counts", settings={"encoder_counts": 1000}),
+    Change("encoder 1 sample late", settings={"delay": 1}),
+    Change("full two-link arm", settings={"model": "lagrangian"}),
+)
+"""Changes of the design model with its drive."""
+LIMITS = (_latency(f"{_MOST + 0.5:g} samples", _MOST + 0.5), *_TORQUE_CONSTANT)
+"""Changes of arms as they are built: latency half a sample and torque constants beyond their training ranges."""
+
+
 IDENTIFYING = "adaptive"
 """Name of the controller whose identification is looked at."""
 WORSE = 1.2
@@ -48,15 +110,6 @@ WITHOUT = FILE.with_name("gains_without_margins.json")
 _UNEXPLAINED = 5e-3  # [N m], of a filter that identifies nothing: what one torque has to stand for then
 
 Maker = Callable[[list[ArmParams]], Controller]
-
-
-def makers(names: Sequence[str]) -> dict[str, Maker]:
-    """Constructors of controllers for given arms, by name; only the one added, `PRIVILEGED`, looks at the arms.
-
-    Raises:
-        ValueError: If the file of gains is damaged.
-    """
-    return {**{name: blind(CONTROLLERS[name]()) for name in names}, PRIVILEGED: PrivilegedController}
 
 
 def blind(controller: Controller) -> Maker:
@@ -91,6 +144,9 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
         Costs on the arms as they are built, shape (arms,), and what the page shows.
     """
     design, built = np.tile(design_model().row(), (moves, 1)), built_arms(arms)
+    scenarios = read_optimum()[1]
+    table = params_table([scenario.params for scenario in scenarios])
+    drawn = {field: [getattr(scenario.move, field) for scenario in scenarios] for field in MoveShape._fields}
     as_designed, as_built = run_arms(make, design), run_arms(make, built)
     metrics = as_built.metrics()
     return metrics["cost"], {
@@ -101,22 +157,15 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
         "design": interquartile_mean(as_designed.cost),
         "changes": [_effect(make, design, change, as_designed.cost) for change in CHANGES],
         "limits": [_effect(make, built, change, as_built.cost) for change in LIMITS],
-        "optimum": _beside_optimum(make),
+        "optimum": run_arms(make, table, options={"move": drawn}).cost,
     }
 
 
 def _effect(make: Maker, table: Floats, change: Change, before: Floats) -> dict[str, float]:
     """Mean and interquartile mean of the cost over those without a change, and how many arms left the workspace."""
     run = run_arms(make, change.applied(table), **change.settings)
-    iqm = interquartile_mean(run.cost) / interquartile_mean(before)
-    return {"mean": float(run.cost.mean() / before.mean()), "iqm": iqm, "left": int((~run.finished).sum())}
-
-
-def _beside_optimum(make: Maker) -> Floats:
-    """Costs in the scenarios of the clairvoyant optimum."""
-    _, scenarios, _ = read_optimum()
-    move = {field: [getattr(s.move, field) for s in scenarios] for field in MoveShape._fields}
-    return run_arms(make, params_table([s.params for s in scenarios]), options={"move": move}).cost
+    ratios = {"mean": run.cost.mean() / before.mean(), "iqm": interquartile_mean(run.cost) / interquartile_mean(before)}
+    return {**ratios, "left": int((~run.finished).sum())}
 
 
 def optimum() -> dict[str, Any]:

@@ -7,7 +7,7 @@ M2, alternatives to everything that the paper does not print, random moves, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -18,23 +18,25 @@ from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES, PAPER_MOVES, SeedRange
-from eval.comparison.effects import ALL, IDEAL
 from eval.studies._frame import StudyOptions
-from eval.studies.paper.assumptions import USUAL_MOVE, Alternative, list_alternatives, try_alternatives
-from eval.studies.paper.drives import DRIVES, compare, run_drives
-from eval.studies.paper.linear import ServoGains, linear_numbers, without_and_with
+from eval.studies.paper import runs
+from eval.studies.paper.linear import ServoGains, linear_numbers
 from eval.studies.paper.pictures import pictures
-from eval.studies.paper.responses import SIGNALS, Response, response
-from eval.studies.paper.ringing import END_WINDOW, PHASES, REDUCED, REMOVED, Suppression, ringing_of, suppression
-from eval.studies.paper.runs import BOTH_ARMS, FRICTION, MAIN, STANDARD, TO_0, VIEWS, check_move, is_allowed, run_moves
+from eval.studies.paper.runs import BOTH_ARMS, MAIN, PHASES, REDUCED, REMOVED, STANDARD, TO_0, VIEWS
 from eval.studies.paper.tables import tables
+from eval.studies.paper.variations import (
+    USUAL_MOVE,
+    Alternative,
+    compare,
+    list_alternatives,
+    run_drives,
+    try_alternatives,
+)
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
 QUICK = {"draws": 1, "moves": 8}
 
-_SWEPT = 33  # ramp times
 _SAME = 1e-6  # relative difference below which a value changes nothing; actions are rounded to float32
-_EVERY = {"responses": 3, "swings": 8}  # samples between those that are kept for pictures
 _TABLE_2 = ServoGains()
 
 
@@ -91,7 +93,7 @@ class Options(StudyOptions):
             if not 0 <= angle <= 90:
                 raise ValueError(f"{name} must lie within 0 and 90 degrees, got {angle:g}")
         move = MoveShape(math.radians(self.start_deg), math.radians(self.goal_deg), self.duration, self.ramp_time)
-        check_move(move)
+        runs.check_move(move)
         return move
 
 
@@ -106,22 +108,20 @@ def measure(options: Options) -> dict[str, Any]:
     random_moves = SeedRange(PAPER_MOVES.first, options.moves)
     scenes, signals = run_scenes(gains, places)
     usual = {scene["view"]: scene["phases"] for scene in scenes if scene["place"] == STANDARD}
-    drives, swings = on_drives(gains, places, options.draws)
     return {
         "gains": asdict(gains),
         "move": move._asdict(),
         "usual": gains == _TABLE_2 and move == USUAL_MOVE,
-        "bounds": {"removed": REMOVED, "reduced": REDUCED, "window": END_WINDOW},
+        "bounds": {"removed": REMOVED, "reduced": REDUCED, "window": runs.END_WINDOW},
         "random_moves": random_moves._asdict(),
         "drawn_drives": {"first": PAPER_DRIVES.first, "size": options.draws},
         "scenes": scenes,
         "signals": signals,
         "alternatives": vary(list_alternatives(move), gains, usual),
         "sweep": sweep(gains, move),
-        "random": {view: random(suppression(under, gains, random_moves)) for view, under in BOTH_ARMS.items()},
+        "random": {view: random(runs.suppression(under, gains, random_moves)) for view, under in BOTH_ARMS.items()},
         "linear": linear_numbers(gains),
-        "drives": drives,
-        "swings": swings,
+        "drives": on_drives(gains, places, options.draws),
     }
 
 
@@ -129,36 +129,35 @@ def run_scenes(gains: ServoGains, places: Mapping[str, MoveShape]) -> tuple[list
     """Run moves, by place, under each of `VIEWS`: numbers of each, and signals over time of some."""
     scenes, signals = [], {}
     for view, conditions in progress_over("conditions", list(VIEWS.items())):
-        runs = [run_moves(conditions, g, list(places.values())) for g in without_and_with(gains)]
-        both = Suppression(*map(ringing_of, runs))
+        pair = [runs.run_moves(conditions, each, list(places.values())) for each in gains.without_and_with]
+        ringing = np.array([runs.ringing_of(run) for run in pair])
         for k, (place, move) in enumerate(places.items()):
-            ringing, shown = both.only(k), [response(run, k) for run in runs]
-            numbers = {"place": place, "view": view, "move": move._asdict(), **ringing_numbers(ringing)}
-            scenes.append({**numbers, "motions": [each.summary() for each in shown]})
-            if (place, view) in SIGNALS:
-                signals[f"{place}, {view}"] = over_time(SIGNALS[place, view], *shown)
+            shown = [runs.signals_of(run, k) for run in pair]
+            numbers = {"place": place, "view": view, "move": move._asdict(), **ringing_numbers(ringing[:, :, k])}
+            scenes.append({**numbers, "motions": [runs.summary(each) for each in shown]})
+            if names := runs.SIGNALS.get((place, view)):
+                without, suppressed = ({name: thinned(each[name], 3) for name in each} for each in shown)
+                references = [f"{name}_reference" for name in names if f"{name}_reference" in without]
+                signals[f"{place}, {view}"] = {
+                    **{name: without[name] for name in ("time", *references)},
+                    "without": {name: without[name] for name in names},
+                    "suppressed": {name: suppressed[name] for name in names},
+                }
     return sorted(scenes, key=lambda scene: list(places).index(scene["place"])), signals
 
 
-def ringing_numbers(ringing: Suppression) -> dict[str, Any]:
-    """Ringing of a move without and with vibration feedback, its ratios, the answer, and where the arm left."""
-    return {
-        "phases": [{phase: float(getattr(rung, phase)[0]) for phase in PHASES} for rung in ringing],
-        "ratios": {phase: ringing.ratio(phase) for phase in PHASES},
-        "answer": ringing.answer,
-        "left": [bool(np.isinf(rung.stop[0])) for rung in ringing],
-    }
+def ringing_numbers(pair: Floats) -> dict[str, Any]:
+    """Ringing of a move without and with vibration feedback, its ratios, the answer, and where the arm left.
 
-
-def over_time(names: Iterable[str], without: Response, suppressed: Response) -> dict[str, Any]:
-    """Signals for a picture, by name, and those of a rigid arm on the reference, where there are any."""
-    every = _EVERY["responses"]
-    references = [f"{name}_reference" for name in names if "lateral" not in name]
+    Args:
+        pair: Shape (2, len(PHASES)).
+    """
+    ratios = dict(zip(PHASES, runs.ratios(pair), strict=True))
     return {
-        "time": thinned(without.time, every),
-        **{name: thinned(without.signal(name), every) for name in references},
-        "without": {name: thinned(without.signal(name), every) for name in names},
-        "suppressed": {name: thinned(suppressed.signal(name), every) for name in names},
+        "phases": [dict(zip(PHASES, phases, strict=True)) for phases in pair],
+        "ratios": ratios,
+        "answer": runs.answer(ratios["end"]),
+        "left": np.isinf(pair[:, 1]).tolist(),
     }
 
 
@@ -172,13 +171,11 @@ def vary(alternatives: list[Alternative], gains: ServoGains, usual: Mapping[str,
     by_view = {view: try_alternatives(alternatives, base, gains) for view, base in MAIN.items()}
     rows = []
     for alternative in alternatives:
-        views = {view: ringing_numbers(by_view[view][alternative.label]) for view in MAIN}
-        for view, numbers in views.items():
-            pairs = zip(numbers.pop("phases"), usual[view], strict=True)
-            numbers["same"] = all(
-                np.allclose(list(own.values()), list(other.values()), rtol=_SAME, atol=0, equal_nan=True)
-                for own, other in pairs
-            )
+        views = {}
+        for view, results in by_view.items():
+            numbers = ringing_numbers(results[alternative.label])
+            own, other = ([list(phases.values()) for phases in each] for each in (numbers.pop("phases"), usual[view]))
+            views[view] = {**numbers, "same": np.allclose(own, other, rtol=_SAME, atol=0, equal_nan=True)}
         names = {key: getattr(alternative, key) for key in ("assumption", "chosen", "label")}
         rows.append({**names, "views": views})
     return rows
@@ -186,50 +183,37 @@ def vary(alternatives: list[Alternative], gains: ServoGains, usual: Mapping[str,
 
 def sweep(gains: ServoGains, move: MoveShape) -> dict[str, Any]:
     """Ringing after the stop over the ramp time of the standard move."""
-    moves = [move._replace(ramp_time=float(ramp)) for ramp in np.linspace(0.05, 0.5, _SWEPT) * move.duration]
-    moves = [each for each in moves if is_allowed(each)]
-    results = {view: suppression(conditions, gains, moves) for view, conditions in MAIN.items()}
+    moves = [move._replace(ramp_time=float(ramp)) for ramp in np.linspace(0.05, 0.5, 33) * move.duration]
+    moves = [each for each in moves if runs.is_allowed(each)]
     return {
         "ramp_times": [each.ramp_time for each in moves],
-        "views": {view: [rung.stop for rung in pair] for view, pair in results.items()},
+        "views": {view: runs.suppression(conditions, gains, moves)[:, 1] for view, conditions in MAIN.items()},
     }
 
 
-def random(ringing: Suppression) -> dict[str, Any]:
+def random(pair: Floats) -> dict[str, Any]:
     """Shares of random moves by their ratios of ringing in each phase, and on how many the arm left its workspace.
 
     Moves on which the arm leaves its workspace with vibration feedback alone count as increased.
+
+    Args:
+        pair: Ringing without and with vibration feedback, shape (2, len(PHASES), n).
     """
     phases = {}
-    for phase in PHASES:
-        ratios = ringing.ratios(phase)
-        ratios = np.sort(ratios[~np.isnan(ratios)])
-        median = float(np.quantile(ratios, 0.5, method="inverted_cdf")) if len(ratios) else math.nan
-        phases[phase] = {
-            "removed": np.mean(ratios < REMOVED) if len(ratios) else math.nan,
-            "reduced": np.mean(ratios < REDUCED) if len(ratios) else math.nan,
-            "increased": np.mean(ratios > 1 / REDUCED) if len(ratios) else math.nan,
-            "median": median,
-            "median_left": math.isinf(median),
-            "ratios": ratios,
-        }
-    return {"phases": phases, "left": [int(np.isinf(rung.stop).sum()) for rung in ringing]}
+    for phase, ratios in zip(PHASES, runs.ratios(pair), strict=True):
+        known = np.sort(ratios[~np.isnan(ratios)])
+        kinds = {"removed": known < REMOVED, "reduced": known < REDUCED, "increased": known > 1 / REDUCED}
+        median = float(np.quantile(known, 0.5, method="inverted_cdf")) if len(known) else math.nan
+        shares = {kind: np.mean(chosen) if len(known) else math.nan for kind, chosen in kinds.items()}
+        phases[phase] = {**shares, "median": median, "median_left": math.isinf(median), "ratios": known}
+    return {"phases": phases, "left": np.isinf(pair[:, 1]).sum(axis=1)}
 
 
-def on_drives(gains: ServoGains, places: Mapping[str, MoveShape], draws: int) -> tuple[list[Any], dict[str, Any]]:
-    """Motion and ringing on all drives, and the tip's velocity on the standard move, ideal and with all effects."""
-    rows, swings = [], dict[str, Any]()
+def on_drives(gains: ServoGains, places: Mapping[str, MoveShape], draws: int) -> list[dict[str, Any]]:
+    """Motion and ringing on all drives, by place and conditions."""
+    rows = []
     for view, conditions in progress_over("drives", list(MAIN.items())):
-        runs = run_drives(gains, list(places.values()), conditions, draws)
-        results = compare(runs, draws)
-        for k, place in enumerate(places):
-            own = results[k * len(DRIVES) : (k + 1) * len(DRIVES)]
-            rows.append({"place": place, "view": view, "move": places[place]._asdict(), "drives": own})
-        if view == FRICTION:
-            every = _EVERY["swings"]
-            swings |= {"time": thinned(runs[0].time, every)}
-            for drive, shown in ((IDEAL, 1), (ALL, draws)):  # all ideal drives are the same
-                first = DRIVES.index(drive) * draws
-                errors = [run.tip_velocity_error[:, first : first + shown, 0].T for run in runs]
-                swings[drive] = [[thinned(line, every) for line in lines] for lines in errors]
-    return sorted(rows, key=lambda row: list(places).index(row["place"])), swings
+        pair = run_drives(gains, list(places.values()), conditions, draws)
+        for (place, move), drives in zip(places.items(), compare(pair, draws), strict=True):
+            rows.append({"place": place, "view": view, "move": move._asdict(), "drives": drives})
+    return sorted(rows, key=lambda row: list(places).index(row["place"]))

@@ -9,28 +9,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Any, cast
+from typing import Any
 
-import control
 import numpy as np
-from control.pzmap import PoleZeroData
 from numpy.typing import NDArray
 
 from baselines.loops.laws import torsion_feedback
 from baselines.loops.models import Loop, closed_poles, continuous, law_system, sampled_arm, slowest_first
 from baselines.servo.paper import PaperGains
 from beltarm_env import ArmParams, state_space
+from beltarm_env.arrays import Floats
 from beltarm_env.physics.lumped import inverse_inertia
 
-Floats = NDArray[np.float64]
 Poles = NDArray[np.complex128]
-
 PAPER_ARM = ArmParams(belt_damping_ratio=0.0)
 """The nominal arm with the paper's undamped belt."""
-
-_FACTORS = (0.5, 1.0, 2.0, 3.0)  # of omega_n, at which the damping is shown
 GAIN_RANGES = {"k4": (0.0, 1.0), "natural_frequency": (0.1, 100.0), "damping": (0.05, 20.0)}
-_UNITS = {"k4": " N m s/rad", "natural_frequency": " rad/s", "damping": ""}
+_FACTORS = (0.5, 1.0, 2.0, 3.0)  # of omega_n, at which the damping is shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,31 +43,25 @@ class ServoGains:
     def __post_init__(self) -> None:
         """Check every gain against its range."""
         for field in fields(self):
-            low, high = GAIN_RANGES[field.name]
-            value = getattr(self, field.name)
+            (low, high), value = GAIN_RANGES[field.name], getattr(self, field.name)
             if not low <= value <= high:
-                raise ValueError(
-                    f"gain {field.name} must lie within {low:g} and {high:g}{_UNITS[field.name]}, got {value:g}; "
-                    f"Table 2 has {field.default:g}"
-                )
+                raise ValueError(f"gain {field.name} must lie within {low:g} and {high:g}, got {value:g}")
 
     @property
     def feedback(self) -> PaperGains:
         """K_4, K_p and K_v of these gains."""
         return PaperGains(self.k4, self.natural_frequency**2, 2 * self.damping * self.natural_frequency)
 
-
-def without_and_with(gains: ServoGains) -> tuple[ServoGains, ServoGains]:
-    """The gains with K_4 = 0, and as they are."""
-    return replace(gains, k4=0.0), gains
+    @property
+    def without_and_with(self) -> tuple[ServoGains, ServoGains]:
+        """The gains with K_4 = 0, and as they are."""
+        return replace(self, k4=0.0), self
 
 
 def feedback_row(arm: ArmParams, gains: ServoGains) -> Floats:
     """K of u = -K x, shape (1, 4)."""
-    k = gains.feedback
-    return np.array(
-        [[arm.motor_inertia * k.angle, arm.motor_inertia * k.speed - arm.motor_viscous_friction, 0.0, k.torsion_speed]]
-    )
+    k, inertia = gains.feedback, arm.motor_inertia
+    return np.array([[inertia * k.angle, inertia * k.speed - arm.motor_viscous_friction, 0.0, k.torsion_speed]])
 
 
 def closed_loop(
@@ -95,24 +84,13 @@ def closed_loop(
 
 def poles(a: Floats) -> Poles:
     """Eigenvalues [1/s], slowest first."""
-    return slowest_first(control.StateSpace(a, np.zeros((4, 1)), np.eye(4), 0).poles())
+    return slowest_first(np.linalg.eigvals(a).astype(np.complex128))
 
 
-def k4_locus(arm: ArmParams, theta_1: float, gains: ServoGains, k4: Floats) -> Poles:
-    """Poles [1/s] over the gain K_4 with the position loop kept, Fig. 6(a); shape (len(k4), 4)."""
-    a = closed_loop(arm, theta_1, replace(gains, k4=0.0))
-    _, b, _ = state_space(arm, theta_1)
-    torsion_speed = control.StateSpace(a, b, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
-    locus = cast("PoleZeroData", control.root_locus_map(torsion_speed, gains=k4))
-    return np.asarray(locus.loci, dtype=np.complex128)
-
-
-def natural_frequency_locus(arm: ArmParams, theta_1: float, gains: ServoGains, frequencies: Floats) -> Poles:
-    """Poles [1/s] over omega_n with K_4 and xi kept, Fig. 6(b); shape (len(frequencies), 4).
-
-    K_p and K_v both grow with omega_n, which no root locus of a single gain describes: one pole computation each.
-    """
-    return np.array([poles(closed_loop(arm, theta_1, replace(gains, natural_frequency=float(f)))) for f in frequencies])
+def locus(theta_1: float, gains: ServoGains, name: str, values: Floats) -> Poles:
+    """Poles [1/s] of the paper's loop over one gain with the others kept, Fig. 6; shape (len(values), 4)."""
+    varied = [replace(gains, **{name: value}) for value in values.tolist()]
+    return np.array([poles(closed_loop(PAPER_ARM, theta_1, each)) for each in varied])
 
 
 def damping_ratio(values: Poles) -> Floats:
@@ -129,12 +107,10 @@ def dominant_damping(values: Poles) -> Floats:
 def damping_map(gains: ServoGains, k4: Floats, m2: Floats) -> Floats:
     """Dominant damping ratio of the paper's loop over K_4 [N m s/rad] and M2 [kg m^2], shape (len(m2), len(k4))."""
     rows = []
-    for inertia in m2:
-        arm = replace(PAPER_ARM, arm_inertia=float(inertia), arm_inertia_swing=0.0)
-        a = closed_loop(arm, 0.0, replace(gains, k4=0.0))
-        _, b, _ = state_space(arm, 0.0)
-        loops = np.tile(a, (len(k4), 1, 1))
-        loops[:, :, 3] -= k4[:, None] * b[:, 0]
+    for inertia in m2.tolist():
+        arm = replace(PAPER_ARM, arm_inertia=inertia, arm_inertia_swing=0.0)
+        loops = np.tile(closed_loop(arm, 0.0, replace(gains, k4=0.0)), (len(k4), 1, 1))
+        loops[:, :, 3] -= k4[:, None] * state_space(arm, 0.0)[1][:, 0]
         rows.append(dominant_damping(np.linalg.eigvals(loops).astype(np.complex128)))
     return np.array(rows)
 
@@ -167,21 +143,21 @@ def nominal_m2(angle: float, payload: float = 0.0) -> float:
     return 1 / inverse_inertia(math.cos(angle), ArmParams(payload_mass=payload).plant())[2]
 
 
+MARKED_ARMS = {"0°": nominal_m2(0.0), "90°": nominal_m2(np.pi / 2), "90°, payload 0.2 kg": nominal_m2(np.pi / 2, 0.2)}
+"""M2 [kg m^2] for which the best K_4 is shown."""
+
+
 def linear_numbers(gains: ServoGains) -> dict[str, Any]:
     """Poles of the loop and of its variants, dampings on the full arm, best K_4, and damping over omega_n."""
-    off, ends, full = replace(gains, k4=0.0), np.radians([0, 90]), []
+    (off, _), ends, full = gains.without_and_with, np.radians([0, 90]), []
     for angle in np.radians([0, 45, 90]):
         measured = [poles(closed_loop(PAPER_ARM, angle, each, model="lagrangian")) for each in (off, gains)]
         simulated = digital_poles(PAPER_ARM, angle, gains, model="lagrangian")
         dampings = [dominant_damping(values) for values in (*measured, simulated)]
         full.append({"angle": angle, "dampings": dampings, "pairs": parts(simulated[np.abs(simulated.imag) > 1e-6])})
-    best = []
-    for name, angle, payload in (("0°", 0.0, 0.0), ("90°", np.pi / 2, 0.0), ("90°, payload 0.2 kg", np.pi / 2, 0.2)):
-        m2 = nominal_m2(angle, payload)
-        k4, damping = best_gain(gains, m2)
-        best.append({"arm": name, "m2": m2, "k4": k4, "damping": damping})
+    best = [(name, m2, *best_gain(gains, m2)) for name, m2 in MARKED_ARMS.items()]
     frequencies = np.unique(np.clip(gains.natural_frequency * np.array(_FACTORS), *GAIN_RANGES["natural_frequency"]))
-    over_frequency = dominant_damping(natural_frequency_locus(PAPER_ARM, np.pi / 2, gains, frequencies))
+    over_frequency = dominant_damping(locus(np.pi / 2, gains, "natural_frequency", frequencies))
     variants = {
         "off": [poles(closed_loop(PAPER_ARM, angle, off)) for angle in ends],
         "on": [poles(closed_loop(PAPER_ARM, angle, gains)) for angle in ends],
@@ -195,7 +171,7 @@ def linear_numbers(gains: ServoGains) -> dict[str, Any]:
         "damping": {name: [dominant_damping(values) for values in both] for name, both in variants.items()},
         "drive_damping": [_servo_damping(*pair) for pair in zip(variants["drive"], ends, strict=True)],
         "full": full,
-        "best": best,
+        "best": [dict(zip(("arm", "m2", "k4", "damping"), row, strict=True)) for row in best],
         "over_frequency": list(zip(frequencies, over_frequency, strict=True)),
         "arm_over_motor": [nominal_m2(angle) / (PAPER_ARM.gear_ratio**2 * PAPER_ARM.motor_inertia) for angle in ends],
         "belt_damping": ArmParams().belt_damping_ratio,
@@ -211,4 +187,4 @@ def _servo_damping(values: Poles, angle: float) -> float:
 
 def parts(values: Poles) -> list[list[float]]:
     """Real and imaginary parts."""
-    return [[float(value.real), float(value.imag)] for value in values]
+    return np.stack([values.real, values.imag], axis=-1).tolist()

@@ -1,7 +1,8 @@
-"""Pictures of the study: time responses as in Figs. 4(b) and 8(b), alternatives, other moves, drives."""
+"""Pictures of the study: time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, alternatives, other moves, drives."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -11,19 +12,25 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
-from eval.comparison.effects import ALL, IDEAL, heading
-from eval.report.style import BLUE, GREEN, ORANGE, PINK, mark_one_two_five
+from eval.comparison.effects import heading
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, mark_one_two_five
 from eval.report.text import degrees
 from eval.studies._frame import Pictures
-from eval.studies.paper.linear import ServoGains
-from eval.studies.paper.locus import damping_picture, locus_picture
-from eval.studies.paper.responses import SIGNALS
-from eval.studies.paper.ringing import PHASES
-from eval.studies.paper.runs import AS_ANALYSED, FRICTION, STANDARD, TO_0
+from eval.studies.paper.linear import (
+    GAIN_RANGES,
+    MARKED_ARMS,
+    PAPER_ARM,
+    Poles,
+    ServoGains,
+    closed_loop,
+    damping_map,
+    locus,
+    poles,
+)
+from eval.studies.paper.runs import AS_ANALYSED, FRICTION, PHASES, SIGNALS, STANDARD, TO_0
 
 Data = dict[str, Any]
-WITHOUT, SUPPRESSED = ORANGE, BLUE
-"""Colours of K4 = 0 and of the gain given."""
+_COLOURS = (ORANGE, BLUE)  # of K4 = 0 and of the gain given
 _PHASE_SHADE = "#F0F0F0"
 _STYLES: dict[str, dict[str, Any]] = {AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, FRICTION: {"lw": 1.5}}
 """Lines as analysed and with friction: both can be seen where they coincide."""
@@ -36,7 +43,8 @@ _LABELS = {
     "lateral_speed": "lateral velocity ẏ (m/s)",
     "lateral_acceleration": "lateral acc. ÿ (m/s²)",
 }
-_DRIVES = {IDEAL: "ideal drive", ALL: "all effects of the drive"}
+_RATIO = "ringing with K4 = {k4:g} over that with 0"
+_BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False}  # the legend of a figure
 
 
 def pictures(data: Data) -> Pictures:
@@ -46,162 +54,206 @@ def pictures(data: Data) -> Pictures:
         "responses_standard.png": lambda: _responses(data, STANDARD, FRICTION),
         "responses_standard_as_analysed.png": lambda: _responses(data, STANDARD, AS_ANALYSED),
         "responses_to_0.png": lambda: _responses(data, TO_0, FRICTION),
-        "root_locus_90.png": lambda: locus_picture(gains, 90.0),
-        "root_locus_0.png": lambda: locus_picture(gains, 0.0),
-        "damping_map.png": lambda: damping_picture(gains),
+        "root_locus_90.png": lambda: _root_loci(gains, 90.0),
+        "root_locus_0.png": lambda: _root_loci(gains, 0.0),
+        "damping_map.png": lambda: _damping(gains),
         "assumptions.png": lambda: _assumptions(data),
         "moves.png": lambda: _moves(data),
-        "drive.png": lambda: _swings(data),
         "drive_ratios.png": lambda: _drive_ratios(data),
     }
 
 
-def _array(values: list[float | None]) -> Floats:
+def _array(values: Sequence[Any]) -> Floats:
     return np.array(values, dtype=np.float64)
 
 
 def _responses(data: Data, place: str, view: str) -> Figure:
     """Motor and tip over time, Figs. 4(b) and 8(b) side by side."""
-    (scene,) = [scene for scene in data["scenes"] if (scene["place"], scene["view"]) == (place, view)]
+    (move,) = [scene["move"] for scene in data["scenes"] if (scene["place"], scene["view"]) == (place, view)]
     signals, names = data["signals"][f"{place}, {view}"], SIGNALS[place, view]
-    figure, axes = plt.subplots(
-        len(names), 2, figsize=(9, 1.0 + 1.8 * len(names)), layout="constrained", sharex=True, sharey="row"
-    )
-    columns = (
-        ("without", WITHOUT, "K4 = 0", "as Fig. 4b"),
-        ("suppressed", SUPPRESSED, f"K4 = {data['gains']['k4']:g}", "as Fig. 8b"),
-    )
-    for column, (key, colour, title, figure_of_paper) in enumerate(columns):
-        axes[0][column].set_title(f"{title} ({figure_of_paper})", fontsize=11)
-        for row, name in enumerate(names):
-            axis, first = axes[row][column], row == 0
-            axis.axvspan(0, scene["move"]["duration"], color=_PHASE_SHADE, zorder=0)
-            reference = signals.get(f"{name}_reference", [0.0] * len(signals["time"]))
-            label = "rigid arm on the reference" if first and column else None
-            axis.plot(signals["time"], reference, color="0.35", lw=1.2, ls="--", label=label)
-            axis.plot(signals["time"], _array(signals[key][name]), color=colour, lw=1.4, label=title if first else None)
-            axis.set_xlim(0, signals["time"][-1])
+    time, size = signals["time"], (9, 1.0 + 1.9 * len(names))
+    figure, axes = plt.subplots(len(names), 2, figsize=size, layout="constrained", sharex=True, sharey="row")
+    titles = ("K4 = 0 (as Fig. 4b)", f"K4 = {data['gains']['k4']:g} (as Fig. 8b)")
+    for column, key, title, colour in zip(axes.T, ("without", "suppressed"), titles, _COLOURS, strict=True):
+        for axis, name in zip(column, names, strict=True):
+            axis.axvspan(0, move["duration"], color=_PHASE_SHADE, zorder=0)
+            reference = signals.get(f"{name}_reference", np.zeros(len(time)))
+            axis.plot(time, reference, color="0.35", lw=1.2, ls="--", label="rigid arm on the reference")
+            axis.plot(time, _array(signals[key][name]), color=colour, lw=1.4)
+            axis.set_xlim(0, time[-1])
             axis.grid(alpha=0.3)
-            if column == 0:
-                axis.set_ylabel(_LABELS[name])
-        axes[-1][column].set_xlabel("time (s)")
-    start, goal = scene["move"]["start"], scene["move"]["goal"]
-    figure.suptitle(f"{degrees(start)} to {degrees(goal)}, {view} (grey: the move)", fontsize=12)
+        column[0].set_title(title, fontsize=11)
+        column[-1].set_xlabel("time (s)")
+    for axis, name in zip(axes[:, 0], names, strict=True):
+        axis.set_ylabel(_LABELS[name])
+    figure.suptitle(f"{degrees(move['start'])} to {degrees(move['goal'])}, {view} (grey: the move)", fontsize=12)
     figure.align_ylabels()
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, **_BELOW)
     return figure
-
-
-def _ratio_axis(axis: Axes, data: Data, phase: str) -> None:
-    """Prepare a logarithmic axis of ratios of ringing with to without vibration feedback, and mark the bounds."""
-    for bound in (data["bounds"]["removed"], data["bounds"]["reduced"]):
-        axis.axvline(bound, color="0.4", lw=1, ls=":")
-    axis.axvline(1, color="0.4", lw=1)
-    axis.set(xscale="log", title=PHASES[phase], xlabel=f"ringing with K4 = {data['gains']['k4']:g} over that with 0")
-    mark_one_two_five(axis.xaxis)
-    axis.xaxis.set_minor_locator(NullLocator())
 
 
 def _assumptions(data: Data) -> Figure:
     """Ratio of ringing with to without vibration feedback, one row per value of each assumption."""
     usual = {scene["view"]: scene for scene in data["scenes"] if scene["place"] == STANDARD}
     rows = [{"assumption": "", "label": "standard move", "views": usual}, *data["alternatives"]]
-    figure, axes = plt.subplots(1, 2, figsize=(9, 9.8), layout="constrained", sharey=True, sharex=True)
+    changes = [k for k in range(1, len(rows)) if rows[k]["assumption"] != rows[k - 1]["assumption"]]
+    ratios = {view: [row["views"][view]["ratios"] for row in rows] for view in _MARKS}
+    return _ratios(data, [row["label"] for row in rows], ratios, changes, 9.8)
+
+
+def _drive_ratios(data: Data) -> Figure:
+    """Ratio of ringing with to without vibration feedback, a row for each effect, a mark for each drive."""
+    rows = {row["view"]: row["drives"] for row in data["drives"] if row["place"] == STANDARD}
+    names = [heading(drive["drive"]) for drive in rows[FRICTION]]
+    ratios = {view: [drive["ratios"] for drive in rows[view]] for view in _MARKS}
+    return _ratios(data, names, ratios, list(range(1, len(names))), 5.2)
+
+
+def _ratios(data: Data, names: list[str], ratios: Data, lines: list[int], height: float) -> Figure:
+    """Draw ratios of ringing with to without vibration feedback, and the medians of several.
+
+    Args:
+        data: Of the study.
+        names: Of the rows.
+        ratios: By conditions, for each row, by phase.
+        lines: Rows over which there is a line.
+        height: Of the figure [in].
+    """
+    figure, axes = plt.subplots(1, 2, figsize=(9, height), layout="constrained", sharex=True, sharey=True)
     for axis, phase in zip(axes, ("stop", "end"), strict=True):
-        for view, (colour, marker, _) in _MARKS.items():
-            ratios = _array([row["views"][view]["ratios"][phase] for row in rows])
-            axis.scatter(ratios, np.arange(len(rows)), color=colour, marker=marker, s=32, zorder=2, label=view)
-        for k in range(1, len(rows)):
-            if rows[k]["assumption"] != rows[k - 1]["assumption"]:
-                axis.axhline(k - 0.5, color="0.85", lw=0.8)
-        _ratio_axis(axis, data, phase)
-        axis.grid(axis="x", alpha=0.3)
-    axes[0].set_yticks(range(len(rows)), [row["label"] for row in rows], fontsize=9)
-    axes[0].set_ylim(len(rows) - 0.4, -0.6)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+        for view, (colour, marker, shift) in _MARKS.items():
+            for k, row in enumerate(ratios[view]):
+                values, label = np.atleast_1d(_array(row[phase])), view if k == 0 else None
+                heights = np.full(len(values), k + shift)
+                axis.scatter(values, heights, color=colour, marker=marker, s=20, alpha=0.7, lw=0, label=label)
+                known = values[np.isfinite(values)]
+                if len(known) > 1:
+                    axis.plot([np.median(known)] * 2, [k + shift - 0.16, k + shift + 0.16], color="black", lw=1.3)
+        for k in lines:
+            axis.axhline(k - 0.5, color="0.87", lw=0.8)
+        for bound in (data["bounds"]["removed"], data["bounds"]["reduced"]):
+            axis.axvline(bound, color="0.4", lw=1, ls=":")
+        axis.axvline(1, color="0.4", lw=1)
+        axis.set(xscale="log", title=PHASES[phase], xlabel=_RATIO.format(**data["gains"]))
+        mark_one_two_five(axis.xaxis)
+        axis.xaxis.set_minor_locator(NullLocator())
+    axes[0].set_yticks(range(len(names)), names, fontsize=9)
+    axes[0].set_ylim(len(names) - 0.4, -0.6)
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, **_BELOW)
     return figure
 
 
 def _moves(data: Data) -> Figure:
     """Ringing over the ramp time, and the share of random moves that vibration feedback calms."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.8), layout="constrained")
-    _ramp_sweep(left, data)
-    _distribution(right, data)
+    gains, reduced, move = ("0", f"{data['gains']['k4']:g}"), data["bounds"]["reduced"], data["move"]
+    for view, style in _STYLES.items():
+        for ringing, colour, gain in zip(data["sweep"]["views"][view], _COLOURS, gains, strict=True):
+            label = f"K4 = {gain}, {view}"
+            left.plot(data["sweep"]["ramp_times"], _array(ringing), color=colour, label=label, **style)
+        for phase, colour in (("cruise", GREEN), ("stop", PINK)):
+            ratios = _array(data["random"][view]["phases"][phase]["ratios"])
+            share = 100 * (np.arange(len(ratios)) + 1) / max(len(ratios), 1)
+            right.plot(ratios, share, color=colour, label=f"{PHASES[phase]}, {view}", **style)
+    period = 2 * np.pi / max(imaginary for _, imaginary in data["linear"]["poles"]["off"][1])
+    left.axvline(period, color="0.5", lw=1, ls=":")
+    left.set(xlabel="ramp time of the trapezoid (s)", ylabel="ringing after the stop (m/s²)")
+    left.set_ylim(bottom=0)
+    left.set_title(f"{degrees(move['start'])} to {degrees(move['goal'])} in {move['duration']:g} s", fontsize=11)
+    right.axvline(1, color="0.5", lw=1, ls=":")
+    right.axvspan(reduced, 1 / reduced, color=_PHASE_SHADE, zorder=0)
+    right.set(xscale="log", xlim=(0.08, 8), ylim=(0, 100), ylabel="share of moves up to here (%)")
+    right.set_xlabel(_RATIO.format(**data["gains"]))
+    right.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
+    right.set_title(f"{data['random_moves']['size']} random moves", fontsize=11)
     for axis in (left, right):
         axis.grid(alpha=0.3)
         axis.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, frameon=False)
     return figure
 
 
-def _ramp_sweep(axis: Axes, data: Data) -> None:
-    gains = ("0", f"{data['gains']['k4']:g}")
-    for view, style in _STYLES.items():
-        for ringing, colour, gain in zip(data["sweep"]["views"][view], (WITHOUT, SUPPRESSED), gains, strict=True):
-            label = f"K4 = {gain}, {view}"
-            axis.plot(data["sweep"]["ramp_times"], _array(ringing), color=colour, label=label, **style)
-    period = 2 * np.pi / max(imaginary for _, imaginary in data["linear"]["poles"]["off"][1])
-    axis.axvline(period, color="0.5", lw=1, ls=":")
-    axis.text(period, 0.97, " one period", transform=axis.get_xaxis_transform(), color="0.35", fontsize=9, va="top")
-    axis.set(xlabel="ramp time of the trapezoid (s)", ylabel="ringing after the stop (m/s²)")
-    axis.set_ylim(bottom=0)
-    move = data["move"]
-    title = f"{degrees(move['start'])} to {degrees(move['goal'])} in {move['duration']:g} s"
-    axis.set_title(title, fontsize=11)
+def _up_to(name: str, usual: float, given: float) -> float:
+    """Largest value of a gain to show: twice the one given where that is more than usual, within its range."""
+    return min(max(usual, 2 * given), GAIN_RANGES[name][1])
 
 
-def _distribution(axis: Axes, data: Data) -> None:
-    for phase, colour, name in (("cruise", GREEN, "cruise"), ("stop", PINK, "after the stop")):
-        for view, style in _STYLES.items():
-            ratios = _array(data["random"][view]["phases"][phase]["ratios"])
-            share = 100 * (np.arange(len(ratios)) + 1) / max(len(ratios), 1)
-            axis.plot(ratios, share, color=colour, label=f"{name}, {view}", **style)
-    reduced = data["bounds"]["reduced"]
-    axis.axvline(1, color="0.5", lw=1, ls=":")
-    axis.axvspan(reduced, 1 / reduced, color=_PHASE_SHADE, zorder=0)
-    axis.set(xscale="log", ylabel="share of moves up to here (%)")
-    axis.set(xlim=(0.08, 8), ylim=(0, 100), xlabel=f"ringing with K4 = {data['gains']['k4']:g} over that with 0")
-    axis.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
-    axis.set_title(f"{data['random_moves']['size']} random moves", fontsize=11)
-
-
-def _swings(data: Data) -> Figure:
-    """Velocity of the tip against a rigid arm on the reference, over time: ideal drive above, all effects below."""
-    figure, axes = plt.subplots(2, 2, figsize=(9, 5.2), layout="constrained", sharex=True, sharey=True)
-    time = data["swings"]["time"]
-    for row, (drive, title) in zip(axes, _DRIVES.items(), strict=True):
-        width = {"lw": 1.4} if drive == IDEAL else {"lw": 0.7, "alpha": 0.8}
-        gains = (0.0, data["gains"]["k4"])
-        for axis, lines, colour, k4 in zip(row, data["swings"][drive], (WITHOUT, SUPPRESSED), gains, strict=True):
-            axis.axvspan(0, data["move"]["duration"], color=_PHASE_SHADE, zorder=0)
-            for line in lines:
-                axis.plot(time, _array(line), color=colour, **width)
-            axis.set_title(f"K4 = {k4:g}, {title}", fontsize=11)
-            axis.grid(alpha=0.3)
-            axis.set_xlim(0, time[-1])
-        row[0].set_ylabel("tip velocity less a\nrigid arm's, along x (m/s)")
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s); grey: the move")
+def _root_loci(gains: ServoGains, angle_deg: float) -> Figure:
+    """Root loci over K_4 and over omega_n at one joint angle, the poles at the gains given marked."""
+    k4, omega = gains.k4, gains.natural_frequency
+    parameters = {
+        "k4": (np.linspace(0, _up_to("k4", 0.5, k4), 241), "$K_4$ (N m s/rad)"),
+        "natural_frequency": (np.linspace(0.1, _up_to("natural_frequency", 15.0, omega), 241), "$\\omega_n$ (rad/s)"),
+    }
+    angle = np.radians(angle_deg)
+    loci = [locus(angle, gains, name, values) for name, (values, _) in parameters.items()]
+    chosen = poles(closed_loop(PAPER_ARM, angle, gains))
+    top = 1.12 * max(25.0, *(float(each.imag.max()) for each in loci))
+    left = -min(max(60.0, 1.15 * float(-chosen.real.min())), 3 * top)
+    titles = (
+        f"(a) over $K_4$; $\\omega_n$ = {omega:g} rad/s, $\\xi$ = {gains.damping:g}",
+        f"(b) over $\\omega_n$; $K_4$ = {k4:g}, $\\xi$ = {gains.damping:g}",
+    )
+    figure, axes = plt.subplots(1, 2, figsize=(9, 5.6 if angle_deg < 45 else 3.8), layout="constrained", sharey=True)
+    for axis, each, (values, label), title in zip(axes, loci, parameters.values(), titles, strict=True):
+        axis.set(xlim=(left, 8), ylim=(-0.06 * top, top), xlabel="real part (1/s)", aspect="equal")
+        _damping_grid(axis)
+        colour = np.repeat(values[:, None], each.shape[1], axis=1)
+        shown = _scatter(axis, each, c=colour[_upper(each)], s=9, cmap="viridis", zorder=3)
+        _scatter(axis, each[0], marker="x", color="black", s=55, zorder=5, label="smallest value", clip_on=False)
+        _scatter(
+            axis, chosen, marker="s", facecolor="none", edgecolor=VERMILION, s=75, lw=2, zorder=6, label="gains given"
+        )
+        figure.colorbar(shown, ax=axis, label=label, location="bottom", shrink=0.9, pad=0.02, aspect=30)
+        axis.set_title(title, fontsize=11)
+    axes[0].set_ylabel("imaginary part (1/s)")
+    figure.suptitle(f"Root loci at $\\theta_1$ = {angle_deg:.0f}° (upper half plane)", fontsize=12)
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, **_BELOW)
     return figure
 
 
-def _drive_ratios(data: Data) -> Figure:
-    """Ratio of ringing with to without vibration feedback, a row for each effect, a mark for each drive."""
-    rows = {row["view"]: row["drives"] for row in data["drives"] if row["place"] == STANDARD}
-    names = [drive["drive"] for drive in rows[FRICTION]]
-    figure, axes = plt.subplots(1, 2, figsize=(9, 5.2), layout="constrained", sharex=True, sharey=True)
-    for axis, phase in zip(axes, ("stop", "end"), strict=True):
-        for view, (colour, marker, shift) in _MARKS.items():
-            for k, drive in enumerate(rows[view]):
-                ratios, height = _array(drive["ratios"][phase]), k + shift
-                label, heights = view if k == 0 else None, np.full(len(ratios), height)
-                axis.scatter(ratios, heights, color=colour, marker=marker, s=16, alpha=0.6, lw=0, label=label)
-                known = ratios[np.isfinite(ratios)]
-                if len(known):
-                    axis.plot([np.median(known)] * 2, [height - 0.16, height + 0.16], color="black", lw=1.3)
-        for k in range(1, len(names)):
-            axis.axhline(k - 0.5, color="0.88", lw=0.8)
-        _ratio_axis(axis, data, phase)
-    axes[0].set_yticks(range(len(names)), [heading(name) for name in names], fontsize=9)
-    axes[0].set_ylim(len(names) - 0.5, -0.5)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+def _upper(values: Poles) -> Any:
+    return values.imag > -1e-6
+
+
+def _scatter(axis: Axes, values: Poles, **style: Any) -> Any:
+    """Mark poles of the upper half plane."""
+    upper = values[_upper(values)]
+    return axis.scatter(upper.real, upper.imag, **style)
+
+
+def _damping_grid(axis: Axes) -> None:
+    """Draw lines of equal damping ratio, labelled where they leave the picture."""
+    left, top = axis.get_xlim()[0], axis.get_ylim()[1]
+    backing = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+    for ratio in (0.1, 0.3, 0.6):
+        slope = -np.sqrt(1 - ratio**2) / ratio
+        x = max(left, top / slope)
+        axis.plot([0, x], [0, slope * x], color="0.75", lw=0.8, ls="--", zorder=1)
+        place = (0.94 * x, slope * 0.94 * x)
+        axis.text(*place, f"{ratio:g}", color="0.4", fontsize=8.5, ha="center", va="center", zorder=2, bbox=backing)
+    axis.axvline(0, color="0.4", lw=0.8)
+    axis.axhline(0, color="0.4", lw=0.8)
+
+
+def _damping(gains: ServoGains) -> Figure:
+    """Map of the dominant damping over K_4 and M2: left of the line of best gains more K_4 helps, right of it hurts."""
+    k4, m2 = np.linspace(0, _up_to("k4", 0.5, gains.k4), 501), np.linspace(0.008, 0.14, 133)
+    damping = damping_map(gains, k4, m2)
+    best = k4[damping.argmax(axis=1)]
+    figure, axis = plt.subplots(figsize=(9, 5.2), layout="constrained")
+    levels = np.arange(0.05 * np.floor(20 * damping.min()), damping.max() + 0.05, 0.05)
+    shown = axis.contourf(k4, m2, damping, levels=levels, cmap="cividis")
+    lines = axis.contour(k4, m2, damping, levels=levels, colors="white", linewidths=0.7)
+    # Contours of higher damping are too close together for labels.
+    axis.clabel(lines, levels=[level for level in lines.levels if level <= 0.5], fmt="%.2f", fontsize=8.5)
+    axis.plot(best, m2, color=VERMILION, lw=2.2, label="best K4: left of it more helps, right of it hurts")
+    axis.axvline(gains.k4, color="black", lw=1.8, ls="--", label=f"K4 = {gains.k4:g}")
+    axis.set(xlabel="$K_4$ (N m s/rad)", ylabel="$M_2$ (kg m²)", xlim=(0, k4[-1]), ylim=(m2[0], m2[-1]))
+    for value in MARKED_ARMS.values():
+        axis.axhline(value, color="white", lw=1.6, ls=":")
+    names = [name.replace(", ", ",\n").replace("payload ", "payload\n") for name in MARKED_ARMS]
+    axis.secondary_yaxis("right").set_yticks(list(MARKED_ARMS.values()), names)
+    figure.colorbar(shown, ax=axis, label="smallest damping ratio of any pole")
+    figure.legend(*axis.get_legend_handles_labels(), ncols=2, **_BELOW)
     return figure

@@ -1,4 +1,9 @@
-"""Moves of the simulated arm under the paper's servo, with everything that the paper does not print stated."""
+"""Moves of the simulated arm under the paper's servo, the ringing of its tip, and its signals over time.
+
+Ringing is the root mean square of the tip's acceleration error, the two-dimensional distance from the acceleration of a
+rigid arm on the reference: the signal of Figs. 4 and 8 with the move itself taken out. It hardly sees the slow return
+of the position loop, which is no vibration.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +16,27 @@ from numpy.typing import NDArray
 from baselines import PaperController
 from baselines.reading import read
 from baselines.servo.paper import PaperGains
-from beltarm_env import ArmParams
-from beltarm_env.arm import params_columns
+from beltarm_env import CONTROL_PERIOD, ArmParams
+from beltarm_env.arm import params_columns, plant_of
 from beltarm_env.arrays import Floats
+from beltarm_env.physics.kinematics import reference_tip, tip_motion
+from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.moves import check_moves
-from beltarm_env.task.reference import TRAPEZOID, MoveShape
+from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from eval.studies.paper.linear import PAPER_ARM, ServoGains
 
 FrictionSign = Literal["reference", "measured", "none"]
 
+END_WINDOW = 0.3
+"""Length of the last phase [s]: what still rings at the end of the recording."""
+PHASES = {"cruise": "during the cruise", "stop": "after the stop", "end": f"in the last {END_WINDOW:g} s"}
+"""Phases of a move: constant reference speed, from the reference's stop on, and `END_WINDOW`."""
+REMOVED, REDUCED = 0.1, 0.8
+"""Ratios to the ringing without vibration feedback below which it counts as removed and as reduced."""
+ANSWERS = ("yes", "in part", "no", "not comparable")
 _UNLIMITED = 100.0  # torque limit [N m] at which the servo inside `AssumedServo` never saturates
 
 
@@ -42,8 +56,6 @@ SIMULATED = Conditions()
 """Table 1 with friction, and the belt's damping assumed."""
 ANALYSED = Conditions(arm=replace(PAPER_ARM, coulomb_friction=0.0))
 """As the paper's analysis has it: neither Coulomb friction nor belt damping, in arm and controller."""
-
-
 STANDARD, TO_0 = "standard", "to 0°"
 """Places of the moves: the standard move, and one as long that ends at 0 degrees."""
 FRICTION, AS_ANALYSED = "with friction", "as analysed"
@@ -55,6 +67,15 @@ BOTH_ARMS = {**MAIN, FULL: replace(SIMULATED, model="lagrangian"), FULL_ANALYSED
 """Conditions of the random moves."""
 VIEWS = {**MAIN, MEASURED: replace(ANALYSED, true_torsion=True), **BOTH_ARMS}
 """Conditions of the standard move and of the one to 0 degrees."""
+
+
+_RADIAL = ("motor_speed", "radial_speed", "radial_acceleration")
+SIGNALS = {
+    (STANDARD, FRICTION): _RADIAL,
+    (STANDARD, AS_ANALYSED): _RADIAL,
+    (TO_0, FRICTION): ("motor_speed", "radial_speed", "lateral_speed", "lateral_acceleration"),
+}
+"""Signals of `signals_of` that are drawn over time, by place and conditions."""
 
 
 class AssumedServo:
@@ -134,3 +155,94 @@ def run_moves(
         encoder_counts=conditions.encoder_counts,
         model=conditions.model,
     )
+
+
+def ringing(tip_velocity_error: Floats, durations: Floats, ramp_times: Floats) -> Floats:
+    """Measure ringing in the error of the tip's velocity.
+
+    Args:
+        tip_velocity_error: Shape (T, n, 2) [m/s], row k at (k + 1) control periods.
+        durations: Of the moves [s], shape (n,).
+        ramp_times: Of the moves [s], shape (n,).
+
+    Returns:
+        RMS acceleration error of the tip [m/s^2], shape (len(PHASES), n); NaN where a phase is empty.
+    """
+    square = np.sum((np.diff(tip_velocity_error, axis=0) / CONTROL_PERIOD) ** 2, axis=2)
+    middle = (np.arange(len(square)) + 1.5)[:, None] * CONTROL_PERIOD
+    last = (len(square) + 1) * CONTROL_PERIOD
+    # The reference's acceleration jumps at its corners: differences across them are no ringing.
+    stopped = middle > durations + CONTROL_PERIOD
+    cruising = (middle > ramp_times + CONTROL_PERIOD) & (middle < durations - ramp_times - CONTROL_PERIOD)
+    windows = np.array([cruising, stopped, stopped & (middle > last - END_WINDOW)])
+    count, total = windows.sum(axis=1), np.where(windows, square, 0.0).sum(axis=1)
+    return np.sqrt(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
+
+
+def ringing_of(recording: Recording) -> Floats:
+    """`ringing` of recorded moves, infinite where the arm left its workspace."""
+    phases = ringing(recording.tip_velocity_error, recording.moves[:, 2], recording.moves[:, 3])
+    return np.where(recording.finished, phases, np.inf)
+
+
+def suppression(conditions: Conditions, gains: ServoGains, moves: list[MoveShape] | SeedRange) -> Floats:
+    """Ringing of moves without and with vibration feedback, shape (2, len(PHASES), n)."""
+    return np.array([ringing_of(run_moves(conditions, each, moves)) for each in gains.without_and_with])
+
+
+def ratios(pair: Floats) -> Floats:
+    """Values with vibration feedback over those without, for a pair of both.
+
+    Infinite where the arm left its workspace with vibration feedback only, NaN where there is nothing to compare with:
+    the phase is empty, or the arm left its workspace without.
+    """
+    before, after = pair
+    comparable = np.isfinite(before) & (before > 0)
+    return np.divide(after, before, out=np.full(before.shape, np.nan), where=comparable)
+
+
+def answer(ratio: float) -> str:
+    """Whether vibration feedback removes ringing, by its ratio at the end of the recording; one of `ANSWERS`."""
+    if np.isnan(ratio):
+        return "not comparable"
+    return "yes" if ratio < REMOVED else "in part" if ratio < REDUCED else "no"
+
+
+def signals_of(recording: Recording, episode: int = 0) -> dict[str, Floats]:
+    """Signals of Figs. 4 and 8 of one recorded move by name, SI units, shape (T,); NaN once the arm left its workspace.
+
+    Those of a rigid arm on the reference end in `_reference`. Accelerations are differences of speeds, as in the paper.
+    """
+    plant, move = plant_of(recording.params[episode]), MoveShape(*recording.moves[episode].tolist())
+    states = recording.state[:, episode]
+    tips = np.array([tip_motion(ArmState(*row), plant) for row in states])
+    there = np.where(recording.finished[episode] | (states != states[-1]).any(axis=1), 1.0, np.nan)
+    references = [reference_at(TRAPEZOID, move, time) for time in recording.time]
+    signals = {
+        "time": recording.time,
+        "motor_speed": there * states[:, 1],
+        "motor_speed_reference": plant.gear * np.array([reference.speed for reference in references]),
+        "radial_speed": there * -tips[:, 2],  # r', of r = 2 l + l_3 - x
+        "radial_speed_reference": np.array([-reference_tip(ref.angle, ref.speed, plant)[1] for ref in references]),
+        "lateral_speed": there * tips[:, 3],  # y'; the reference has none
+        "torque": there * recording.torque[:, episode],
+    }
+    for name in ("radial_speed", "radial_speed_reference", "lateral_speed"):
+        signals[name.replace("speed", "acceleration")] = np.diff(signals[name], prepend=0.0) / CONTROL_PERIOD
+    return signals
+
+
+def summary(signals: dict[str, Floats]) -> dict[str, float]:
+    """Numbers of one move: velocities peak to peak at the end, errors of the motor, torque, share of sticking."""
+    last, time = round(END_WINDOW / CONTROL_PERIOD), signals["time"]
+    speed, reference = signals["motor_speed"], signals["motor_speed_reference"]
+    moving = reference != 0
+    known = (time > time[moving][-1]) & np.isfinite(speed)
+    return {
+        "radial_pp": np.ptp(signals["radial_speed"][-last:]),
+        "lateral_pp": np.ptp(signals["lateral_speed"][-last:]),
+        "motor_speed_error": np.sqrt(np.mean((speed - reference)[moving] ** 2)),
+        "cruising_speed": np.abs(reference).max(),
+        "peak_torque": np.nanmax(np.abs(signals["torque"])),
+        "stuck_share": np.mean(speed[known] == 0) if known.any() else np.nan,
+    }

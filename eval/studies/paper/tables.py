@@ -10,8 +10,7 @@ import numpy as np
 
 from eval.comparison.effects import ALL, IDEAL, heading
 from eval.report.text import degrees, markdown_table, number, poles_text
-from eval.studies.paper.ringing import ANSWERS, PHASES
-from eval.studies.paper.runs import AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, STANDARD, TO_0
+from eval.studies.paper.runs import ANSWERS, AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, PHASES, STANDARD, TO_0
 
 Data = dict[str, Any]
 LEFT = "the arm left its workspace"
@@ -23,6 +22,7 @@ def tables(data: Data) -> Data:
     scenes: dict[str, Data] = {}
     for scene in data["scenes"]:
         scenes.setdefault(scene["view"], {})[scene["place"]] = scene
+    standard = {row["view"]: row for row in data["drives"] if row["place"] == STANDARD}
     return {
         "answers": _answers(data, scenes),
         "counts": {view: counts(data, view) for view in MAIN},
@@ -34,13 +34,8 @@ def tables(data: Data) -> Data:
         "assumptions": _assumptions(data, scenes),
         "random": _random(data),
         "drives": {_title(row): _drives(data, row) for row in data["drives"]},
-        "verdicts": [_verdict(row) for view in (AS_ANALYSED, FRICTION) for row in data["drives"] if _is(row, view)],
-        "extremes": [_extremes(row) for row in data["drives"]],
+        "verdicts": [_verdict(standard[view]) for view in (AS_ANALYSED, FRICTION)],
     }
-
-
-def _is(row: Data, view: str) -> bool:
-    return (row["place"], row["view"]) == (STANDARD, view)
 
 
 def shown(value: float | None, digits: int) -> str:
@@ -48,8 +43,14 @@ def shown(value: float | None, digits: int) -> str:
     return number(nan if value is None else value, digits)
 
 
-def _window(data: Data) -> str:
-    return f"last {data['bounds']['window']:g} s"
+def percent(share: float | None, digits: int = 0) -> str:
+    """A share of the data in percent; a dash for none."""
+    return shown(share and 100 * share, digits)
+
+
+def pole_pairs(pairs: list[list[float]]) -> str:
+    """Poles of the data as text."""
+    return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
 
 
 def counts(data: Data, view: str) -> Counter[str]:
@@ -58,12 +59,16 @@ def counts(data: Data, view: str) -> Counter[str]:
     return Counter(row["answer"] for row in views if not row["same"])
 
 
+def _window(data: Data) -> str:
+    return f"last {data['bounds']['window']:g} s"
+
+
 def _answers(data: Data, scenes: Data) -> str:
     """Whether the standard move's ringing is removed, how much of it is left, and the answers of the alternatives."""
     rows = []
     for view in (AS_ANALYSED, FRICTION):
         usual, others = scenes[view][STANDARD], counts(data, view)
-        left = [shown(ratio and 100 * ratio, 1) for ratio in usual["ratios"].values()]
+        left = [percent(ratio, 1) for ratio in usual["ratios"].values()]
         rows.append([view, usual["answer"], *left, *(str(others[answer]) for answer in ANSWERS)])
     titles = ["conditions", "removed?", "left in the cruise (%)", "after it (%)", f"{_window(data)} (%)"]
     titles += [f"alternatives: {ANSWERS[0]}", *ANSWERS[1:]]
@@ -79,32 +84,19 @@ def _ringing(data: Data) -> str:
     for scene in data["scenes"]:
         if scene["place"] == TO_0 and scene["move"] == data["move"]:
             continue
-        before, after = scene["phases"]
-        cells = [
-            [shown(before[phase], 2) for phase in PHASES],
-            [f"{shown(after[phase], 2)} ({shown(scene['ratios'][phase], 2)})" for phase in PHASES],
-        ]
-        for k, k4 in enumerate((0, data["gains"]["k4"])):
-            left = f" ({LEFT})" if scene["left"][k] else ""
-            names = [degrees(scene["move"]["goal"]), f"{scene['view']}{left}", f"{k4:g}"]
-            rows.append([*names, *cells[k], *_motion(scene["motions"][k])])
+        for k, (k4, phases) in enumerate(zip((0, data["gains"]["k4"]), scene["phases"], strict=True)):
+            ratios = {phase: f" ({shown(scene['ratios'][phase], 2)})" if k else "" for phase in PHASES}
+            view = f"{scene['view']} ({LEFT})" if scene["left"][k] else scene["view"]
+            cells = [f"{shown(phases[phase], 2)}{ratios[phase]}" for phase in PHASES]
+            rows.append([degrees(scene["move"]["goal"]), view, f"{k4:g}", *cells, *_motion(scene["motions"][k])])
     return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
 
 def _motion(run: Data) -> list[str]:
     error = run["motor_speed_error"]
-    return [
-        *(shown(run[name], 3) for name in ("radial_pp", "lateral_pp")),
-        shown(error, 1),
-        shown(error and 100 * error / run["cruising_speed"], 1),
-        shown(run["peak_torque"], 3),
-        shown(run["stuck_share"] and 100 * run["stuck_share"], 0),
-    ]
-
-
-def pole_pairs(pairs: list[list[float]]) -> str:
-    """Poles of the data as text."""
-    return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
+    speeds = [shown(run[name], 3) for name in ("radial_pp", "lateral_pp")]
+    tracking = [shown(error, 1), percent(error and error / run["cruising_speed"], 1)]
+    return [*speeds, *tracking, shown(run["peak_torque"], 3), percent(run["stuck_share"])]
 
 
 def _assumptions(data: Data, scenes: Data) -> str:
@@ -142,16 +134,15 @@ def _random(data: Data) -> str:
         row = data["random"][view]
         for phase, words in PHASES.items():
             own = row["phases"][phase]
-            cells = [shown(own[key] and 100 * own[key], 0) for key in ("removed", "reduced", "increased")]
             median = LEFT if own["median_left"] else shown(own["median"], 2)
-            rows.append([view, words, *cells, median, *map(str, row["left"])])
+            shares = [percent(own[key]) for key in ("removed", "reduced", "increased")]
+            rows.append([view, words, *shares, median, *map(str, row["left"])])
     return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
 
 
 def _title(row: Data) -> str:
-    start, goal = row["move"]["start"], row["move"]["goal"]
     place = "Standard move" if row["place"] == STANDARD else "Move"
-    return f"{place}, {degrees(start)} to {degrees(goal)}, {row['view']}"
+    return f"{place}, {degrees(row['move']['start'])} to {degrees(row['move']['goal'])}, {row['view']}"
 
 
 def _drives(data: Data, row: Data) -> str:
@@ -186,10 +177,10 @@ def _verdict(row: Data) -> Data:
     by_name = {drive["drive"]: drive for drive in row["drives"]}
     ideal, driven = by_name[IDEAL], by_name[ALL]
     answers = {answer: driven["answers"].get(answer, 0) for answer in _ANSWERED}
-    (usual, draws), *_ = Counter(ideal["answers"]).most_common(1)
-    reached = _ANSWERED[: _ANSWERED.index(usual) + 1] if usual in _ANSWERED else ()
-    as_good, reduced = sum(answers[answer] for answer in reached), answers["yes"] + answers["in part"]
-    if usual not in _ANSWERED[:2]:
+    draws, usual = sum(ideal["answers"].values()), max(ideal["answers"], key=ideal["answers"].get)
+    reduced = answers["yes"] + answers["in part"]
+    as_good = {"yes": answers["yes"], "in part": reduced}.get(usual)
+    if as_good is None:
         survives = "nothing"
     elif 2 * as_good > draws:
         survives = "yes" if as_good == draws else "mostly"
@@ -197,12 +188,3 @@ def _verdict(row: Data) -> Data:
         survives = "in part" if 2 * reduced > draws else "no"
     left = {"left": _left(driven), "left_ideal": _left(ideal)}
     return {"view": row["view"], "usual": usual, "answers": answers, "reduced": reduced, "survives": survives, **left}
-
-
-def _extremes(row: Data) -> Data:
-    """The effects that leave the most and the least of the ringing by themselves."""
-    left = {drive["drive"]: _left(drive) for drive in row["drives"]}
-    single = [name for name in left if name not in (IDEAL, ALL)]
-    most, least = max(single, key=lambda name: left[name]), min(single, key=lambda name: left[name])
-    ends = {"most": (heading(most), left[most]), "least": (heading(least), left[least])}
-    return {"title": _title(row), "ideal": left[IDEAL], "all": left[ALL], **ends}
