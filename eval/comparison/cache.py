@@ -35,14 +35,15 @@ from beltarm_env.rollout import rollout
 from beltarm_env.sources import sources_digest
 from eval.comparison.failures import Failure, attempt, explained, run_controller
 from eval.comparison.methods import LARGEST_BATCH, Method
+from eval.comparison.perturbation import Perturbed, sensitive
 from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
 
 Metrics = dict[str, NDArray[np.float64]]
 """Of a method on a split: for each metric a table of shape (seeds, episodes)."""
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
-TABLES = (*METRICS, LEFT)
-"""Names of the tables that are kept."""
+SENSITIVE = "sensitive"
+"""Of perturbed parts, beside the metrics: 1 where the cost changes, see `eval.comparison.perturbation`."""
 FOLDER = "parts"
 _PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
 """Packages whose version the numbers may depend on."""
@@ -56,6 +57,17 @@ class Part:
     split: Split
     count: int
     first: int = 0  # number that the split's first scenario has in its set
+    perturbed: bool = False  # whether each scenario is run once more, perturbed
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of the tables that are kept."""
+        return (*METRICS, LEFT, *([SENSITIVE] if self.perturbed else []))
+
+    @property
+    def runs(self) -> int:
+        """Number of episodes that are simulated."""
+        return len(self.method.sources) * self.count * (2 if self.perturbed else 1)
 
     def file(self, folder: Path) -> Path:
         """File of its results, named by a key of everything that they depend on."""
@@ -69,12 +81,12 @@ class Part:
         return f"{self.split.of.replace(' ', '-')}.{self.split.name}.{method}.{self.first}-{self.count}"
 
 
-def parts_of(method: Method, split: Split, episodes: int) -> list[Part]:
+def parts_of(method: Method, split: Split, episodes: int, perturbed: bool = False) -> list[Part]:
     """Cut the first scenarios of a split into parts of at most `EPISODES`."""
     if episodes <= EPISODES:
-        return [Part(method, split, episodes)]
+        return [Part(method, split, episodes, perturbed=perturbed)]
     cuts = [slice(first, min(first + EPISODES, episodes)) for first in range(0, episodes, EPISODES)]
-    return [Part(method, split.part(cut), cut.stop - cut.start, cut.start) for cut in cuts]
+    return [Part(method, split.part(cut), cut.stop - cut.start, cut.start, perturbed) for cut in cuts]
 
 
 def key_of(method: Method, *others: str | int) -> str:
@@ -101,12 +113,17 @@ def measure_together(parts: Sequence[Part]) -> list[Metrics]:
     """Run all controllers of a method on parts whose splits run beside one another, as `measure` does on each."""
     method, counts = parts[0].method, [part.count for part in parts]
     scenarios, count = side_by_side([(part.split, slice(part.count)) for part in parts]), sum(counts)
-    metrics = {name: np.empty((len(method.sources), count)) for name in TABLES}
+    metrics = {name: np.empty((len(method.sources), count)) for name in parts[0].tables}
     for seeds in method.batches(count):
         rows = np.tile(np.arange(count), len(seeds))
-        controller = method.controllers(seeds, scenarios.arms(count))
-        run = rollout(controller, len(rows), sensors=method.sensors, **scenarios.arguments(rows))
-        for name, values in {**run.metrics(), LEFT: 1.0 - run.finished}.items():
+        arms, arguments = scenarios.arms(count), scenarios.arguments(rows)
+        run = rollout(method.controllers(seeds, arms), len(rows), sensors=method.sensors, **arguments)
+        tables = {**run.metrics(), LEFT: 1.0 - run.finished}
+        if parts[0].perturbed:
+            again = Perturbed(method.controllers(seeds, arms))
+            cost = rollout(again, len(rows), sensors=method.sensors, **arguments).cost
+            tables[SENSITIVE] = sensitive(run.cost, cost)
+        for name, values in tables.items():
             metrics[name][seeds] = values.reshape(len(seeds), count)
     ends = np.cumsum(counts)[:-1]
     pieces = {name: np.split(table, ends, axis=1) for name, table in metrics.items()}
@@ -119,7 +136,7 @@ def read_kept(part: Part, folder: Path) -> Metrics | None:
         return None
     path = part.file(folder)
     try:
-        metrics = read_arrays(path, TABLES)
+        metrics = read_arrays(path, part.tables)
     except FileNotFoundError:
         return None
     except (OSError, ValueError):
@@ -203,11 +220,12 @@ def _tasks(parts: Sequence[Part], left: list[int]) -> list[list[int]]:
     """
 
     def runs(task: list[int]) -> int:
-        return sum(len(parts[k].method.sources) * parts[k].count for k in task)
+        return sum(parts[k].runs for k in task)
 
     def fits(task: list[int], k: int) -> bool:
         part, other = parts[k], parts[task[0]]
-        alike = part.method == other.method and part.split.kind_of_batch == other.split.kind_of_batch
+        alike = part.method == other.method and part.perturbed == other.perturbed
+        alike &= part.split.kind_of_batch == other.split.kind_of_batch
         return alike and part.method.kind != "added" and runs([*task, k]) <= LARGEST_BATCH
 
     tasks: list[list[int]] = []

@@ -37,6 +37,7 @@ from eval.comparison.results import Comparison, MethodOutcome, estimated, make_c
 from eval.comparison.scenarios import choose_set, require_same_physics
 from eval.comparison.schema import read_results, to_json
 from eval.comparison.sets import ScenarioSet, SetLabel
+from eval.comparison.splits import main_split
 
 
 def choose_methods(
@@ -96,9 +97,9 @@ def compare(
     require_writable(folder)
     _require_no_loss(folder / "results.json", methods, scenarios, episodes)
     require_same_physics(scenarios)
-    times = times_of(methods)
+    times, main = times_of(methods), main_split(list(scenarios.splits))
     parts = {
-        (split.name, method.name): parts_of(method, split, episodes)
+        (split.name, method.name): parts_of(method, split, episodes, perturbed=split.name == main)
         for split, method in product(scenarios.splits.values(), methods)
         if not isinstance(times[method.name], Failure)
     }

@@ -21,6 +21,7 @@ from baselines.tools.schema import INTEGER, NUMBER, TEXT, in_a_line, list_of, lo
 from baselines.tools.schema import check as check_by
 from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED, SHOWN
 from eval.comparison import splits
+from eval.comparison.cache import SENSITIVE
 from eval.comparison.methods import Kind
 from eval.comparison.results import PAIRED_METRICS, Against, Comparison, Mark, MethodOutcome
 from eval.comparison.sets import SetLabel
@@ -71,6 +72,7 @@ def _row(outcome: MethodOutcome, marks: dict[str, dict[str, Mark]]) -> dict[str,
         **({"cost_worst": worst_mean(costs)} if costs.shape[1] >= LEAST_OF_TAIL else {}),
         "marks": {metric: of_metric[name] for metric, of_metric in marks.items() if name in of_metric},
         "failures": outcome.failures,
+        **({"sensitivity": float(outcome.metrics[SENSITIVE].mean())} if SENSITIVE in outcome.metrics else {}),
         "action_us": {"p50": outcome.action_times[0], "p99": outcome.action_times[1]},
         "training": outcome.method.training,
     }
@@ -126,8 +128,9 @@ _PRIMARY = object_of(  # a test of the primary comparison: a metric on a split
     **_TEST,  # difference, its share of the classical controller's value, p after Holm's correction over the splits
 )
 _ROW = object_of(  # a method on a split
-    ("median_seed", "cost_mean", "cost_worst", "marks"),
+    ("median_seed", "cost_mean", "cost_worst", "marks", "sensitivity"),
     method=TEXT,
+    sensitivity=NUMBER,  # on the main split: share of episodes whose cost changes with the first torque
     kind={"enum": list(get_args(Kind))},  # "added": a user's own; "privileged": an oracle, never ranked
     split=TEXT,
     episodes=INTEGER,

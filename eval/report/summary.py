@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, REVERSAL_SWING, SHOWN, TORQUES, heading
+from eval.comparison.perturbation import CHANGE, PERTURBATION
 from eval.comparison.results import MOSTLY, PAIRED_METRICS
 from eval.comparison.schema import AGAINST
 from eval.comparison.splits import EDITION, SPLITS
@@ -56,6 +57,8 @@ def constants() -> dict[str, Any]:
         "least_p": LEAST_P,
         "least_scenarios": LEAST_SCENARIOS,
         "least_of_tail": LEAST_OF_TAIL,
+        "change": CHANGE,
+        "perturbation": PERTURBATION,
         "reversal_swing": REVERSAL_SWING,
     }
 

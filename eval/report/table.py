@@ -227,8 +227,16 @@ class Results:
     def effort(self) -> Table:
         """Samples and time of tuning or training, of its search, and time per action."""
         columns = ["samples per seed (million)", "seconds per seed", "trials", "refused", "base's samples (million)"]
-        columns += ["per action (µs)", "99\u00a0% (µs)"]
-        return Table("What each method takes", columns, [_row(row, _effort(row)) for row in self.methods])
+        columns += ["per action (µs)", "99\u00a0% (µs)", "sensitive (%)"]
+        return Table(
+            "What each method takes",
+            columns,
+            [_row(row, [*_effort(row), self._sensitivity(row)]) for row in self.methods],
+        )
+
+    def _sensitivity(self, row: Record) -> Cell:
+        share = self.records.get((row["method"], self.main), {}).get("sensitivity")
+        return Cell("–") if share is None else Cell(number(100 * share, 1), value=share)
 
     def _table(self, title: str, columns: dict[str, tuple[str, Show]]) -> Table:
         rows = []

@@ -30,7 +30,7 @@ from baselines.registry import TUNABLE
 from baselines.tools.files import sealed
 from beltarm_env.task.seeds import arms_chosen_by
 from eval.comparison import scenarios
-from eval.comparison.cache import TABLES, Part, keep, read_kept
+from eval.comparison.cache import Part, keep, read_kept
 from eval.comparison.methods import classical_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
@@ -142,7 +142,7 @@ def _checkpoint(folder: Path) -> Reader:
 def _pair(folder: Path) -> Reader:
     (method,) = [known for known in classical_methods() if known.name == "paper"]
     pair = Part(method, draw_arms("nominal", "seed 0", range(4)), 4)
-    keep(pair, folder, {name: np.arange(4.0)[None] for name in TABLES})
+    keep(pair, folder, {name: np.arange(4.0)[None] for name in pair.tables})
     path = pair.file(folder)
     data, name = path.read_bytes(), str(path.relative_to(folder))
 
