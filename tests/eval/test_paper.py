@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
@@ -98,8 +99,9 @@ class TestLoop:
         gains = np.array([0.0, 0.15, 0.5])
         a, (_, b, _) = closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)
         torsion_speed = control.StateSpace(a, b, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
-        expected = np.sort_complex(np.asarray(control.root_locus_map(torsion_speed, gains=gains).loci))
-        np.testing.assert_allclose(np.sort_complex(locus(DEG_90, TABLE_2, "k4", gains)), expected, atol=1e-6)
+        expected: Any = control.root_locus_map(torsion_speed, gains=gains)
+        found = np.sort_complex(locus(DEG_90, TABLE_2, "k4", gains))
+        np.testing.assert_allclose(found, np.sort_complex(expected.loci), atol=1e-6)
 
     def test_natural_frequency_locus_goes_from_soft_and_damped_to_barely_stable(self):
         frequencies = np.array([1.0, 5.0, 15.0])
