@@ -167,11 +167,12 @@ class TestWindow:
         pygame.display.quit()
 
     def test_shows_the_array_and_two_survive_each_other(self):
-        renderer, other = Renderer("human", 50), Renderer("human", 50)
-        other.close()
+        renderer = Renderer("human", 50)
         assert renderer.draw(PARAMS, state(0.5, 0.01), 0.5, 0.0) is None
         shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
         np.testing.assert_array_equal(shown, frame(0.5, 0.01, 0.5))
+        Renderer("human", 50).close()  # which closes the one window that pygame has
+        assert renderer.draw(PARAMS, state(0.5, 0.01), 0.5, 0.1) is None
         renderer.close()
         renderer.close()
         assert not pygame.display.get_init()
