@@ -48,8 +48,8 @@ def test_sizes_that_are_not_allowed():
         ({"activation": "gelu"}, ("activation", "'gelu'")),
     ):
         refused(ValueError, words, lambda change=change: ActorShape(INPUTS, **{"hidden": (4,), **change}))
-    memories = [ActorShape(INPUTS, (4,), **cells).memory for cells in ({}, {"gru": 7}, {"lstm": 1024})]
-    assert memories == [(0,), (7,), (2, 1024)]
+    shapes = ActorShape(INPUTS, (4,)), ActorShape(INPUTS, (4,), gru=7), ActorShape(INPUTS, (4,), lstm=1024)
+    assert [shape.memory for shape in shapes] == [(0,), (7,), (2, 1024)]
 
 
 def test_weights_are_the_arrays_of_the_layers_and_no_others():

@@ -90,6 +90,9 @@ class Silent:
 
 def test_what_does_not_fit_is_refused():
     paper, batch, single = CONTROLLERS["paper"], many(3), single_env()
+    limits: list[Any] = [0, 2.1, math.nan, "0.5", True]
+    holds: list[Any] = [0, 101, 4.0, "4", True]
+    residuals: list[Any] = [[math.nan], [0.1, 0.2], "0.5", []]
     sheet = ArmParams(gear_ratio=100.0)
     other = ResidualController(CONTROLLERS["ei"](params=sheet), Silent(), SETTINGS)
     weak = BeltArmVectorEnv(2, autoreset_mode="SameStep", randomization={"torque_limit": (0.2, 0.2)})
@@ -97,13 +100,13 @@ def test_what_does_not_fit_is_refused():
     single.reset(seed=0)
     batch.reset()
     calls: list[tuple[tuple[str, ...], Callable[[], object]]] = [
-        *((("limit", repr(v)), partial(ResidualSettings, limit=v)) for v in (0, 2.1, math.nan, "0.5", True)),
-        *((("hold", repr(v)), partial(ResidualSettings, hold=v)) for v in (0, 101, 4.0, "4", True)),
+        *((("limit", repr(v)), partial(ResidualSettings, limit=v)) for v in limits),
+        *((("hold", repr(v)), partial(ResidualSettings, hold=v)) for v in holds),
         (("NextStep", "SameStep"), lambda: ResidualVecEnv(BeltArmVectorEnv(2), paper(), SETTINGS)),
         (("BeltArm",), lambda: ResidualEnv(gym.make("CartPole-v1"), paper(), SETTINGS)),
         *(((str(shape), "(3, 1)"), partial(batch.step, np.zeros(shape))) for shape in ((3,), (1, 1), (3, 2), ())),
         (("nan", "finite"), lambda: batch.step(np.array([[0.0], [math.nan], [0]], np.float32))),
-        *(((), partial(single.step, residual)) for residual in ([math.nan], [0.1, 0.2], "0.5", [])),
+        *(((), partial(single.step, residual)) for residual in residuals),
         (("gear_ratio", "100.0"), lambda: rollout(other, 2, seed=30)),
         (("gear_ratio 100.0", "88.0"), lambda: single.reset(options={"params": {"gear_ratio": 100.0}})),
         (("torque_limit 0.2", "0.3"), lambda: ResidualVecEnv(weak, paper(), SETTINGS).reset()),

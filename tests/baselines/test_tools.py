@@ -269,8 +269,8 @@ def repository(folder: Path) -> Path:
 
 def provenance_of(sources: Path, **environment: str) -> list[str]:
     """Commit of the sources, and last commit of a file of theirs."""
-    known, piped = {**os.environ, "PYTHONPATH": str(sources), **environment}, {"capture_output": True, "text": True}
-    ran: Any = subprocess.run([sys.executable, "-c", ASK], env=known, cwd=sources.parent, **piped)
+    known, code = {**os.environ, "PYTHONPATH": str(sources), **environment}, [sys.executable, "-c", ASK]
+    ran = subprocess.run(code, env=known, cwd=sources.parent, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
     return ran.stdout.splitlines()
 
