@@ -24,12 +24,12 @@ from beltarm_env.metrics import heading as metric_heading
 from beltarm_env.rollout import rollout
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import DRIVE_SIZES
-from eval.comparison.effects import ALL, EFFECTS, IDEAL, heading, with_effect
 from eval.comparison.methods import Method, chosen
 from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
 from eval.report.text import markdown_table, rounded
+from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
 from eval.studies._frame import Pictures, StudyOptions
 
 QUICK = {"arms": 4, "controllers": ("paper", "student"), "effects": ("command_latency",), "jobs": 1}

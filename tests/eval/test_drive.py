@@ -16,9 +16,9 @@ from beltarm_env import ArmParams, BeltArmVectorEnv
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.task.ranges import DRIVE_RANGES
 from eval import study
-from eval.comparison.effects import ALL, EFFECTS, IDEAL, heading, with_effect
 from eval.comparison.rollouts import shipped_methods
 from eval.studies import _frame, drive
+from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
 from eval import study
-from eval.comparison.effects import ALL, IDEAL
 from eval.studies import _frame
+from eval.studies._effects import ALL, IDEAL
 from eval.studies.paper import Options
 from eval.studies.paper.linear import (
     PAPER_ARM,

@@ -33,8 +33,8 @@ from beltarm_env.rollout import Controller, Recording, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.effects import EFFECTS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
+from eval.studies._effects import EFFECTS
 
 _DESIGN = design_model()
 

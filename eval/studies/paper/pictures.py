@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
-from eval.comparison.effects import heading
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, mark_one_two_five
 from eval.report.text import degrees
+from eval.studies._effects import heading
 from eval.studies._frame import Pictures
 from eval.studies.paper.linear import (
     GAIN_RANGES,

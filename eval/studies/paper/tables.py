@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from eval.comparison.effects import ALL, IDEAL, heading
 from eval.report.text import degrees, markdown_table, number, poles_text
+from eval.studies._effects import ALL, IDEAL, heading
 from eval.studies.paper.runs import ANSWERS, AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, PHASES, STANDARD, TO_0
 
 Data = dict[str, Any]

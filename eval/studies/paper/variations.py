@@ -22,8 +22,8 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from eval.comparison.effects import EFFECTS, IDEAL, with_effect
 from eval.report.text import degrees
+from eval.studies._effects import EFFECTS, IDEAL, with_effect
 from eval.studies.paper.linear import ServoGains
 from eval.studies.paper.runs import PHASES, Conditions, answer, is_allowed, ratios, ringing_of, run_moves, suppression
 
