@@ -89,3 +89,14 @@ def test_documents_name_targets_that_there_are(folder: Path):
         if page.name != "CHANGELOG.md" and "results" not in page.parts:  # those name the commands of their commits
             named = set(re.findall(r"(?:`|^)make ([a-z-]+)\b", page.read_text(encoding="utf-8"), re.MULTILINE))
             assert named <= targets, page.name
+
+
+def test_documents_name_tests_that_there_are():
+    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
+        if page.name != "CHANGELOG.md":
+            missing = [
+                name
+                for name in re.findall(r"tests/[a-z_/]+\.py", page.read_text(encoding="utf-8"))
+                if not (ROOT / name).exists()
+            ]
+            assert not missing, page.name
