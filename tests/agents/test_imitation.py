@@ -13,22 +13,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
-from trainings import StopAfter, weights
+from trainings import StopAfter, run, tiny, weights
 
 import agents.learners.student
 import agents.runs.monitor
 from agents.learners import teaching
-from agents.learners.rma import InformedActor, Memory, Rma, RmaConfig, merged, told_constants
+from agents.learners.registry import ALGORITHMS
+from agents.learners.rma import InformedActor, Memory, Rma, merged, told_constants
 from agents.learners.student import Student, StudentConfig
 from agents.learners.teaching import Advice, ask, best_changes
 from agents.policy.bundle import load_controller, read_spec
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import ActorShape
 from agents.residual.controller import ResidualController, ResidualSettings
-from agents.runs.monitor import News, TrainingMonitor
-from agents.runs.training import train
+from agents.runs.monitor import News
 from baselines import CONTROLLERS
-from baselines.engines.parallel import Channel, Interrupted, StopRequest
+from baselines.engines.parallel import Interrupted
 from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal_change
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN, FIELDS, plant_of
@@ -46,14 +46,7 @@ SEED = 5_700_000
 ARMS = 6
 SHAPE = ActorShape(inputs=5, hidden=(7, 6), gru=4, standardised=True)
 LATENT, CONSTANTS = 3, 9
-OPTIONS: dict[str, Any] = {
-    **{"arms": 4, "rounds": 2, "remembered": 2, "epochs": 2, "batch_size": 2, "gru_width": 6},
-    **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none"},
-}
-KINDS = {
-    "student": (StudentConfig, Student, OPTIONS),
-    "rma": (RmaConfig, Rma, {**OPTIONS, "rounds": 3, "told": 0.6, "latent": 3}),
-}
+KINDS = ("student", "rma")
 
 
 class Constant:
@@ -266,16 +259,6 @@ def test_the_merged_actor_does_what_the_policy_does_with_the_guess():
 # Runs
 
 
-def tiny(name: str, out: Path, **options: Any) -> Any:
-    config, _, common = KINDS[name]
-    return config(**{"out": out, **common, **options})
-
-
-def run(config: Any, stop: StopRequest | None = None, report: Any = None) -> TrainingMonitor:
-    channel = Channel(report) if report is not None else Channel(stop=stop or StopRequest())
-    return train(config, KINDS[config.algorithm][1], channel)
-
-
 @pytest.fixture(scope="module", params=KINDS)
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, list[int]]:
     """A run that nothing has interrupted: its kind, its folder, and the seeds of its trials."""
@@ -338,8 +321,8 @@ def test_more_rounds_go_on_from_the_last(tmp_path: Path):
 @pytest.mark.parametrize("name", KINDS)
 def test_the_untrained_policy_is_its_base(name: str, tmp_path: Path):
     base = rollout(CONTROLLERS["adaptive"](), 3, seed=SEED, randomization="train")
-    config: Any = KINDS[name][0](out=tmp_path)
-    policy = NetworkPolicy(KINDS[name][1](config).actor().weights())
+    config: Any = ALGORITHMS[name].config(out=tmp_path)
+    policy = NetworkPolicy(ALGORITHMS[name].make_learner(config).actor().weights())
     untrained = ResidualController(CONTROLLERS["adaptive"](), policy, config.residual)
     np.testing.assert_array_equal(rollout(untrained, 3, seed=SEED, randomization="train").state, base.state)
 
@@ -354,25 +337,3 @@ def test_no_round_meets_the_arms_of_another_training_seed(seed: int, rounds: int
     else:
         config.check()
         assert training_arms(seed).first + rounds * arms <= training_arms(seed + 1).first
-
-
-BAD: list[tuple[str, dict[str, Any], str]] = [
-    ("student", {"rounds": 0}, "--rounds"),
-    ("student", {"remembered": 0}, "--remembered"),
-    ("student", {"gru_width": -1}, "--gru-width"),
-    ("student", {"epochs": 0}, "--epochs"),
-    ("student", {"huber": 0.0}, "--huber"),
-    ("student", {"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps.*--learning-rate"),
-    ("rma", {"told": 0.0}, "--told .* 0.0"),
-    ("rma", {"told": 1.0}, "--told .* 1.0"),
-    ("rma", {"told": 0.9}, "--rounds .*--told 0.9"),
-    ("rma", {"latent": 0}, "--latent"),
-    ("rma", {"gru_width": 0}, "--gru-width"),
-    ("rma", {"learning_rate": 1e30}, "diverged at 0 steps.*--learning-rate"),
-]
-
-
-@pytest.mark.parametrize(("name", "options", "words"), BAD, ids=str)
-def test_bad_options(name: str, options: dict[str, Any], words: str, tmp_path: Path):
-    with pytest.raises(ValueError, match=words):
-        run(tiny(name, tmp_path, **options))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from agents.learners.registry import ALGORITHMS
-from agents.learners.reinforcement import ReinforcementConfig
 from agents.runs.monitor import TrainingMonitor
 from agents.runs.settings import RunConfig
 from agents.runs.training import train
@@ -17,25 +16,38 @@ NAMES = tuple(name for name in ALGORITHMS if name not in ("rma", "student"))  # 
 MODULES = {name: importlib.import_module(f"agents.learners.{name}") for name in NAMES}  # for their models
 ON_POLICY = {"rollout_steps": 8, "batch_size": 32}
 OFF_POLICY = {"batch_size": 64, "buffer_size": 400, "learning_starts": 32, "gradient_steps": 1}
-OWN: dict[str, dict[str, Any]] = {"ppo": ON_POLICY, "recurrent_ppo": {**ON_POLICY, "lstm_width": 8}, "sac": OFF_POLICY}
+REINFORCEMENT = {
+    **{"arms": 8, "total_steps": 512, "validation_every": 256},
+    **{"hold": 40, "hidden": (8,), "validation_arms": 4},
+}
+IMITATION = {
+    **{"arms": 4, "rounds": 2, "remembered": 2, "epochs": 2, "batch_size": 2, "gru_width": 6},
+    **{"hold": 40, "hidden": (8,), "validation_arms": 2, "base": "paper", "knowledge": "none"},
+}
+OWN: dict[str, dict[str, Any]] = {
+    "ppo": {**REINFORCEMENT, **ON_POLICY},
+    "recurrent_ppo": {**REINFORCEMENT, **ON_POLICY, "lstm_width": 8},
+    "sac": {**REINFORCEMENT, **OFF_POLICY},
+    "student": IMITATION,
+    "rma": {**IMITATION, "rounds": 3, "told": 0.6, "latent": 3},
+}
 SHORT = tuple("--arms 8 --rollout-steps 8 --batch-size 32 --hold 40 --hidden 8 --validation-arms 4".split())
 TINY = (*SHORT, "--total-steps", "256", "--validation-every", "128")
 
 
-def tiny(name: str, out: Path, **options: Any) -> ReinforcementConfig:
-    """Two validations, 8 arms, 512 agent steps; the replay buffer comes round."""
-    common = {"arms": 8, "total_steps": 512, "validation_every": 256, "validation_arms": 4, "hold": 40, "hidden": (8,)}
-    kind: Any = ALGORITHMS[name].config
-    return kind(**{"out": out, **common, **OWN[name], **options})
+def tiny(name: str, out: Path, **options: Any) -> Any:
+    """A few arms and updates, and two validations; the replay buffer comes round."""
+    return ALGORITHMS[name].config(**{"out": out, **OWN[name], **options})
 
 
-def as_script(out: Path, **options: Any) -> ReinforcementConfig:
+def as_script(out: Path, **options: Any) -> Any:
     """What a script makes of TINY."""
     return tiny("ppo", out, **{"total_steps": 256, "validation_every": 128, **options})
 
 
-def run(config: RunConfig, stop: StopRequest | None = None) -> TrainingMonitor:
-    return train(config, MODULES[config.algorithm].make_learner, Channel(stop=stop or StopRequest()))
+def run(config: RunConfig, stop: StopRequest | None = None, report: Any = None) -> TrainingMonitor:
+    channel = Channel(report) if report is not None else Channel(stop=stop or StopRequest())
+    return train(config, ALGORITHMS[config.algorithm].make_learner, channel)
 
 
 class StopAfter(StopRequest):
