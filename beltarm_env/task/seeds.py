@@ -58,8 +58,6 @@ LOOPS = SeedRange(7_500_000, 100_000)
 """Costs and times of the classical controllers."""
 FIRST_EDITION = SeedRange(8_000_000, 200_000)
 """Test scenarios of the comparison's first edition: known to all since, so that nothing else draws from them."""
-MAPS = SeedRange(8_500_000, 8)
-"""Moves of the robustness maps."""
 DEVELOPMENT = SeedRange(8_600_000, 100_000)
 """Scenarios of the comparison while controllers and agents are worked on; every other set has as many seeds."""
 DATASET_SPACING = 50_000
@@ -75,9 +73,9 @@ MAX_FRESH_SEED = FRESH.size // DEVELOPMENT.size - 1
 _HASHES = 2**32  # of the first eight digits of a commit's hash
 TEST = SeedRange(FRESH.first + FRESH.size, _HASHES * DEVELOPMENT.size)
 """Where the comparison's test scenarios are: a commit's hash chooses the place."""
-SEALED = SeedRange(TEST.first + TEST.size, 10**13 * DEVELOPMENT.size)
-"""Where the leaderboard's sealed scenarios are: a secret chooses the place."""
-FURTHER = SeedRange(SEALED.first + SEALED.size, (MAX_FRESH_SEED + 1) * 10**8)
+UNUSED = SeedRange(TEST.first + TEST.size, 10**13 * DEVELOPMENT.size)
+"""Drawn by nobody: an earlier set of scenarios was to lie here, and what follows keeps its place."""
+FURTHER = SeedRange(UNUSED.first + UNUSED.size, (MAX_FRESH_SEED + 1) * 10**8)
 """Scenarios of the fresh sets beyond those that every set has; beyond all others."""
 
 
@@ -89,11 +87,6 @@ def dataset_arms(seed: int) -> SeedRange:
 def fresh_arms(number: int) -> SeedRange:
     """Return the seeds of one fresh set of scenarios, 0 to `MAX_FRESH_SEED`."""
     return SeedRange(FRESH.first + DEVELOPMENT.size * number, DEVELOPMENT.size)
-
-
-def sealed_arms(secret: int) -> SeedRange:
-    """Return the seeds of the sealed scenarios that a secret number chooses, 0 to 10^13 - 1."""
-    return SeedRange(SEALED.first + DEVELOPMENT.size * secret, DEVELOPMENT.size)
 
 
 def further_arms(number: int) -> SeedRange:

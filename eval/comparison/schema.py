@@ -1,7 +1,7 @@
 """Content, writing, reading and checking of `results.json` (`SCHEMA`) and `episodes.csv`.
 
 Numbers are finite: NaN and infinities are refused as they are written and as they are read. Older files have more:
-performance profiles, sensitivities, latencies that stood for computing time. They are read.
+performance profiles, and latencies that stood for computing time. They are read.
 """
 
 from __future__ import annotations

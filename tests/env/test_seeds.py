@@ -22,7 +22,7 @@ def test_ranges_are_disjoint():
     ordered = sorted(seeds.RANGES.values())
     assert len(ordered) > 10 and all(each.size > 0 for each in ordered)
     assert all(before.first + before.size <= after.first for before, after in pairwise(ordered))
-    assert ordered[-4:] == [seeds.FRESH, seeds.TEST, seeds.SEALED, seeds.FURTHER]
+    assert ordered[-4:] == [seeds.FRESH, seeds.TEST, seeds.UNUSED, seeds.FURTHER]
     assert all(before.first + before.size == after.first for before, after in pairwise(ordered[-4:]))
     assert seeds.FURTHER.first + seeds.FURTHER.size < 2**63
     assert seeds.training_arms(0).size == seeds.SEED_SPACING and seeds.fresh_arms(0).size == seeds.DEVELOPMENT.size
@@ -34,11 +34,10 @@ def test_ranges_are_disjoint():
         ([seeds.training_arms(k) for k in (0, 1, seeds.MAX_TRAINING_SEED)], seeds.TRAINING),
         ([seeds.dataset_arms(k) for k in (0, 1, seeds.MAX_DATASET_SEED)], seeds.DATASETS),
         ([seeds.fresh_arms(k) for k in (0, 1, seeds.MAX_FRESH_SEED)], seeds.FRESH),
-        ([seeds.sealed_arms(k) for k in (0, 1, seeds.SEALED.size // seeds.DEVELOPMENT.size - 1)], seeds.SEALED),
         ([seeds.further_arms(k) for k in (0, 1, seeds.MAX_FRESH_SEED)], seeds.FURTHER),
         ([seeds.arms_chosen_by(digits + 32 * "f") for digits in ("00000000", "00000001", "ffffffff")], seeds.TEST),
     ],
-    ids=["training", "datasets", "fresh", "sealed", "further", "test"],
+    ids=["training", "datasets", "fresh", "further", "test"],
 )
 def test_seeds_share_no_arm_and_fill_their_range(arms: list[seeds.SeedRange], whole: seeds.SeedRange):
     first, second, last = arms

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -65,10 +64,6 @@ def raise_unpicklable(_: Channel) -> None:
 
 def give_unpicklable(_: Channel) -> Any:
     return lambda: None
-
-
-def sys_exit(status: int, _: Channel) -> None:
-    sys.exit(status)
 
 
 def until_begun(folders: list[Path], _: Channel) -> None:
