@@ -9,10 +9,9 @@ import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
-
-from eval.translation.scope import PREFIX
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 """Flags that exported sources are compiled with."""
@@ -69,9 +68,8 @@ class Footprint(NamedTuple):
     stack: int  # of its deepest calls, a bound
 
 
-PROCESSORS = {"cortex-m4": (SINGLE,), "cortex-m7": ()}
+PROCESSORS = {"cortex-m4": ("-mfpu=fpv4-sp-d16", SINGLE), "cortex-m7": ("-mfpu=fpv5-d16",)}
 """Processors with the flags of their builds: the first computes in single precision alone."""
-_UNITS = {"cortex-m4": "fpv4-sp-d16", "cortex-m7": "fpv5-d16"}
 
 
 def processors_for(identifies: bool) -> list[str]:
@@ -79,58 +77,29 @@ def processors_for(identifies: bool) -> list[str]:
     return [core for core, flags in PROCESSORS.items() if not (identifies and SINGLE in flags)]
 
 
-def processor(core: str) -> Toolchain | None:
-    """Find a compiler for objects of one of `PROCESSORS`; None where there is none."""
-    if path := shutil.which("arm-none-eabi-gcc"):
-        return Toolchain((path, f"-mcpu={core}", f"-mfpu={_UNITS[core]}", "-mfloat-abi=hard", "-mthumb"))
-    return None
-
-
-_MEMORY = """#include "{name}.h"
-extern char memory[sizeof({name})];
-char memory[sizeof({name})] = {{1}};
-"""
-
-
 def footprint(folder: Path, name: str, core: str) -> Footprint | None:
-    """Compile a controller for a processor and measure it; None where there is no compiler."""
-    chain = processor(core)
-    if chain is None:
+    """Compile a controller for one of `PROCESSORS` and measure it; None where there is no compiler."""
+    path = shutil.which("arm-none-eabi-gcc")
+    if path is None:
         return None
+    chain = Toolchain((path, f"-mcpu={core}", "-mfloat-abi=hard", "-mthumb", *PROCESSORS[core]))
     with tempfile.TemporaryDirectory() as made:
-        target = Path(made) / "controller.o"
-        chain.build([folder / f"{name}.c"], target, "-c", "-fstack-usage", *PROCESSORS[core])
-        sizes = _columns(chain, target)
-        stack = _stack((folder / f"{name}.c").read_text(encoding="utf-8"), target.with_suffix(".su").read_text())
-        probe = Path(made) / "memory.c"
-        probe.write_text(_MEMORY.format(name=name))
-        chain.build([probe], target, "-c", "-I", str(folder), *PROCESSORS[core])
-        memory = _columns(chain, target)["data"]
-    return Footprint(sizes["text"] + sizes["data"], memory, stack)
+        source, target = Path(made) / "one.c", Path(made) / "one.o"
+        source.write_text(f'#include "{folder.resolve() / name}.c"\n{name} memory;\n')  # in the section of zeros
+        chain.build([source], target, "-c", "-fno-common", "-fcallgraph-info=su")
+        listed = subprocess.check_output([re.sub("gcc$", "size", path), str(target)], text=True).splitlines()[1]
+        text, data, memory = map(int, listed.split()[:3])
+        return Footprint(text + data, memory, _deepest(target.with_suffix(".ci").read_text()))
 
 
-def _columns(chain: Toolchain, target: Path) -> dict[str, int]:
-    """Sizes of an object's sections [bytes]."""
-    tool = re.sub("gcc$", "size", chain.compiler[0])
-    heads, numbers = subprocess.run([tool, str(target)], capture_output=True, text=True, check=True).stdout.splitlines()
-    return dict(zip(heads.split(), (int(word) for word in numbers.split()[:3]), strict=False))
+def _deepest(graph: str) -> int:
+    """Bytes of stack along the deepest path of GCC's graph of calls; exact functions of libraries count as none."""
+    nodes = re.findall(r'node: { title: "(.*?)" label: "(?:[^"]*\\n(\d+) bytes)?', graph)
+    calls = re.findall(r'edge: { sourcename: "(.*?)" targetname: "(.*?)"', graph)
 
-
-def _stack(source: str, usage: str) -> int:
-    """Bound of the stack: the sum along the deepest path of calls, those that were inlined taking none of their own."""
-    own = {line.split("\t")[0].rsplit(":", 1)[1]: int(line.split("\t")[1]) for line in usage.splitlines()}
-    own = {name.partition(".")[0]: size for name, size in own.items()}
-    bodies = re.split(r"\n(?=static |void |real |int32_t )", source)
-    calls: dict[str, set[str]] = {}
-    for body in bodies:
-        head = re.match(r"[\w *]*?(\w+)\(", body)
-        if head:
-            calls[head[1]] = set(re.findall(rf"\b({PREFIX}\w+|begin_move|sample|arithmetic_fault)\(", body)) - {head[1]}
-    depth: dict[str, int] = {}
-
+    @cache
     def deepest(name: str) -> int:
-        if name not in depth:
-            depth[name] = own.get(name, 0) + max((deepest(other) for other in calls.get(name, ())), default=0)
-        return depth[name]
+        own = max(int(size or 0) for node, size in nodes if node == name)
+        return own + max((deepest(called) for caller, called in calls if caller == name), default=0)
 
-    return max((deepest(name) for name in calls), default=0)
+    return max(deepest(name) for name, _ in nodes)

@@ -29,7 +29,7 @@ from beltarm_env.timing import EPISODE_TIME
 from eval.exports.compilers import Toolchain, native
 from eval.exports.folder import require_free, write_export
 from eval.exports.plant import OUTPUTS, REFUSALS, begin, empty_memory, look, refusal, step
-from eval.exports.source import MOST_COUNTS, SINGLE_LANE, TAKEN, TEMPLATES, body, fields_of, members
+from eval.exports.source import MOST_COUNTS, SINGLE_LANE, TAKEN, TEMPLATES, body, fields_of, members, parts_of
 from eval.translation.program import Program
 from eval.translation.types import BOOL, INT, REAL, Scalar
 
@@ -147,9 +147,7 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
         "begin": body(program, begin, [arm, angle, resolution]),
         "step": body(program, step, [arm, torque], BOOL),
         "look": body(program, look, [arm, torque, duration]),
-        "structs": "\n\n".join(program.struct_texts),
-        "tables": "\n\n".join(program.used_tables()),
-        "functions": "\n\n".join(program.texts),
+        **parts_of(program),
         "constants": len(FIELDS),
         "outputs": len(OUTPUTS),
         "starts": [f"{variable.start!r}, /* {variable.name} */" for variable in of_arm[: len(FIELDS) + 2]],

@@ -32,19 +32,15 @@ def require_free(folder: Path, marker: str = MANIFEST, form: str = FORMAT) -> No
     """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: choose another folder for --out")
-    if folder.exists() and any(folder.iterdir()) and not is_export(folder, marker, form):
+    try:
+        known = json.loads((folder / marker).read_text(encoding="utf-8"))["format"] == form
+    except (OSError, ValueError, KeyError, TypeError):
+        known = False
+    if folder.exists() and any(folder.iterdir()) and not known:
         raise ValueError(f"{folder} holds other files: choose an empty folder for --out, or one of an earlier export")
     folder.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(folder.parent, os.W_OK):
         raise OSError(f"cannot write to {folder.parent}; choose another folder")
-
-
-def is_export(folder: Path, marker: str, form: str) -> bool:
-    """Tell whether a folder holds an export."""
-    try:
-        return json.loads((folder / marker).read_text(encoding="utf-8"))["format"] == form
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
 
 
 def write_export(folder: Path, name: str, title: str, params: ArmParams, files: dict[str, bytes]) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -71,11 +71,8 @@ class InTheLoop:
             toolchain.build([folder / f"{name}.c", folder / "in_the_loop.c"], program, *flags)
             command, pipe = [*toolchain.runner, str(program)], subprocess.PIPE
             self._process: Any = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-            stack.callback(self._process.wait)
-            for stream in (self._process.stderr, self._process.stdout, self._process.stdin):
-                stack.callback(_close, stream)
-            self._say(f"arms {len(moves)} {counts_per_turn}")
-            self._answer()
+            stack.callback(self._process.communicate)
+            self._ask(f"arms {len(moves)} {counts_per_turn}")
             self._ends = stack.pop_all()
 
     def predict(
@@ -89,34 +86,24 @@ class InTheLoop:
 
     def torques(self, counts: Integers, begins: Flags | None = None) -> Floats:
         """Torques [N m] for the counts of the encoders, shape (n,); of arms that begin a move it is the first."""
+        lines = []
         for arm in [] if begins is None else np.flatnonzero(begins):
-            move = " ".join(f"{number:.17g}" for number in self._moves[arm])
-            self._say(f"reset {arm} {move} {counts[arm]}")
-        self._say(f"step {' '.join(map(str, counts))}")
-        return np.array(self._answer(), np.float64)
+            lines.append(f"reset {arm} {' '.join(f'{number:.17g}' for number in self._moves[arm])} {counts[arm]}")
+        return np.array(self._ask(*lines, f"step {' '.join(map(str, counts))}"), np.float64)
 
     def times(self) -> StepTimes:
         """Times of all samples so far."""
-        self._say("times")
-        samples, *rest = self._answer()
+        samples, *rest = self._ask("times")
         return StepTimes(int(samples), *map(float, rest))
 
-    def _say(self, line: str) -> None:
-        try:
-            self._process.stdin.write(line + "\n")
-            self._process.stdin.flush()
-        except BrokenPipeError:
-            raise self._ended() from None
-
-    def _answer(self) -> list[str]:
-        line = self._process.stdout.readline()
-        if not line:
-            raise self._ended()
-        return line.split()
-
-    def _ended(self) -> ValueError:
-        message = self._process.stderr.read().strip()
-        return ValueError(message or f"the program has ended, with status {self._process.wait()}")
+    def _ask(self, *lines: str) -> list[str]:
+        """Write lines, and read the words that answer the last."""
+        with contextlib.suppress(BrokenPipeError):  # it has ended, and does not answer
+            print(*lines, sep="\n", file=self._process.stdin, flush=True)
+        if answer := self._process.stdout.readline():
+            return answer.split()
+        message = self._process.communicate()[1].strip()
+        raise ValueError(message or f"the program has ended, with status {self._process.returncode}")
 
     def __enter__(self) -> Self:
         """Return the controller."""
@@ -125,11 +112,6 @@ class InTheLoop:
     def __exit__(self, *_: object) -> None:
         """End the program."""
         self._ends.close()
-
-
-def _close(stream: IO[str]) -> None:
-    with contextlib.suppress(BrokenPipeError):
-        stream.close()
 
 
 @dataclass(frozen=True)
@@ -142,17 +124,12 @@ class Agreement:
     costs: tuple[Floats, Floats]  # of the controller, of the program; shape (episodes,)
     times: StepTimes
 
-    @property
-    def excess_cost(self) -> float:
-        """Mean cost of the program over that of the controller, less 1."""
-        return float(self.costs[1].mean() / self.costs[0].mean() - 1)
-
     def words(self) -> str:
         """Sentences on equality, cost and time."""
-        times = self.times
+        times, (python, compiled) = self.times, self.costs
         return (
             f"{self.equal} of {self.samples} torques are equal to the last bit, and the mean cost is "
-            f"{100 * self.excess_cost:+.2f} % off. On this machine a sample takes "
+            f"{100 * (compiled.mean() / python.mean() - 1):+.2f} % off. On this machine a sample takes "
             f"{times.median:.2g} us (median), {times.longest:.0f} us at most, and a reset {times.longest_reset:.0f} us."
         )
 

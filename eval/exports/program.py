@@ -20,13 +20,12 @@ from baselines import CONTROLLERS
 from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
 from baselines.estimation.filter_design import inputs_of
-from baselines.estimation.identification import IdentifyingController
 from baselines.estimation.identify import empty_notes, workspace_for
 from baselines.guard.controller import guarded, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
-from baselines.tools.command import nearest, require_bounds
+from baselines.tools.command import require_bounds, require_known
 from beltarm_env import ArmParams
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
@@ -37,7 +36,6 @@ from eval.exports.kernels import (
     Filtering,
     Guarded,
     GuardMemory,
-    Kernel,
     Learned,
     classical,
     guarded_step,
@@ -84,24 +82,15 @@ def export(options: Options) -> None:
     loop = replace(loop, name=options.name) if options.name else loop
     write_program(options.out, loop)
     print(f"written to {options.out}: {loop.name}.h, {loop.name}.c and what goes with them")
-    if options.check:
-        _check(options, loop)
-
-
-def _check(options: Options, loop: Loop) -> None:
-    """Compare the program with its controller, and print what it takes.
-
-    Raises:
-        ValueError: If there is no compiler, or a torque differs.
-    """
+    if not options.check:
+        return
     splits = development_set().splits
     split, controller = splits[main_split(list(splits))], controller_of(options.source, options.guard)
     agreement = compare(options.out, loop, controller, split, options.episodes)
     print(agreement.words())
     for core in processors_for(loop.identifies):
         if taken := footprint(options.out, loop.name, core):
-            kilobytes = [f"{size / 1024:.0f} kB of {kind}" for size, kind in zip(taken, taken._fields, strict=True)]
-            print(f"{core}: {', '.join(kilobytes)}")
+            print(f"{core}: {', '.join(f'{size / 1024:.0f} kB of {kind}' for kind, size in taken._asdict().items())}")
     differing = agreement.samples - agreement.equal
     if differing and options.plan_samples == 1:
         raise ValueError(f"program and controller differ in {differing} of {agreement.samples} samples")
@@ -137,49 +126,32 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
     """
     if source in CONTROLLERS:
-        controller: Any = CONTROLLERS[source]()
-        kernel = _kernel(controller, source, plan_samples)
-        identifies, params = isinstance(controller, IdentifyingController), controller.params
-        propose = classical(kernel.law, identifies)
-        title = f"Controller {source!r} of beltarm"
-        loop = Loop(source, title, params, step_of(propose), kernel.design, kernel.memory, identifies, identifies)
-        return _behind_guard(loop, propose, source, 0.0) if guard else loop
-    if not (Path(source) / MANIFEST).is_file():
-        near = nearest(source, CONTROLLERS)
-        hint = f"did you mean {near!r}?" if near else f"there are {', '.join(CONTROLLERS)}"
-        raise ValueError(f"{source!r} is neither a classical controller nor the folder of a policy; {hint}")
-    controller, (spec, content) = load_controller(source), read_spec(source)
-    base: Any = controller.informed.base
-    kernel, corrected = _kernel(base, spec.base, plan_samples), correction(controller)
-    informed, shared = spec.residual.knowledge != "none", corrected.identifier is None
-    filtering = _filtering() if informed and not shared else None
-    design = Learned(kernel.design, corrected.identifier.design if corrected.identifier else None, corrected.design)
-    memory = Learned(kernel.memory, filtering, corrected.memory)
-    title = f"Policy {spec.algorithm} on {spec.base!r} of beltarm, content hash {content['content_hash']}"
-    propose = learned(kernel.law, informed, shared)
-    params, plans = controller.params or ArmParams(), isinstance(base, AdaptiveController)
-    loop = Loop(spec.algorithm, title, params, step_of(propose), design, memory, informed, plans)
-    return _behind_guard(loop, propose, spec.base, spec.residual.limit) if guard else loop
-
-
-def _behind_guard(loop: Loop, propose: Kernel, base: str, residual: float) -> Loop:
-    """Loop with the guard behind a controller.
-
-    Args:
-        loop: Loop of the controller alone.
-        propose: Proposal of the controller.
-        base: Name of the controller, or of the one that it corrects.
-        residual: Largest residual, over the torque limit.
-    """
-    servo: Any = servo_for(base)
-    law, fixed, memory = servo.kernel() if servo is not None else (None, None, None)
-    return replace(
-        loop,
-        title=f"{loop.title}, behind the guard",
-        step=guarded_step(propose, law),
-        design=Guarded(loop.design, fixed, GuardSettings().design(loop.params, residual)),
-        memory=Guarded(loop.memory, memory, GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp))),
-    )
+        name, base_name, residual, base = source, source, 0.0, CONTROLLERS[source]()
+        title, params = f"Controller {source!r} of beltarm", base.params
+        kernel, identifies = _kernel(base, source, plan_samples), isinstance(base, AdaptiveController)
+        propose, design, memory = classical(kernel.law, identifies), kernel.design, kernel.memory
+    else:
+        if not (Path(source) / MANIFEST).is_file():
+            require_known((source,), CONTROLLERS, "{} is neither a classical controller nor the folder of a policy")
+        controller, (spec, content) = load_controller(source), read_spec(source)
+        name, base_name, residual, base = spec.algorithm, spec.base, spec.residual.limit, controller.informed.base
+        title = f"Policy {name} on {base_name!r} of beltarm, content hash {content['content_hash']}"
+        params, kernel = controller.params or ArmParams(), _kernel(base, base_name, plan_samples)
+        corrected, identifies = correction(controller), spec.residual.knowledge != "none"
+        own = corrected.identifier  # beside the base; none where the base's own is shared
+        inputs = inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
+        filtering = Filtering(empty_notes(1, SIZE), inputs, workspace_for(1)) if identifies and own else None
+        propose = learned(kernel.law, identifies, own is None)
+        design = Learned(kernel.design, own.design if own else None, corrected.design)
+        memory = Learned(kernel.memory, filtering, corrected.memory)
+    step = step_of(propose)
+    if guard:
+        servo: Any = servo_for(base_name)
+        law, fixed, kept = servo.kernel() if servo is not None else (None, None, None)
+        title, step = f"{title}, behind the guard", guarded_step(propose, law)
+        design = Guarded(design, fixed, GuardSettings().design(params, residual))
+        memory = Guarded(memory, kept, GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp)))
+    return Loop(name, title, params, step, design, memory, identifies, isinstance(base, AdaptiveController))
 
 
 def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
@@ -191,19 +163,12 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
     if not hasattr(controller, "kernel"):
         able = ", ".join(exportable())
         raise ValueError(f"{name!r} is no kernel for one arm and cannot be exported; these can: {able}")
-    if plan_samples == 1:
-        try:
-            return controller.kernel()
-        except TypeError as error:  # with an accelerometer
-            raise ValueError(f"{name!r} cannot be exported: {error}") from None
-    if not isinstance(controller, AdaptiveController):
+    if plan_samples != 1 and not isinstance(controller, AdaptiveController):
         raise ValueError(f"{name!r} makes no plan while the arm moves: leave out --plan-samples {plan_samples}")
-    return controller.spread_kernel(plan_samples)
-
-
-def _filtering() -> Filtering:
-    inputs = inputs_of(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_))
-    return Filtering(empty_notes(1, SIZE), inputs, workspace_for(1))
+    try:
+        return controller.kernel() if plan_samples == 1 else controller.spread_kernel(plan_samples)
+    except TypeError as error:  # with an accelerometer
+        raise ValueError(f"{name!r} cannot be exported: {error}") from None
 
 
 def controller_of(source: str, guard: bool = True) -> Any:

@@ -54,16 +54,8 @@ _CPP = (
     "reinterpret_cast requires static_assert static_cast template this thread_local throw try typeid typename "
     "using virtual wchar_t xor xor_eq"
 )
-TAKEN = {
-    "in_the_loop",
-    "begin_move",
-    "sample",
-    "arithmetic_fault",
-    "plus_rounder",
-    "REAL_EPSILON",
-    "REAL_MIN",
-    *_CPP.split(),
-}
+_TEMPLATES = "in_the_loop begin_move sample arithmetic_fault plus_rounder REAL_EPSILON REAL_MIN"
+TAKEN = {*_TEMPLATES.split(), *_CPP.split()}
 """Names that are taken in a program: those of the templates, and keywords of C++."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
 
@@ -107,27 +99,21 @@ def for_one_lane(template: Any) -> Any:
     """
     if template is None or isinstance(template, np.ndarray):
         return template
-    declared = get_type_hints(type(template), include_extras=True)
-    parts = zip(template._fields, template, strict=True)
-    return type(template)(
-        *(
-            _one_lane(part, declared[field] == Rows, f"{type(template).__name__}.{field}")
-            if isinstance(part, np.ndarray)
-            else for_one_lane(part)
-            for field, part in parts
-        )
-    )
-
-
-def _one_lane(array: np.ndarray, rows: bool, name: str) -> np.ndarray:
-    whole = array.shape[-1] % LANES == 0
-    if rows and not whole:
-        raise TranslationError(f"{name} is declared as Rows of {LANES} lanes, and has {array.shape[-1]} numbers")
-    if not rows and whole and array.ndim == 1 and array.dtype == np.float64:
-        raise TranslationError(
-            f"{name} has {len(array)} numbers, as rows of {LANES} lanes have: declare it as Rows, or take one more"
-        )
-    return np.zeros((*array.shape[:-1], array.shape[-1] // LANES), array.dtype) if rows else array
+    declared, made = get_type_hints(type(template), include_extras=True), []
+    for field, part in template._asdict().items():
+        if not isinstance(part, np.ndarray):
+            made.append(for_one_lane(part))
+            continue
+        name, rows = f"{type(template).__name__}.{field}", declared[field] == Rows
+        shorter, rest = divmod(part.shape[-1], LANES)
+        if rows and rest:
+            raise TranslationError(f"{name} is declared as Rows of {LANES} lanes, and has {part.shape[-1]} numbers")
+        if not rows and not rest and part.ndim == 1 and part.dtype == np.float64:
+            raise TranslationError(
+                f"{name} has {len(part)} numbers, as rows of {LANES} lanes have: declare it as Rows, or take one more"
+            )
+        made.append(np.zeros((*part.shape[:-1], shorter), part.dtype) if rows else part)
+    return type(template)(*made)
 
 
 def sources(loop: Loop) -> dict[str, str]:
@@ -139,14 +125,12 @@ def sources(loop: Loop) -> dict[str, str]:
     program = Program(SINGLE_LANE)
     program.taken |= TAKEN | loop.public
     device = empty_device(1)
-    plant, limit = loop.params.plant(), loop.params.torque_limit
-    memory = for_one_lane(loop.memory)
-    fields = [*fields_of("device", device), *fields_of("memory", memory)]
+    limit, memory = loop.params.torque_limit, for_one_lane(loop.memory)
     of_device, of_memory = members("device", device), members("memory", memory)
     move = Group(MoveShape, tuple((field, Scalar(REAL, f"move->{field}")) for field in MoveShape._fields))
     count = Scalar(SMALL, "count")
     resolution = Scalar(REAL, "self->resolution")
-    began = body(program, begin, [of_device, Const(plant), resolution, move, count])
+    began = body(program, begin, [of_device, Const(loop.params.plant()), resolution, move, count])
     stepped = body(program, loop.step, [Const(loop.design), Const(limit), of_device, of_memory, count])
     given = {
         "name": loop.name,
@@ -155,19 +139,20 @@ def sources(loop: Loop) -> dict[str, str]:
         "period_ms": f"{1000 * CONTROL_PERIOD:g}",
         "limit": f"{limit:g}",
         "identifies": loop.identifies,
-        "fields": fields,
+        "fields": [*fields_of("device", device), *fields_of("memory", memory)],
         "turn": repr(2 * math.pi),
-        "structs": "\n\n".join(program.struct_texts),
-        "tables": "\n\n".join(program.used_tables()),
-        "functions": "\n\n".join(program.texts),
         "begin": began,
         "step": stepped,
+        **parts_of(program),
     }
-    return {
-        f"{loop.name}.h": TEMPLATES.get_template("controller.h.j2").render(given),
-        f"{loop.name}.c": TEMPLATES.get_template("controller.c.j2").render(given),
-        "in_the_loop.c": TEMPLATES.get_template("in_the_loop.c.j2").render(given),
-    }
+    files = {f"{loop.name}.h": "controller.h", f"{loop.name}.c": "controller.c", "in_the_loop.c": "in_the_loop.c"}
+    return {file: TEMPLATES.get_template(f"{template}.j2").render(given) for file, template in files.items()}
+
+
+def parts_of(program: Program) -> dict[str, str]:
+    """Structs, tables and functions of a program, for a template."""
+    parts = {"structs": program.struct_texts, "tables": program.used_tables(), "functions": program.texts}
+    return {name: "\n\n".join(texts) for name, texts in parts.items()}
 
 
 def body(program: Program, function: Any, values: list[Value], kind: str = REAL) -> str:

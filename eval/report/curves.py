@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,15 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from agents.policy.bundle import MANIFEST, BundleError, BundleSpec, read_spec
+from agents.policy.bundle import MANIFEST, BundleError, read_spec
 from agents.runs.checkpoint import RunFolder
 from agents.runs.monitor import validate
 from baselines import CONTROLLERS
+from beltarm_env.arrays import Floats
 from eval.report.style import COLOURS, mark_one_two_five
-
-Floats = NDArray[np.float64]
 
 BEST_CLASSICAL = "adaptive"
 _POINTS = 200
@@ -59,30 +56,18 @@ def _read_curve(bundle: Path) -> Curve:
     """Read the curve of a bundle; of a run under way, the newer one of its folder."""
     spec, _ = read_spec(bundle)
     known = spec.provenance
-    points = known.get("curve", [])
-    table = RunFolder(bundle.parent).curve
+    points, table = np.asarray(known.get("curve", []), np.float64), RunFolder(bundle.parent).curve
     if bundle.name == "best" and table.exists():
         rows = np.genfromtxt(table, delimiter=",", names=True, ndmin=1)
         points = np.stack([rows[name] for name in ("steps", "seconds", "cost")], axis=1)
-    points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or not np.isfinite(points).all():
         raise BundleError(f"{bundle} holds no learning curve")
     base_cost, arms = known.get("validation_of_base", {}).get("cost"), known.get("config", {}).get("validation_arms")
     if base_cost is None or not isinstance(arms, int):
         raise BundleError(f"{bundle} does not say what it was validated on")
-    return Curve(
-        method=_method(spec),
-        base=spec.base,
-        base_cost=float(base_cost),
-        arms=arms,
-        steps=points[:, 0] * spec.residual.hold,
-        minutes=points[:, 1] / 60,
-        cost=points[:, 2],
-    )
-
-
-def _method(spec: BundleSpec) -> str:
-    return f"{spec.algorithm} on {spec.base}" if spec.base != "none" else f"{spec.algorithm} from scratch"
+    method = f"{spec.algorithm} on {spec.base}" if spec.base != "none" else f"{spec.algorithm} from scratch"
+    steps, seconds, cost = points.T
+    return Curve(method, spec.base, float(base_cost), arms, steps * spec.residual.hold, seconds / 60, cost)
 
 
 def levels(curves: list[Curve]) -> dict[str, float]:
@@ -107,19 +92,14 @@ def classical_cost(arms: int) -> float:
 
 def curves_figure(curves: list[Curve], costs: dict[str, float]) -> Figure:
     """Draw curves over samples and over time, with the costs of some controllers as lines."""
-    methods = list(dict.fromkeys(curve.method for curve in curves))
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", sharey=True)
-    panels: list[tuple[str, Callable[[Curve], Floats]]] = [
-        ("simulated steps (millions)", lambda curve: curve.steps / 1e6),
-        ("wall-clock (minutes)", lambda curve: curve.minutes),
-    ]
-    for axis, (label, abscissa) in zip(axes, panels, strict=True):
+    panels = (("steps", 1e6, "simulated steps (millions)"), ("minutes", 1.0, "wall-clock (minutes)"))
+    for axis, (abscissa, unit, label) in zip(axes, panels, strict=True):
         for level in costs.values():
             axis.axhline(level, color="0.35", lw=1, ls="--", zorder=1)
-        for k, method in enumerate(methods):
-            _draw_method(
-                axis, [curve for curve in curves if curve.method == method], abscissa, COLOURS[k % len(COLOURS)]
-            )
+        for k, method in enumerate(dict.fromkeys(curve.method for curve in curves)):
+            runs = [(getattr(curve, abscissa) / unit, curve.cost) for curve in curves if curve.method == method]
+            _draw_method(axis, method, runs, COLOURS[k % len(COLOURS)])
         axis.set(xlabel=label, yscale="log", xlim=(0, None))
         axis.grid(alpha=0.3, which="both")
     for name, level in costs.items():
@@ -131,16 +111,16 @@ def curves_figure(curves: list[Curve], costs: dict[str, float]) -> Figure:
     return figure
 
 
-def _draw_method(axis: Axes, curves: list[Curve], abscissa: Callable[[Curve], Floats], colour: str) -> None:
+def _draw_method(axis: Axes, method: str, runs: list[tuple[Floats, Floats]], colour: str) -> None:
     """Draw the runs of one method, with their median and interquartile band if there are several."""
-    if len(curves) == 1:
-        axis.plot(abscissa(curves[0]), curves[0].cost, color=colour, lw=2, label=curves[0].method)
+    if len(runs) == 1:
+        axis.plot(*runs[0], color=colour, lw=2, label=method)
         return
-    for curve in curves:
-        axis.plot(abscissa(curve), curve.cost, color=colour, lw=0.7, alpha=0.6)
-    begin, end = max(abscissa(curve)[0] for curve in curves), min(abscissa(curve)[-1] for curve in curves)
+    for at, cost in runs:
+        axis.plot(at, cost, color=colour, lw=0.7, alpha=0.6)
+    begin, end = max(at[0] for at, _ in runs), min(at[-1] for at, _ in runs)
     grid = np.linspace(begin, max(begin, end), _POINTS)
-    logs = np.array([np.interp(grid, abscissa(curve), np.log(curve.cost)) for curve in curves])
+    logs = [np.interp(grid, at, np.log(cost)) for at, cost in runs]
     low, middle, high = np.exp(np.percentile(logs, [25, 50, 75], axis=0))
     axis.fill_between(grid, low, high, color=colour, alpha=0.25, lw=0)
-    axis.plot(grid, middle, color=colour, lw=2, label=f"{curves[0].method} ({len(curves)} seeds)")
+    axis.plot(grid, middle, color=colour, lw=2, label=f"{method} ({len(runs)} seeds)")

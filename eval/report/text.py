@@ -57,11 +57,6 @@ def cell(name: str, value: Any) -> str:
     return f"{point} [{low}, {high}]" if isfinite(value.iqm) else point
 
 
-def with_unit(name: str, text: str) -> str:
-    """Text followed by the unit of a metric, if it has one."""
-    return f"{text} {METRICS[name].unit}".rstrip()
-
-
 _RULES = {"l": "---", "r": "---:"}
 
 

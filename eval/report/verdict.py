@@ -17,11 +17,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from baselines import CONTROLLERS
-from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED
+from beltarm_env.metrics import ARRIVAL_BOUND, METRICS, NOT_ARRIVED
 from eval.comparison.methods import is_shipped
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, tables_of
 from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, Paired, all_paired, holm, mean_differences
-from eval.report.text import with_unit
 
 Result = Literal["better", "worse", "open"]
 
@@ -194,7 +193,7 @@ def _of_tip(
             sentences.append(f"The vibration after the move is not compared: {names} arrive both in too few scenarios.")
             continue
         test = tests[metric][home]
-        values = (with_unit(metric, f"{outcome.estimates[metric].iqm:.2f}") for outcome in pair)
+        values = (f"{outcome.estimates[metric].iqm:.2f} {METRICS[metric].unit}".rstrip() for outcome in pair)
         shown = " and ".join(f"{value} with {outcome.name}" for value, outcome in zip(values, pair, strict=True))
         left_out = [split for split in tests["cost"] if split not in tests[metric]]
         others = f", not compared on {', '.join(left_out)}" if left_out else ""

@@ -53,18 +53,13 @@ def measure(options: Options) -> dict[str, Any]:
     rows = []
     data: dict[str, Any] = {"repetitions": repetitions, "sizes": {}, "rates": {}}
     if "steps" in parts:
-        rows += stepping.batch_rows(arms, steps, repetitions)
-        rows.append(stepping.threads_row(4 * arms, steps, repetitions, "ideal"))
-        rows.append(stepping.threads_row(arms, steps, repetitions, "train"))
-        rows.append(stepping.single_row(steps, repetitions))
+        rows += [*stepping.batch_rows(arms, steps, repetitions), *stepping.single_rows(steps, repetitions)]
     if "rollouts" in parts:
         rows += stepping.rollout_rows(repetitions)
     if "start" in parts:
         rows += [*stepping.start_up_rows(repetitions), *stepping.memory_rows()]
     if "training" in parts:
-        from eval.speed.training_loop import loop_row  # loads torch, which the other measurements do without
-
-        rows.append(loop_row(repetitions))
+        rows += stepping.training_rows(repetitions)
     if "sizes" in parts:
         data["sizes"] = [size for size in sizes.SIZES if size <= options.largest]
         data["rates"] = sizes.rates(data["sizes"], repetitions)
@@ -74,10 +69,8 @@ def measure(options: Options) -> dict[str, Any]:
 def tables(data: dict[str, Any]) -> dict[str, Any]:
     """Tables of speeds, and of speeds over the size of the batch."""
     speeds = markdown_table(("what", "measured", "peer", "ratio", "middle half"), map(_cells, data["rows"]), "lrrrr")
-    rates = {name: np.array(quartiles)[:, 1] for name, quartiles in data["rates"].items()}
-    over_sizes = [
-        (f"{size:,}", *(_rounded(of_peer[k]) for of_peer in rates.values())) for k, size in enumerate(data["sizes"])
-    ]
+    rates = {name: [_rounded(median) for _, median, _ in quartiles] for name, quartiles in data["rates"].items()}
+    over_sizes = zip([f"{size:,}" for size in data["sizes"]], *rates.values(), strict=False)
     return {
         "speeds": speeds,
         "sizes": markdown_table(("arms or carts", *rates), over_sizes, "r" * (1 + len(rates))) if rates else "",
@@ -86,11 +79,9 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     measured, ratios = _quantity(row["measured"], row["unit"]), [f"{ratio:.2f}" for ratio in row["ratios"]]
-    if not ratios:
-        return row["what"], measured, "–", "–", "–"
-    peer = f"{row['peer']}: {_quantity(row['of_peer'], row['unit'])}"
-    half = f"{ratios[0]} to {ratios[2]}" if len(ratios) == 3 else "–"
-    return row["what"], measured, peer, f"{ratios[len(ratios) // 2]}x", half
+    peer = f"{row['peer']}: {_quantity(row['of_peer'], row['unit'])}" if ratios else "–"
+    ratio = f"{ratios[len(ratios) // 2]}x" if ratios else "–"
+    return row["what"], measured, peer, ratio, f"{ratios[0]} to {ratios[2]}" if len(ratios) == 3 else "–"
 
 
 def _quantity(value: float, unit: str) -> str:

@@ -18,8 +18,7 @@ from rich.console import Console
 
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
-from eval.speed.stepping import batch_steps
-from eval.speed.timing import times_in_turns
+from eval.speed.stepping import batch_steps, times_in_turns
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 100_000)
 """Arms or carts of a batch."""

@@ -1,32 +1,48 @@
-"""Steps per second of the environments and of whole episodes, start-up and memory, beside Gymnasium's CartPole-v1."""
+"""Steps per second of environments, whole episodes and training, start-up and memory, each beside a peer."""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import gymnasium as gym
+import numpy as np
 from joblib import cpu_count
 
 from agents.policy.bundle import POLICIES, load_controller
+from agents.residual.bases import make_base
+from agents.residual.env import ResidualEnv
+from baselines.engines.parallel import default_jobs
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
-from beltarm_env.rollout import rollout
+from beltarm_env.arrays import Floats
+from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.ranges import Randomization
+from beltarm_env.task.seeds import training_arms
 from beltarm_env.threads.blocks import usual_threads
-from eval.speed.timing import Row, numbers, speed, times_in_turns
 
+if TYPE_CHECKING:
+    from agents.learners.ppo import PpoConfig
+
+ROOT = Path(__file__).resolve().parents[2]
+Work = tuple[int, Callable[[], object]]
+"""Number of steps, and what takes them."""
 _PEER = "CartPole-v1"
 _DRIVE = ", all effects of the drive"
 _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
 _ROLLED_OUT = 1024  # arms
-_MOST_STARTS = 3
+_SINGLE_ARMS = 64  # beside the batch of a training
+_MOST_STARTS, _MOST_TRAININGS = 3, 3
 _MANY = 100_000  # arms whose memory is measured
 _FIRST_STEP = """
 import time
@@ -60,42 +76,74 @@ print(most[1] - most[0])
 """
 
 
+class Row(NamedTuple):
+    """A measured quantity, beside that of a peer."""
+
+    what: str
+    measured: float
+    unit: str  # "steps/s", "s" or "MB"
+    peer: str | None = None
+    of_peer: float | None = None
+    ratios: tuple[float, ...] = ()  # how many times as good: lower quartile, median and upper quartile, or one
+
+
+def times_in_turns(runs: Sequence[Callable[[], object]], repetitions: int) -> Floats:
+    """Wall-clock of calls that take turns [s], shape (repetitions, calls); a busy machine slows all of them."""
+    times = np.empty((repetitions + 1, len(runs)))
+    for repetition in range(repetitions + 1):
+        for k, run in enumerate(runs):
+            began = time.perf_counter()
+            run()
+            times[repetition, k] = time.perf_counter() - began
+    return times[1:]  # the first warms up
+
+
+def speed(what: str, steps: int, times: Floats, peer: str, steps_of_peer: int, times_of_peer: Floats) -> Row:
+    """Row of a speed, from the times that so many steps took in each repetition [s]."""
+    rates, of_peer = steps / times, steps_of_peer / times_of_peer
+    ratios = np.quantile(rates / of_peer, [0.25, 0.5, 0.75]).tolist()
+    return Row(what, float(np.median(rates)), "steps/s", peer, float(np.median(of_peer)), tuple(ratios))
+
+
+def beside(peer: str, of_peer: Work, runs: Mapping[str, Work], repetitions: int) -> list[Row]:
+    """Rows of runs that take turns with that of a peer."""
+    *times, times_of_peer = times_in_turns([*(run for _, run in runs.values()), of_peer[1]], repetitions).T
+    measured = zip(runs.items(), times, strict=True)
+    return [speed(what, steps, taken, peer, of_peer[0], times_of_peer) for (what, (steps, _)), taken in measured]
+
+
 def batch_rows(arms: int, steps: int, repetitions: int) -> list[Row]:
-    """Speed of the vector environment beside CartPole's, on one core and on all.
+    """Speed of the vector environment beside CartPole's, and of as many threads as cores beside one.
 
     Random torques over the whole limit keep the motor slow, where steps are short, which no controller does: so drives
     are also timed over whole episodes of the paper's controller, its torques recorded before.
     """
-    cores = cpu_count()
-    make = partial(batch_steps, "BeltArm-v0", arms, steps)
-    stepped = {
-        "vector step": make(randomization="ideal"),
-        f"vector step, {cores} threads": make(randomization="ideal", num_threads=cores),
-        f"vector step{_DRIVE}": make(randomization="train"),
-        "vector step of the full arm": make(randomization="ideal", model="lagrangian"),
+    cores, end = cpu_count(), f", N = {arms}"
+
+    def stepped(randomization: Randomization, count: int = arms, **settings: Any) -> Work:
+        return count * steps, batch_steps("BeltArm-v0", count, steps, randomization=randomization, **settings)
+
+    cart = arms * steps, batch_steps(_PEER, arms, steps)
+    batches = {
+        f"vector step{end}": stepped("ideal"),
+        f"vector step, {cores} threads{end}": stepped("ideal", num_threads=cores),
+        f"vector step{_DRIVE}{end}": stepped("train"),
+        f"vector step of the full arm{end}": stepped("ideal", model="lagrangian"),
     }
     episodes = {
-        "episodes of the paper's controller": _episodes(arms, "ideal"),
-        f"episodes of the paper's controller{_DRIVE}": _episodes(arms, "train"),
+        f"episodes of the paper's controller{end}": (arms * EPISODE_STEPS, _episodes(arms, "ideal")),
+        f"episodes of the paper's controller{_DRIVE}{end}": (arms * EPISODE_STEPS, _episodes(arms, "train")),
     }
-    cart, rows = batch_steps(_PEER, arms, steps), []
-    for runs, each, count in ((stepped, steps, repetitions), (episodes, EPISODE_STEPS, max(repetitions // 5, 1))):
-        *times, carts = times_in_turns([*runs.values(), cart], count).T
-        for name, times_of_run in zip(runs, times, strict=True):
-            rows.append(speed(f"{name}, N = {arms}", arms * each, times_of_run, _PEER, arms * steps, carts))
+    rows = beside(_PEER, cart, batches, repetitions)
+    rows += beside(_PEER, cart, episodes, max(repetitions // 5, 1))
+    threads: tuple[tuple[str, Randomization, int], ...] = (("", "ideal", 4 * arms), (_DRIVE, "train", arms))
+    for drive, randomization, count in threads:
+        alone, together = (stepped(randomization, count, num_threads=number) for number in (1, cores))
+        rows += beside("1 thread", alone, {f"vector step{drive}, {cores} threads, N = {count}": together}, repetitions)
     return rows
 
 
-def threads_row(arms: int, steps: int, repetitions: int, randomization: Randomization) -> Row:
-    """Speed of the vector environment with as many threads as cores, beside one thread."""
-    cores = cpu_count()
-    make = partial(batch_steps, "BeltArm-v0", arms, steps, randomization=randomization)
-    alone, together = times_in_turns([make(num_threads=1), make(num_threads=cores)], repetitions).T
-    what = f"vector step{'' if randomization == 'ideal' else _DRIVE}, {cores} threads, N = {arms}"
-    return speed(what, arms * steps, together, "1 thread", arms * steps, alone)
-
-
-def single_row(steps: int, repetitions: int) -> Row:
+def single_rows(steps: int, repetitions: int) -> list[Row]:
     """Speed of a single environment through `make`; episodes are restarted as they end."""
     count = _PER_SINGLE_ARM * steps
 
@@ -105,29 +153,60 @@ def single_row(steps: int, repetitions: int) -> Row:
             if terminated or truncated:
                 env.reset()
 
-    runs = []
-    for name in ("BeltArm-v0", _PEER):
-        env = gym.make(name)
-        runs.append(partial(run, env, _actions(env)))
-    arm, cart = times_in_turns(runs, repetitions).T
-    return speed("single step through make", count, arm, _PEER, count, cart)
+    arm, cart = ((count, partial(run, env, _actions(env))) for env in map(gym.make, ("BeltArm-v0", _PEER)))
+    return beside(_PEER, cart, {"single step through make": arm}, repetitions)
 
 
 def rollout_rows(repetitions: int) -> list[Row]:
     """Speed of whole episodes by `rollout`, controllers included: beside the paper's controller, and on one core."""
-    student = load_controller(POLICIES / "student" / "seed0")
-    controllers = {"adaptive": AdaptiveController(), "student, seed 0": student, "paper": PaperController()}
-    settings: dict[str, Any] = {"seed": 0, "randomization": "train"}
-    runs = [partial(rollout, controller, _ROLLED_OUT, **settings) for controller in controllers.values()]
-    in_one_thread = patch.dict(os.environ, OMP_NUM_THREADS="1")(lambda: runs[0]())
-    *times, paper, alone = times_in_turns([*runs, in_one_thread], max(repetitions // 5, 1)).T
-    steps, end = _ROLLED_OUT * EPISODE_STEPS, f", N = {_ROLLED_OUT}"
-    rows = [
-        speed(f"rollout, {name}{end}", steps, times_of_run, "paper", steps, paper)
-        for name, times_of_run in zip(controllers, times, strict=False)
+    repetitions, end = max(repetitions // 5, 1), f", N = {_ROLLED_OUT}"
+
+    def played(controller: Controller) -> Work:
+        run = partial(rollout, controller, _ROLLED_OUT, seed=0, randomization="train")
+        return _ROLLED_OUT * EPISODE_STEPS, run
+
+    steps, adaptive = played(AdaptiveController())
+    student = played(load_controller(POLICIES / "student" / "seed0"))
+    runs = {f"rollout, adaptive{end}": (steps, adaptive), f"rollout, student, seed 0{end}": student}
+    alone = steps, patch.dict(os.environ, OMP_NUM_THREADS="1")(lambda: adaptive())
+    together = {f"rollout, adaptive, {usual_threads()} threads{end}": (steps, adaptive)}
+    return [
+        *beside("paper", played(PaperController()), runs, repetitions),
+        *beside("1 thread", alone, together, repetitions),
     ]
-    what = f"rollout, adaptive, {usual_threads()} threads{end}"
-    return [*rows, speed(what, steps, times[0], "1 thread", steps, alone)]
+
+
+def training_rows(repetitions: int, config: PpoConfig | None = None) -> list[Row]:
+    """Speed of PPO's loop, rollout and update, beside one over single arms with as many samples per update.
+
+    The model is that of `train/ppo.py`.
+    """
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from agents.learners.ppo import PpoConfig, make_model
+    from agents.learners.reinforcement import make_env
+
+    config = config or PpoConfig(threads=default_jobs())  # a thread for each core, as PyTorch has by default
+    count, samples = min(_SINGLE_ARMS, config.arms), config.arms * config.rollout_steps
+
+    def single_arm() -> ResidualEnv:
+        arm = gym.make("BeltArm-v0", sensors=config.sensors, randomization="train")
+        return ResidualEnv(arm, make_base(config.base), config.residual)
+
+    batch, single_arms = make_env(config), DummyVecEnv([single_arm] * count)
+    for env in (batch, single_arms):
+        env.seed(training_arms(config.seed).first)
+    alone = PPO("MlpPolicy", single_arms, **replace(config, rollout_steps=samples // count).arguments())
+    torch.set_num_threads(config.threads)
+
+    def learned(model: PPO) -> Work:
+        return samples * config.hold, partial(model.learn, samples, reset_num_timesteps=False)
+
+    runs = {f"PPO, rollout and update, {config.arms} arms": learned(make_model(config, batch))}
+    peer = f"PPO on {_SINGLE_ARMS} single arms in a DummyVecEnv"
+    return beside(peer, learned(alone), runs, min(repetitions, _MOST_TRAININGS))
 
 
 def batch_steps(name: str, arms: int, steps: int, **settings: Any) -> Callable[[], None]:
@@ -164,6 +243,13 @@ def _episodes(arms: int, randomization: Randomization) -> Callable[[], None]:
         _step(env, torques)
 
     return run
+
+
+def numbers(code: str, *words: str, **environment: str) -> list[float]:
+    """Numbers that a Python process of its own prints."""
+    known = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    command = [sys.executable, "-c", code, *words]
+    return [float(word) for word in subprocess.check_output(command, env=known, text=True).split()]
 
 
 def start_up_rows(repetitions: int) -> list[Row]:

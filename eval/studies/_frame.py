@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import jinja2
 import numpy as np
@@ -56,25 +56,13 @@ class StudyOptions:
     """Only try the study, with little of everything."""
 
 
-class Study(Protocol):
-    """Module of a study; see above."""
-
-    __name__: str
-    __doc__: str | None
-    Options: type[StudyOptions]
-    QUICK: Mapping[str, Any]
-    measure: Callable[[Any], Mapping[str, Any]]
-    tables: Callable[[Any], Mapping[str, Any]]
-    pictures: Callable[[Any], Pictures]
-
-
 def names() -> list[str]:
     """Names of all studies."""
     return sorted(module.name for module in pkgutil.iter_modules(eval.studies.__path__) if module.name[0] != "_")
 
 
 def load(name: str) -> Any:
-    """Import a study, a `Study`.
+    """Import a study.
 
     Raises:
         ValueError: If there is none of this name.
@@ -83,12 +71,7 @@ def load(name: str) -> Any:
     return importlib.import_module(f"eval.studies.{name}")
 
 
-def name_of(study: Study) -> str:
-    """Name of a study."""
-    return study.__name__.rpartition(".")[2]
-
-
-def run(study: Study, options: StudyOptions) -> Path:
+def run(study: Any, options: StudyOptions) -> Path:
     """Measure a study and write data, page and pictures.
 
     Returns:
@@ -101,13 +84,14 @@ def run(study: Study, options: StudyOptions) -> Path:
     if options.quick:
         options = replace(options, **study.QUICK)
     require_bounds(options, **options.bounds)
-    folder = options.out or Path("results") / name_of(study)
+    name = study.__name__.rpartition(".")[2]
+    folder = options.out or Path("results") / name
     require_writable(folder)
     began = time.perf_counter()
     measured = study.measure(options)
     about = provenance(study.__name__, time.perf_counter() - began) | {"options": chosen_options(options)}
     write_data({"provenance": about, **measured}, folder)
-    render(name_of(study), study, read_data(folder), folder)
+    render(name, study, read_data(folder), folder)
     return folder
 
 
@@ -176,13 +160,9 @@ def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
     Raises:
         jinja2.TemplateError: If the template uses anything else.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(RESULTS / name),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    known = jinja2.FileSystemLoader(RESULTS / name)
+    layout: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
+    environment = jinja2.Environment(loader=known, undefined=jinja2.StrictUndefined, **layout)
     environment.filters |= {"number": number, "degrees": degrees}
-    template = environment.get_template(TEMPLATE)
-    return template.render(data=data, origin=origin(data["provenance"]), **module.tables(data))
+    shown = {"data": data, "origin": origin(data["provenance"]), **module.tables(data)}
+    return environment.get_template(TEMPLATE).render(shown)

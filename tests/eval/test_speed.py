@@ -10,8 +10,7 @@ from agents.learners.ppo import PpoConfig
 from eval import bench
 from eval.speed import bench as study
 from eval.speed import sizes
-from eval.speed.timing import speed, times_in_turns
-from eval.speed.training_loop import loop_row
+from eval.speed.stepping import speed, times_in_turns, training_rows
 from eval.studies import _frame
 
 
@@ -44,7 +43,7 @@ def test_a_first_try_shows_every_peer_that_is_installed(tmp_path: Path, monkeypa
 
 def test_the_loop_of_a_training_beside_single_arms():
     tiny = PpoConfig(arms=4, rollout_steps=8, batch_size=32, hidden=(4,))
-    row = loop_row(1, tiny)
+    (row,) = training_rows(1, tiny)
     assert row.measured > 0 and row.of_peer and row.ratios
 
 
