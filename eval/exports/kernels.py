@@ -6,7 +6,7 @@ drive's processor computes the torque that was compared, to the last bit.
     begin(device, plant, resolution, move, count)           a move begins, the arm at rest
     observe(device, count)                                  writes the sample's observation
     commanded(device, action, limit)                        the torque, remembered as the last command
-    step(design, limit, device, memory, count)              all of a sample, made by `step_of` or `guarded_step`
+    step(design, limit, device, memory, count)              all of a sample, made by `step_of`
 
 A controller proposes a base torque, a residual where it has learned one, and how surprised its observer is. The guard,
 where there is one, chooses between them.
@@ -126,11 +126,11 @@ class Filtering(NamedTuple):
 
 
 class Guarded(NamedTuple):
-    """Design, or memory, of a controller behind the guard."""
+    """Design, or memory, of a controller behind the guard; its own alone where there is no guard."""
 
     own: Any
-    servo: Any  # of the servo's law; None where there is none
-    guard: Any
+    servo: Any = None  # of the servo's law
+    guard: Any = None
 
 
 class GuardMemory(NamedTuple):
@@ -181,24 +181,13 @@ def learned(law: Kernel, informed: bool, shared: bool) -> Kernel:
     return propose
 
 
-def step_of(propose: Kernel) -> Kernel:
-    """Step of a controller without a guard."""
-
-    def step(design: Any, limit: float, device: Device, memory: Any, count: int) -> float:
-        observe(device, count)
-        now = sample_from(device.observation[0], limit)
-        proposal = propose(design, limit, device, now, device.begins[0] == 1, memory)
-        return commanded(device, proposal.action, limit)
-
-    return step
-
-
-def guarded_step(propose: Kernel, servo: Kernel | None) -> Kernel:
-    """Step of a controller behind the guard.
+def step_of(propose: Kernel, guarded: bool = False, servo: Kernel | None = None) -> Kernel:
+    """Step of a controller.
 
     Args:
         propose: Proposal of the controller.
-        servo: Law of the servo that it falls back to; None if there is none.
+        guarded: Whether the guard stands behind it.
+        servo: Law of the servo that the guard falls back to; None if there is none.
     """
 
     def step(design: Guarded, limit: float, device: Device, memory: Guarded, count: int) -> float:
@@ -206,6 +195,8 @@ def guarded_step(propose: Kernel, servo: Kernel | None) -> Kernel:
         now = sample_from(device.observation[0], limit)
         begins = device.begins[0] == 1
         proposal = propose(design.own, limit, device, now, begins, memory.own)
+        if not guarded:
+            return commanded(device, proposal.action, limit)
         row, asked = memory.guard.row, memory.guard.asked
         asks = row[ASKS] != 0.0 and not begins
         fallback = np.nan
@@ -215,16 +206,10 @@ def guarded_step(propose: Kernel, servo: Kernel | None) -> Kernel:
                 single: Any = np.float32(cut(torque / limit, 1.0))
                 fallback = limit * single
             asked[0] = 1 if asks else 0
-        inputs = GuardInputs(
-            limit * proposal.base,
-            limit * proposal.residual,
-            fallback,
-            now.motor_angle,
-            proposal.surprise,
-            now.last_command,
-        )
-        guarded = guarded_torque(design.guard, inputs, begins, row)
-        cautious: Any = np.float32(guarded / limit)
+        base, residual = limit * proposal.base, limit * proposal.residual
+        inputs = GuardInputs(base, residual, fallback, now.motor_angle, proposal.surprise, now.last_command)
+        torque = guarded_torque(design.guard, inputs, begins, row)
+        cautious: Any = np.float32(torque / limit)
         return commanded(device, cautious if row[CHANGED] != 0.0 else proposal.action, limit)
 
     return step

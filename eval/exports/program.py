@@ -38,7 +38,6 @@ from eval.exports.kernels import (
     GuardMemory,
     Learned,
     classical,
-    guarded_step,
     learned,
     step_of,
 )
@@ -144,13 +143,14 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
         propose = learned(kernel.law, identifies, own is None)
         design = Learned(kernel.design, own.design if own else None, corrected.design)
         memory = Learned(kernel.memory, filtering, corrected.memory)
-    step = step_of(propose)
+    step, design, memory = step_of(propose), Guarded(design), Guarded(memory)
     if guard:
         servo: Any = servo_for(base_name)
         law, fixed, kept = servo.kernel() if servo is not None else (None, None, None)
-        title, step = f"{title}, behind the guard", guarded_step(propose, law)
-        design = Guarded(design, fixed, GuardSettings().design(params, residual))
-        memory = Guarded(memory, kept, GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp)))
+        title, step = f"{title}, behind the guard", step_of(propose, True, law)
+        design = design._replace(servo=fixed, guard=GuardSettings().design(params, residual))
+        guards = GuardMemory(np.zeros(GUARD_SIZE), np.zeros(1, np.intp))
+        memory = memory._replace(servo=kept, guard=guards)
     return Loop(name, title, params, step, design, memory, identifies, isinstance(base, AdaptiveController))
 
 
