@@ -18,8 +18,8 @@ from gymnasium.vector import AutoresetMode
 
 from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import FIELDS
-from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.rollout import Controller, record
+from beltarm_env.arrays import Flags, Singles
+from beltarm_env.rollout import Controller, check_data_sheet, nominal_params
 from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.timing import EPISODE_STEPS
 
@@ -72,47 +72,6 @@ def draw_disturbance(seed: int, share: float) -> Disturbance:
     return Disturbance(kind, size, np.where(acts, size * noise, 0.0).astype(np.float32), alone)
 
 
-class _Disturbed:
-    """Controller of n episodes that are disturbed, for one rollout."""
-
-    def __init__(self, controller: Controller, disturbances: Sequence[Disturbance]) -> None:
-        self.params = getattr(controller, "params", None)
-        self.wanted: list[Singles] = []  # actions of the controller by itself, shape (n,) for each sample
-        self._controller = controller
-        self._noise: Singles = np.stack([each.noise for each in disturbances], axis=1)
-        self._asked: Flags = ~np.stack([each.alone for each in disturbances], axis=1)
-
-    def predict(
-        self, observation: Singles, state: Any = None, episode_start: Flags | None = None, deterministic: bool = True
-    ) -> tuple[Singles, Any]:
-        """Call the controller's `predict`, and disturb what it returns."""
-        action, state = self._controller.predict(observation, state, episode_start, deterministic)
-        k, own = len(self.wanted), np.clip(action[:, 0], -1, 1)
-        self.wanted.append(own)
-        return np.clip(self._asked[k] * own + self._noise[k], -1, 1)[:, None], state
-
-
-class _RecordedArms(BeltArmVectorEnv):
-    """Vector environment that stores every observation, state and reward of one rollout."""
-
-    def __init__(self, num_envs: int, **settings: Any) -> None:
-        super().__init__(num_envs, autoreset_mode=AutoresetMode.DISABLED, **settings)
-        self.samples: list[tuple[Singles, Floats, Floats]] = []  # T + 1 observations, states, errors of the tip
-        self.steps: list[tuple[Singles, Floats, Flags, Flags]] = []  # T actions, rewards, terminations, truncations
-
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Singles, dict[str, Any]]:
-        seen, info = super().reset(seed=seed, options=options)
-        if not self.samples:  # later resets are those of arms whose episode is over
-            self.samples.append((seen, self.state, np.hypot(*self.tip_errors()[:, :2].T)))
-        return seen, info
-
-    def step(self, actions: Singles) -> tuple[Singles, Floats, Flags, Flags, dict[str, Any]]:
-        seen, reward, terminated, truncated, info = super().step(actions)
-        self.samples.append((seen, self.state, info["tip_error"]))
-        self.steps.append((actions, reward, terminated, truncated))
-        return seen, reward, terminated, truncated, info
-
-
 def run_episodes(
     name: str, controller: Controller, seeds: Sequence[int], share: float, settings: Mapping[str, Any]
 ) -> dict[int, tuple[EpisodeBuffer, dict[str, Any]]]:
@@ -134,38 +93,50 @@ def run_episodes(
     from minari.data_collector import EpisodeBuffer
 
     disturbances = [draw_disturbance(seed, share) for seed in seeds]
-    env, disturbed = _RecordedArms(len(seeds), **settings), _Disturbed(controller, disturbances)
-    recording = record(disturbed, env, seed=seeds)
-    observations, states, errors = map(np.stack, zip(*env.samples, strict=True))
-    actions, rewards, terminated, truncated = map(np.stack, zip(*env.steps, strict=True))
-    wanted = np.stack(disturbed.wanted)
+    noise, alone = (np.stack([getattr(each, name) for each in disturbances], axis=1) for name in ("noise", "alone"))
+    env = BeltArmVectorEnv(len(seeds), autoreset_mode=AutoresetMode.DISABLED, **settings)
+    seen, _ = env.reset(seed=seeds)
+    check_data_sheet(nominal_params(controller), env.params_table, name)
+    params, moves, memory, start = env.params_table, env.moves, None, np.ones(len(seeds), np.bool_)
+    samples, steps = [(seen, env.state, np.hypot(*env.tip_errors()[:, :2].T))], []
+    for k in range(EPISODE_STEPS):
+        action, memory = controller.predict(seen, memory, start, deterministic=True)
+        own = np.clip(action[:, 0], -1, 1)
+        torques = np.clip(~alone[k] * own + noise[k], -1, 1)[:, None]
+        seen, reward, start, truncated, info = env.step(torques)
+        samples.append((seen, env.state, info["tip_error"]))
+        steps.append((own, torques, reward, start, truncated))
+        if start.any() and not truncated.any():  # keeps the batch going; what is over is cut off below
+            seen, _ = env.reset(options={"reset_mask": start})
+    observations, states, errors = map(np.stack, zip(*samples, strict=True))
+    wanted, actions, rewards, terminated, truncated = map(np.stack, zip(*steps, strict=True))
     episodes = {}
     for k, (seed, disturbance) in enumerate(zip(seeds, disturbances, strict=True)):
-        steps = int(np.argmax(terminated[:, k] | truncated[:, k])) + 1
-        hidden = {"state": states[: steps + 1, k], "tip_error": errors[: steps + 1, k]}
+        end = int(np.argmax(terminated[:, k] | truncated[:, k])) + 1
+        hidden = {"state": states[: end + 1, k], "tip_error": errors[: end + 1, k]}
         behaviour = {"controller_action": wanted[:, k], "noise": disturbance.noise, "alone": disturbance.alone}
         infos = {
             "not_observed": {key: values.astype(np.float32) for key, values in hidden.items()},
-            "behaviour": {key: np.insert(values[:steps], 0, 0) for key, values in behaviour.items()},  # 0: the reset
+            "behaviour": {key: np.insert(values[:end], 0, 0) for key, values in behaviour.items()},  # 0: the reset
         }
         reset = {
-            "params": dict(zip(FIELDS, recording.params[k].tolist(), strict=True)),
-            "move": dict(zip(MOVE_FIELDS, recording.moves[k].tolist(), strict=True)),
+            "params": dict(zip(FIELDS, params[k].tolist(), strict=True)),
+            "move": dict(zip(MOVE_FIELDS, moves[k].tolist(), strict=True)),
         }
         arrays: dict[str, Any] = {
-            "observations": observations[: steps + 1, k],
-            "actions": actions[:steps, k],
-            "rewards": rewards[:steps, k],
-            "terminations": terminated[:steps, k],
-            "truncations": truncated[:steps, k],
+            "observations": observations[: end + 1, k],
+            "actions": actions[:end, k],
+            "rewards": rewards[:end, k],
+            "terminations": terminated[:end, k],
+            "truncations": truncated[:end, k],
         }
         buffer = EpisodeBuffer(seed=seed, options=reset, infos=infos, **arrays)
         metadata = {
             "controller": name,
             "disturbance": disturbance.kind,
             "noise_size": disturbance.size,
-            "cost": -float(np.sum(rewards[:steps, k])),
-            "finished": not terminated[steps - 1, k],
+            "cost": -float(np.sum(rewards[:end, k])),
+            "finished": not terminated[end - 1, k],
         }
         episodes[seed] = buffer, metadata
     return episodes

@@ -15,10 +15,10 @@ import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from baselines.tools.files import write_atomically
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
@@ -87,48 +87,40 @@ def export(options: Options) -> None:
     print(f"written to {options.out}: beltarm.fmu, for {', '.join(platforms)}")
 
 
-@dataclass(frozen=True)
-class Variable:
+class Variable(NamedTuple):
     """Variable of the FMU."""
 
+    type: str
+    reference: int  # among those of its type
     name: str
-    reference: int
     description: str
     causality: str
-    variability: str
     unit: str = ""
-    initial: str = ""
     start: float | None = None
     bounds: tuple[float, float] | None = None
-    type: str = "Real"
-    index: int = 0  # from 1
 
 
 def variables(params: ArmParams) -> list[Variable]:
     """List the variables of an arm's FMU: constants, initial state, torque and outputs."""
-    parameter: dict[str, Any] = {"causality": "parameter", "variability": "fixed", "initial": "exact"}
     comments = {name: rest for name, *rest in _COMMENT.findall(inspect.getsource(ArmParams))}
-    listed = []
+    reals: list[tuple[Any, ...]] = []
     for name, start in zip(FIELDS, astuple(params), strict=True):
         symbol, unit, text = comments[name]
         title, text = f"{name.replace('_', ' ').capitalize()} {symbol}".rstrip(), _ASSUMED.sub("", text)
         description, unit = f"{title}: {text}" if text else title, unit if unit in _UNITS else ""
-        bounds = bounds_of(name)[:2]
-        listed.append(Variable(name, len(listed), description, unit=unit, start=start, bounds=bounds, **parameter))
-    rest, within = "Joint angle theta_a / G at which the arm rests at the start", (LOWEST, HIGHEST)
-    angle = Variable("initial_joint_angle", len(listed), rest, unit="rad", start=0.0, bounds=within, **parameter)
+        reals.append((name, description, "parameter", unit, start, bounds_of(name)[:2]))
+    rest = "Joint angle theta_a / G at which the arm rests at the start"
     command = "Torque command, sampled and held over a control period; cut at torque_limit"
-    torque = Variable("torque", len(listed) + 1, command, "input", "continuous", "N m", start=0.0)
-    listed += [angle, torque]
-    *reals, (count, (_, counted)) = OUTPUTS.items()
-    for name, (unit, text) in reals:
-        listed.append(Variable(name, len(listed), text, "output", "continuous", unit, "calculated"))
-    turn, turns = "Counts of the encoder per turn of the motor", (1, MOST_COUNTS)
-    listed += [
-        Variable("counts_per_turn", 0, turn, start=ENCODER_COUNTS, bounds=turns, type="Integer", **parameter),
-        Variable(count, 1, counted, "output", "discrete", "", "calculated", type="Integer"),
+    turn = "Counts of the encoder per turn of the motor"
+    *outputs, count = ((name, text, "output", unit) for name, (unit, text) in OUTPUTS.items())
+    reals += [
+        ("initial_joint_angle", rest, "parameter", "rad", 0.0, (LOWEST, HIGHEST)),
+        ("torque", command, "input", "N m", 0.0),
+        *outputs,
     ]
-    return [replace(variable, index=k + 1) for k, variable in enumerate(listed)]
+    integers = [("counts_per_turn", turn, "parameter", "", ENCODER_COUNTS, (1, MOST_COUNTS)), count]
+    of_types = (("Real", reals), ("Integer", integers))
+    return [Variable(kind, k, *row) for kind, rows in of_types for k, row in enumerate(rows)]
 
 
 def fmu_texts(params: ArmParams) -> dict[str, str]:
@@ -159,6 +151,7 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
         "lowest": f"{LOWEST:.4g}",
         "highest": f"{HIGHEST:.4g}",
         "variables": of_arm,
+        "unknowns": [k for k, variable in enumerate(of_arm, 1) if variable.causality == "output"],
         "units": _UNITS,
     }
 
