@@ -17,6 +17,7 @@ from unittest.mock import patch
 
 import gymnasium
 import numpy as np
+import pandas as pd
 import tyro
 from gymnasium.error import DependencyNotInstalled
 from rich.console import Console
@@ -34,6 +35,7 @@ from beltarm_env.task.ranges import EDITION
 from beltarm_env.task.seeds import DATASET_SCORES, DATASET_SPACING, MAX_DATASET_SEED, dataset_arms
 from eval.comparison.methods import methods_side_by_side
 from eval.exports.episodes import KINDS, NOISE, run_episodes
+from eval.exports.source import TEMPLATES
 from eval.report.text import markdown_table
 
 if TYPE_CHECKING:
@@ -46,15 +48,6 @@ SCORED = 100
 EXPERT = POLICIES / "student" / "seed0"
 """Folder of the policy whose score is 1."""
 _USUAL = ("paper", "adaptive")
-_DESCRIPTION = """\
-Moves of a belt-driven flexible arm with friction, every one on an arm of its own. Controllers take turns: {names}. \
-{share} of the episodes are disturbed by smooth random torques: half of these all along ("noise"), half in stretches \
-in which the controller is not asked ("stretches"). An episode's metadata has its controller, its disturbance with the \
-standard deviation noise_size, its cost, and seed and options that recreate it: env.reset(seed=seed, options=options). \
-infos["not_observed"] has what no controller sees: the true state (motor angle, motor speed, torsion, its rate; rad \
-and rad/s) and the error of the arm's end (m). infos["behaviour"] says how an action came about: it is \
-clip(controller_action * (not alone) + noise, -1, 1). All infos have a row per observation; row k + 1 belongs to \
-action k. Scores: 0 is the mean return of uniform random actions, 1 that of the shipped student."""
 
 
 @dataclass(frozen=True)
@@ -98,23 +91,6 @@ def export(options: Options) -> None:
         OSError: If the folder cannot be written to.
     """
     require_bounds(options, episodes=(1, DATASET_SPACING), seed=(0, MAX_DATASET_SEED), disturbed=(0, 1))
-    _require_place(options)
-    with progress_count("episodes", Console()) as done:
-        metadata = write_dataset(options, done)
-    megabytes = sum(path.stat().st_size for path in options.path.rglob("*")) / 1e6
-    print(cost_table(metadata))
-    print(f"written to {options.path}, {megabytes:.0f} MB; in Python, with MINARI_DATASETS_PATH={options.out}:")
-    print(f'  dataset = minari.load_dataset("{options.id}")')
-
-
-def _require_place(options: Options) -> None:
-    """Check that Minari is installed and that the dataset can be written.
-
-    Raises:
-        DependencyNotInstalled: If Minari is not installed.
-        ValueError: If Minari does not allow the name, or it is taken.
-        OSError: If the folder cannot be written to.
-    """
     try:
         import h5py  # noqa: F401  # which Minari imports as it writes
         from minari.dataset.minari_dataset import parse_dataset_id
@@ -130,6 +106,12 @@ def _require_place(options: Options) -> None:
     if path.exists() and not options.overwrite:
         raise ValueError(f"{path} holds a dataset: choose another --id or --out, or replace it by --overwrite")
     require_writable(options.out)
+    with progress_count("episodes", Console()) as done:
+        metadata = write_dataset(options, done)
+    megabytes = sum(file.stat().st_size for file in path.rglob("*")) / 1e6
+    print(cost_table(metadata))
+    print(f"written to {path}, {megabytes:.0f} MB; in Python, with MINARI_DATASETS_PATH={options.out}:")
+    print(f'  dataset = minari.load_dataset("{options.id}")')
 
 
 def write_dataset(options: Options, done: Callable[[int, int], object]) -> list[dict[str, Any]]:
@@ -175,7 +157,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
         "ref_min_score": low,
         "ref_max_score": high,
         "num_episodes_average_score": SCORED,
-        "description": _DESCRIPTION.format(names=names, share=share),
+        "description": TEMPLATES.get_template("dataset.txt.j2").render(names=names, share=share),
         "requirements": [f"beltarm-env=={__version__}"],
     }
     more = {
@@ -235,11 +217,8 @@ def reference_scores(randomization: str) -> tuple[float, float]:
 
 def cost_table(metadata: Sequence[Mapping[str, Any]]) -> str:
     """Number of episodes and their mean cost by controller and disturbance, in Markdown."""
-    costs: dict[tuple[str, str], list[float]] = {}
-    for episode in metadata:
-        costs.setdefault((episode["controller"], episode["disturbance"]), []).append(episode["cost"])
-    cells = {key: f"{np.mean(each):.0f} ({len(each)})" for key, each in costs.items()}
-    rows = [
-        [name, *(cells.get((name, kind), "–") for kind in KINDS)] for name in dict.fromkeys(name for name, _ in costs)
-    ]
+    costs = pd.DataFrame(metadata).groupby(["controller", "disturbance"], sort=False)["cost"].agg(["mean", "size"])
+    cells = {key: f"{mean:.0f} ({count})" for key, mean, count in costs.itertuples()}
+    names = dict.fromkeys(name for name, _ in cells)
+    rows = [[name, *(cells.get((name, kind), "–") for kind in KINDS)] for name in names]
     return markdown_table(("mean cost (episodes)", *KINDS), rows)

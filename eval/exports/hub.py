@@ -21,10 +21,12 @@ from gymnasium.error import DependencyNotInstalled
 from agents.policy.bundle import CARD, MANIFEST, bundle_files, load_controller, read_spec, read_weights
 from agents.policy.card import ENVIRONMENT, Offer, card, model_name
 from agents.runs.command_line import compare_command
+from beltarm_env.rollout import rollout
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
 from eval.exports.folder import require_free, write_folder
-from eval.exports.scores import Scores, eval_results, markdown, scores_of, with_sensors
+from eval.exports.scores import Scores, eval_results, markdown, scores_of
+from eval.exports.source import TEMPLATES
 from eval.report import side_by_side
 from eval.report.film import require_writer
 
@@ -68,7 +70,20 @@ def export(options: Options) -> None:
         DependencyNotInstalled: If a package is not installed.
         OSError: If the folder cannot be written.
     """
-    _require_names(options)
+    try:
+        from huggingface_hub.utils import HFValidationError, validate_repo_id
+    except ImportError:
+        raise DependencyNotInstalled("this needs huggingface_hub: pip install 'beltarm-env[hub]'") from None
+    try:
+        if options.repo_id:
+            validate_repo_id(options.repo_id)
+            if "/" not in options.repo_id:
+                raise HFValidationError("it names no owner")
+    except HFValidationError as error:
+        line = " ".join(str(error).split())
+        raise ValueError(f"--repo-id must be ORG/NAME as the Hub allows it, got {options.repo_id!r}: {line}") from None
+    if not re.fullmatch(r"[a-z0-9][a-z0-9.-]*", options.license):
+        raise ValueError(f"--license must be the Hub's abbreviation, such as mit, got {options.license!r}")
     _, content = read_spec(options.policy)
     out = options.out or Path("results/hub") / (options.repo_id.split("/")[-1] or model_name(content))
     require_free(out, CONFIG, FORMAT)
@@ -87,29 +102,6 @@ def export(options: Options) -> None:
     print(f"to upload it: {shlex.join(['hf', 'upload', options.repo_id or 'ORG/NAME', str(out)])}")
 
 
-def _require_names(options: Options) -> None:
-    """Check the repository's name and the licence.
-
-    Raises:
-        DependencyNotInstalled: If huggingface_hub is not installed.
-        ValueError: If one is not allowed.
-    """
-    try:
-        from huggingface_hub.utils import HFValidationError, validate_repo_id
-    except ImportError:
-        raise DependencyNotInstalled("this needs huggingface_hub: pip install 'beltarm-env[hub]'") from None
-    try:
-        if options.repo_id:
-            validate_repo_id(options.repo_id)
-            if "/" not in options.repo_id:
-                raise HFValidationError("it names no owner")
-    except HFValidationError as error:
-        line = " ".join(str(error).split())
-        raise ValueError(f"--repo-id must be ORG/NAME as the Hub allows it, got {options.repo_id!r}: {line}") from None
-    if not re.fullmatch(r"[a-z0-9][a-z0-9.-]*", options.license):
-        raise ValueError(f"--license must be the Hub's abbreviation, such as mit, got {options.license!r}")
-
-
 def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
     """Files of the folder by name: the bundle as it is, under a new card, and the rows of its scores.
 
@@ -117,20 +109,27 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
         BundleError: If the bundle is missing, damaged, or foreign.
         DependencyNotInstalled: If a package is not installed.
     """
+    from huggingface_hub import ModelCard
+
     _, _, content = read_weights(options.policy)
+    about = ("content_hash", "algorithm", "base", "sensors", "residual", "edition", "layout")
     config = {
         "format": FORMAT,
         "environment": ENVIRONMENT,
         "manifest": MANIFEST,
-        "content_hash": content["content_hash"],
-        **{name: content[name] for name in ("algorithm", "base", "sensors", "residual", "edition", "layout")},
+        **{key: content[key] for key in about},
     }
+    text = markdown(scores) if scores else ""
+    made = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
+    if scores:
+        made.data["model_name"], made.data["eval_results"] = model_name(content), eval_results(scores)
     texts = {
-        CARD: card_of(content, options, scores),
-        CONFIG: _json(config),
+        CARD: str(made),
+        CONFIG: json.dumps(config, indent=2) + "\n",
         ".gitattributes": "".join(f"{pattern} filter=lfs diff=lfs merge=lfs -text\n" for pattern in _LARGE),
-        **({EXCERPT: _json(scores.excerpt())} if scores else {}),
     }
+    if scores:
+        texts[EXCERPT] = json.dumps(scores.excerpt(), indent=2, allow_nan=False) + "\n"
     files = {**{name: text.encode() for name, text in texts.items()}, **bundle_files(options.policy)}
     if options.onnx:
         from agents.policy.onnx_model import onnx_model
@@ -141,34 +140,9 @@ def files_of(options: Options, scores: Scores | None) -> dict[str, bytes]:
     return files
 
 
-def _json(content: Any) -> str:
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
-
-
-def card_of(content: dict[str, Any], options: Options, scores: Scores | None) -> str:
-    """Card of a policy by its manifest; its scores are the Hub's model index, and Markdown."""
-    from huggingface_hub import ModelCard
-
-    text = markdown(scores) if scores else ""
-    made = ModelCard(card(content, Offer(options.repo_id, options.license, scores=text, citation=bibtex())))
-    if scores:
-        made.data["model_name"], made.data["eval_results"] = model_name(content), eval_results(scores)
-    return str(made)
-
-
 def bibtex() -> str:
     """Write CITATION.cff as BibTeX: the software, and the paper whose robot it simulates."""
-    author, paper = CITATION["authors"][0]["name"], CITATION["references"][0]
-    names = " and ".join(f"{each['family-names']}, {each['given-names']}" for each in paper["authors"])
-    software = {"year": str(CITATION["date-released"])[:4], "version": CITATION["version"]}
-    entries = [
-        ("software", "beltarm", {"title": f"{{{CITATION['title']}}}", "author": f"{{{author}}}", **software}),
-        ("article", "morimoto", {"title": f"{{{paper['title']}}}", "author": names}),
-    ]
-    lines: list[str] = []
-    for kind, key, fields in entries:
-        lines += [f"@{kind}{{{key},", *(f"  {name} = {{{value}}}," for name, value in fields.items()), "}", ""]
-    return "\n".join(lines[:-1])
+    return TEMPLATES.get_template("citation.bib.j2").render(CITATION, released=str(CITATION["date-released"]))
 
 
 def film_of(policy: Path) -> bytes:
@@ -178,11 +152,10 @@ def film_of(policy: Path) -> bytes:
         ValueError: If no package is installed that writes it.
     """
     require_writer(Path(FILM))
-    controller = load_controller(policy)
-    spec, _ = read_spec(policy)
-    splits = development_set().splits
-    split = with_sensors(splits[main_split(list(splits))], spec.sensors)
-    track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", split.run(controller, 0))
+    (spec, _), splits = read_spec(policy), development_set().splits
+    split = splits[main_split(list(splits))]
+    motion = rollout(load_controller(policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))
+    track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
     with tempfile.TemporaryDirectory() as made:
         side_by_side.write([track], _SPEED, Path(made) / FILM)
         return (Path(made) / FILM).read_bytes()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -22,8 +23,8 @@ from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import AGAINST, read_results
-from eval.comparison.sets import SetLabel, fresh_set
-from eval.comparison.splits import Split, main_split
+from eval.comparison.sets import SetLabel
+from eval.comparison.splits import main_split
 from eval.exports.source import TEMPLATES
 from eval.report.text import cell, markdown_table
 
@@ -54,18 +55,23 @@ class Scores:
         """Mean and standard deviation, as the Hub ranks them."""
         return f"{np.mean(self.rewards):.2f} +/- {np.std(self.rewards):.2f}"
 
+    @cached_property
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of the method by split, the main one first."""
-        return _rows_of(self.results, self.method)
+        rows = {row["split"]: row for row in self.results["rows"] if row["method"] == self.method}
+        home = main_split(list(rows))
+        return {home: rows[home], **rows}
 
+    @cached_property
     def against_best(self) -> dict[str, dict[str, Any]]:
         """Pairwise tests against the best classical controller by split, where one took part."""
         wanted = (self.method, AGAINST[0])
         return {row["split"]: row for row in self.results["paired"] if (row["method"], row["against"]) == wanted}
 
+    @cached_property
     def best(self) -> dict[str, dict[str, Any]]:
         """Rows of the best classical controllers by split, where one took part."""
-        wanted = {(row["other"], split) for split, row in self.against_best().items()}
+        wanted = {(row["other"], split) for split, row in self.against_best.items()}
         return {row["split"]: row for row in self.results["rows"] if (row["method"], row["split"]) in wanted}
 
     def excerpt(self) -> dict[str, Any]:
@@ -78,15 +84,9 @@ class Scores:
             "method": self.method,
             "results_sha256": self.digest,
             **{name: self.results[name] for name in ("edition", "version", "scenario_set", "provenance", "verdict")},
-            "rows": [*self.rows().values(), *self.best().values()],
+            "rows": [*self.rows.values(), *self.best.values()],
             "paired": [row for row in self.results["paired"] if row["method"] == self.method],
         }
-
-
-def _rows_of(results: Mapping[str, Any], method: str) -> dict[str, dict[str, Any]]:
-    rows = {row["split"]: row for row in results["rows"] if row["method"] == method}
-    home = main_split(list(rows))
-    return {home: rows[home], **rows}
 
 
 def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
@@ -109,18 +109,14 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
         return None
     label = SetLabel(**results["scenario_set"])
     fresh = re.fullmatch(r"seed (\d+)", label.name)
-    scenarios = fresh_set(int(fresh[1])) if fresh else choose_set(label.name)
+    scenarios = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)
     if scenarios.label != label:
         raise ValueError(f"{path} is of other scenarios than this checkout's {label.title}: run the comparison again")
-    home, row = next(iter(_rows_of(results, method).items()))
-    split = with_sensors(scenarios.splits[home], read_spec(policy)[0].sensors)
-    run = rollout(load_controller(policy), row["episodes"], **split.arguments(slice(row["episodes"])))
-    return Scores(results, sha256_of(path), method, -run.cost)
-
-
-def with_sensors(split: Split, sensors: str) -> Split:
-    """Return the same scenarios for a controller with other sensors."""
-    return replace(split, settings={**split.settings, "sensors": sensors})
+    scores = Scores(results, sha256_of(path), method, np.empty(0))
+    home, row = next(iter(scores.rows.items()))
+    arguments = scenarios.splits[home].arguments(slice(row["episodes"]))
+    controller, sensors = load_controller(policy), read_spec(policy)[0].sensors
+    return replace(scores, rewards=-rollout(controller, row["episodes"], sensors=sensors, **arguments).cost)
 
 
 def _method_of(content_hash: str, results: Mapping[str, Any], path: Path) -> str | None:
@@ -141,10 +137,9 @@ def eval_results(scores: Scores) -> list[EvalResult]:
     from huggingface_hub import EvalResult
 
     results = []
-    for split, row in scores.rows().items():
+    for split, row in scores.rows.items():
         common: dict[str, Any] = {
-            "task_type": "reinforcement-learning",
-            "task_name": "reinforcement-learning",
+            **dict.fromkeys(("task_type", "task_name"), "reinforcement-learning"),
             "dataset_type": ENVIRONMENT,
             "dataset_name": f"{ENVIRONMENT} {split}",
             "dataset_config": split,
@@ -157,19 +152,18 @@ def eval_results(scores: Scores) -> list[EvalResult]:
         if not results:
             name = "mean_reward"
             results.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
-        for name in SHOWN:
-            if name in row["metrics"]:
-                estimate, share = dict(row["metrics"][name]), METRICS[name].share
-                label = f"{METRICS[name].title}, as a share: mean" if share else f"{heading(name)}: interquartile mean"
-                seeds = f"{row['seeds']} training seed{'s'[: row['seeds'] > 1]}"
-                values = {"metric_value": estimate.pop("iqm"), "metric_args": estimate}
-                results.append(EvalResult(**common, metric_type=name, metric_name=f"{label} over {seeds}", **values))
+        for name in filter(row["metrics"].__contains__, SHOWN):
+            estimate, share = dict(row["metrics"][name]), METRICS[name].share
+            label = f"{METRICS[name].title}, as a share: mean" if share else f"{heading(name)}: interquartile mean"
+            seeds = f"{row['seeds']} training seed{'s'[: row['seeds'] > 1]}"
+            values = {"metric_value": estimate.pop("iqm"), "metric_args": estimate}
+            results.append(EvalResult(**common, metric_type=name, metric_name=f"{label} over {seeds}", **values))
     return results
 
 
 def markdown(scores: Scores) -> str:
     """Scores of a card for people: splits where the policy loses, a table of all, and how the numbers were made."""
-    rows, pairs, best = scores.rows(), scores.against_best(), scores.best()
+    rows, pairs, best = scores.rows, scores.against_best, scores.best
     home, first = next(iter(rows.items()))
     shown = [name for name in SHOWN if name != NOT_ARRIVED or name in first["metrics"]]
     table = []

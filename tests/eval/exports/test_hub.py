@@ -150,7 +150,7 @@ def test_scores_are_those_of_the_results(method: str):
         cost = row["metrics"]["cost"]
         assert f"| {split} | {cost['iqm']:.0f} [{cost['low']:.0f}, {cost['high']:.0f}] |" in page
     assert scores.results["provenance"]["commit"] in page and scores.results["provenance"]["command"] in page
-    pairs = scores.against_best()
+    pairs = scores.against_best
     worse = [split for split, row in pairs.items() if row["metrics"]["cost"]["verdict"] == "worse"]
     said = losses(method, pairs)
     assert said in page and ("all 9 splits" in said or all(f"`{split}`" in said for split in worse))
