@@ -48,7 +48,7 @@ class Config(SideBySide):
     groups: ClassVar[Groups] = {
         "method": ("methods", "policy", "add", "time_limit", "guard"),
         "scenario": ("splits", "quick", "episodes", "scenarios", "scenario_seed"),
-        "output": ("out", "verbose", "verify", "traceback"),
+        "output": ("out", "verify", "traceback"),
         "run": (),
     }
 
@@ -92,8 +92,6 @@ class Config(SideBySide):
     if it is not where the results' command names it."""
     traceback: bool = False
     """Print the whole traceback of each failure, to stderr."""
-    verbose: bool = False
-    """Also print all splits, with intervals and differences."""
 
     @property
     def count(self) -> int:
@@ -148,7 +146,7 @@ def run(config: Config) -> None:
         )
     content, failures = publish(comparison, scenarios.splits, config.out, config.jobs)
     write_text(config.out / PAGE, page("comparison", summary, content))
-    print_results(content, console, verbose=config.verbose)
+    print_results(content, console)
     console.print(f"Written to {config.out}: report.html, {PAGE}, results.json, episodes.csv, pictures", soft_wrap=True)
     for failure in failures:
         print(f"eval/compare.py: {failure.method} failed on {failure.split}: {failure.message}", file=sys.stderr)

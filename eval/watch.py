@@ -25,7 +25,6 @@ from eval.comparison.scenarios import choose_set
 from eval.comparison.sets import MOST, fresh_scenarios
 from eval.comparison.splits import EPISODES, SPLITS
 from eval.report import side_by_side
-from eval.report.film import require_writer
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Config:
         if not 0.01 <= self.speed <= 10:
             raise ValueError(f"--speed must lie within 0.01 and 10, got {self.speed:g}")
         if self.out is not None:
-            require_writer(self.out)
+            side_by_side.require_writer(self.out)
         count = len(self.controller) + len(self.policy)
         if count > side_by_side.AT_MOST:
             raise ValueError(f"at most {side_by_side.AT_MOST} arms fit side by side, got {count}")

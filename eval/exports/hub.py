@@ -28,7 +28,6 @@ from eval.exports.folder import require_free, write_folder
 from eval.exports.scores import Scores, eval_results, markdown, scores_of
 from eval.exports.source import TEMPLATES
 from eval.report import side_by_side
-from eval.report.film import require_writer
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT / "docs" / "results" / "comparison" / "results.json"
@@ -151,7 +150,7 @@ def film_of(policy: Path) -> bytes:
     Raises:
         ValueError: If no package is installed that writes it.
     """
-    require_writer(Path(FILM))
+    side_by_side.require_writer(Path(FILM))
     (spec, _), splits = read_spec(policy), development_set().splits
     split = splits[main_split(list(splits))]
     motion = rollout(load_controller(policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))

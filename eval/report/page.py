@@ -12,7 +12,6 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from baselines.tools.files import write_text
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.metrics import SETTLING_BAND, heading
 from beltarm_env.rollout import Recording
@@ -31,15 +30,6 @@ LARGEST = 3_000_000
 EVERY = 4  # samples per frame of the animation: 6 ms
 _DRAWING = Path(__file__).resolve().parents[2] / "docs" / "arm.svg"
 _LONGEST_MM = 500.0  # an arm that left its workspace may be anywhere
-
-
-def write_report(content: dict[str, Any], scenes: Sequence[Scene], path: Path) -> None:
-    """Write the report of the content of a results.json, with recordings of chosen scenarios.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
-    write_text(path, render(content, scenes))
 
 
 def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:

@@ -121,16 +121,15 @@ def record(
         The scenes with the motions of the methods that ran on their splits; and failures.
     """
     calls = {}
-    for name in dict.fromkeys(outcome.name for outcome in comparison.outcomes):
+    for name in dict.fromkeys(outcome.name for outcome in comparison.outcomes if outcome.name in names):
         outcomes = {outcome.split: outcome for outcome in comparison.outcomes if outcome.name == name}
-        if name in names:
-            first = outcomes.get(comparison.main_split) or next(iter(outcomes.values()))
-            runs = {
-                k: _run_of(outcomes[scene.split], first.median_seed, splits[scene.split], scene.scenario)
-                for k, scene in enumerate(scenes)
-                if scene.split in outcomes
-            }
-            calls[name] = partial(_recorded, runs)
+        first = outcomes.get(comparison.main_split) or next(iter(outcomes.values()))
+        runs = {
+            k: _run_of(outcomes[scene.split], first.median_seed, splits[scene.split], scene.scenario)
+            for k, scene in enumerate(scenes)
+            if scene.split in outcomes
+        }
+        calls[name] = partial(_recorded, runs)
     results = calls_side_by_side("recordings", calls, jobs)
     motions = [
         {name: of_method[k] for name, of_method in results.items() if k in of_method} for k in range(len(scenes))
@@ -173,22 +172,17 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
     results: dict[int, Recording | Failure] = {}
     keys = list(runs)
     for group in beside_one_another([run.split for run in runs.values()]):
-        batch = {keys[k]: runs[keys[k]] for k in group}
-        first = next(iter(batch.values()))
-        together = run_controller(first.method, first.split.name, partial(_together, list(batch.values())))
-        for arm, (key, run) in enumerate(batch.items()):
+        batch = [runs[keys[k]] for k in group]
+        scenarios = side_by_side([(run.split, slice(run.place, run.place + 1)) for run in batch])
+        play = partial(_play, batch[0].method, scenarios, len(batch))
+        together = run_controller(batch[0].method, batch[0].split.name, play)
+        for arm, (k, run) in enumerate(zip(group, batch, strict=True)):
             alone = together if isinstance(together, Failure) else together.arm(arm)
             if isinstance(alone, Failure) or alone.cost[0] != run.costs[run.place]:
                 where = f"on scenario {run.number}"
                 alone = run_controller(run.method, run.split.name, partial(_as_measured, run), where)
-            results[key] = alone
+            results[keys[k]] = alone
     return results
-
-
-def _together(runs: Sequence[_Run]) -> Recording:
-    """Record runs of one method in a batch."""
-    scenarios = side_by_side([(run.split, slice(run.place, run.place + 1)) for run in runs])
-    return _play(runs[0].method, scenarios, len(runs))
 
 
 def _play(method: Method, split: Split, count: int) -> Recording:

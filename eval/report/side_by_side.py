@@ -1,7 +1,11 @@
-"""Arms side by side, in a window or as a film: pictures, and below them the tip error and the torque over time."""
+"""Arms side by side, in a window or as a film: pictures, and below them the tip error and the torque over time.
+
+Films are GIF, or MP4 where imageio-ffmpeg is installed.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,8 +15,11 @@ from typing import Any
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
+import imageio.v3 as imageio
 import numpy as np
+from PIL import Image
 
+from baselines.tools.files import write_atomically
 from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
 from beltarm_env.rendering.window import Window, import_pygame
@@ -20,7 +27,6 @@ from beltarm_env.rollout import Recording
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
 from eval.comparison.splits import Split
-from eval.report.film import FPS, REST_S, write_film
 from eval.report.recordings import reference_angles
 
 _COLUMN = 480  # pixels across of one arm
@@ -32,6 +38,10 @@ AT_MOST = 4
 _PAPER, _INK, _PALE, _SHADE = (246, 246, 244), (35, 35, 35), (200, 200, 198), (228, 228, 226)
 _BLUE, _VERMILION = (0, 114, 178), (213, 94, 0)
 _FPS = 30
+FPS = {".gif": 20, ".mp4": _FPS}
+"""Pictures per second of a film, by its name's ending."""
+_REST_S = 1.0  # time that the last picture stays [s]
+_GIF_COLOURS = 64
 _UNSEEN = ("dummy", "offscreen")  # drivers of pygame that show nothing
 
 
@@ -76,19 +86,42 @@ def _run(method: Method, split: Split, scenario: int) -> Recording:
     return split.run(method.controller(0, []), scenario)
 
 
+def require_writer(path: Path) -> None:
+    """Check that a film of this name can be written.
+
+    Raises:
+        ValueError: If its ending is unknown, or nothing is installed that writes it.
+    """
+    if path.suffix not in FPS:
+        raise ValueError(f"--out must end in {' or '.join(FPS)}, got {path}")
+    if path.suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise ValueError(f"{path} needs imageio-ffmpeg: pip install 'beltarm-env[video]'; a .gif does not")
+
+
 def write(tracks: list[Track], speed: float, path: Path) -> None:
-    """Write a film of all arms, with `speed` seconds of the arm's time per second; see `eval.report.film`.
+    """Write a film of all arms, with `speed` seconds of the arm's time per second; its name's ending says which kind.
 
     Raises:
         OSError: If it cannot be written.
     """
-    write_film(_frames(tracks, _samples(tracks, speed, FPS[path.suffix])), path)
+    fps = FPS[path.suffix]
+    shown = list(_frames(tracks, _samples(tracks, speed, fps)))
+    if path.suffix == ".gif":  # in the colours of the middle picture: half the size, and no flicker
+        palette = Image.fromarray(shown[len(shown) // 2]).quantize(_GIF_COLOURS)
+        few = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in shown)
+        shown = [np.asarray(frame.convert("RGB")) for frame in few]
+        durations = [1000 // fps] * (len(shown) - 1) + [round(1000 * _REST_S)]
+        options: dict[str, Any] = {"plugin": "pillow", "duration": durations, "loop": 0}
+    else:
+        shown += shown[-1:] * round(_REST_S * fps)
+        options = {"plugin": "FFMPEG", "fps": fps, "macro_block_size": 2}
+    write_atomically(path, lambda temporary: imageio.imwrite(temporary, np.stack(shown), **options))
 
 
 def show(tracks: list[Track], speed: float, window: Window) -> None:
     """Play all arms in a window, again and again, until it is closed."""
     samples = _samples(tracks, speed, _FPS)
-    samples += samples[-1:] * round(REST_S * _FPS)
+    samples += samples[-1:] * round(_REST_S * _FPS)
     shown = 0
     while True:
         for frame in _frames(tracks, samples):

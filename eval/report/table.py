@@ -7,7 +7,7 @@ renderers here, HTML has it in `parts.html`.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, nan
@@ -27,7 +27,7 @@ from eval.comparison.splits import SPLITS, main_split
 from eval.report.text import cell, markdown_table, number, numbers
 
 _MARKDOWN = {"best": "**{}**", "tie": "<ins>{}</ins>"}
-_TERMINAL = {"best": ("*", "bold"), "tie": ("=", "underline")}
+_TERMINAL = {"best": "[bold]{}*[/bold]", "tie": "[underline]{}=[/underline]"}
 _NAME_WIDTH, _HEAD_WIDTH = 24, 7  # columns of a terminal: a long name is cut, and no number
 
 
@@ -88,7 +88,7 @@ def to_markdown(table: Table, *, intervals: bool = True, seeds: bool = False) ->
     return markdown_table(["method", *table.columns], rows)
 
 
-def to_terminal(table: Table, *, intervals: bool = False) -> TerminalTable:
+def to_terminal(table: Table) -> TerminalTable:
     """Render a table for the terminal: a star marks the best of a column, an equals sign a tie."""
     shown = TerminalTable(
         title=table.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
@@ -98,23 +98,9 @@ def to_terminal(table: Table, *, intervals: bool = False) -> TerminalTable:
         head = "\n".join(textwrap.wrap(column, _HEAD_WIDTH, break_long_words=False))
         shown.add_column(head, justify="right", no_wrap=True)
     for row in table.rows:
-        cells = [_terminal_cell(cell, intervals) for cell in row.cells]
+        cells = [_TERMINAL.get(cell.mark, "{} ").format(escape(cell.text)) for cell in row.cells]
         shown.add_row(escape(row.method), *cells, style="" if row.ranked else "dim italic")
     return shown
-
-
-def _terminal_cell(cell: Cell, intervals: bool) -> str:
-    sign, style = _TERMINAL.get(cell.mark, (" ", ""))
-    text = f"{escape(cell.text)}{sign}"
-    text = f"[{style}]{text}[/{style}]" if style else text
-    return f"{text}\n{escape(cell.interval)} " if intervals and cell.interval else text
-
-
-def parts_of(table: Table, columns: int) -> Iterator[Table]:
-    """Cut a table into tables of at most so many columns."""
-    for first in range(0, len(table.columns), columns):
-        part = slice(first, first + columns)
-        yield Table(table.title, table.columns[part], [replace(row, cells=row.cells[part]) for row in table.rows])
 
 
 # Content

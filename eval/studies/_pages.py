@@ -16,7 +16,7 @@ from baselines.tools.files import write_text
 from baselines.tools.provenance import commit
 from eval.comparison.provenance import ROOT, inputs_digest, python_version
 from eval.comparison.results import MEASURES, STARTS
-from eval.report.readme import blocks, updated
+from eval.report.summary import blocks, updated
 from eval.studies._frame import DATA, PAGE, RESULTS, chosen_options, names, read_data, render
 
 README = ROOT / "README.md"

@@ -14,7 +14,7 @@ from commands import mistake, stopped
 from PIL import Image, ImageSequence
 
 from eval import watch
-from eval.report.film import require_writer
+from eval.report.side_by_side import require_writer
 
 ROOT = Path(__file__).resolve().parents[2]
 
