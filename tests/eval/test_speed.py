@@ -9,7 +9,6 @@ from commands import mistake, stopped
 from agents.learners.ppo import PpoConfig
 from eval import bench
 from eval.speed import bench as study
-from eval.speed import sizes
 from eval.speed.stepping import speed, times_in_turns, training_rows
 from eval.studies import _frame
 
@@ -27,10 +26,10 @@ def test_ratios_are_of_each_repetition():
 
 
 def test_a_first_try_shows_every_peer_that_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sizes, "_TIME", 0.001)
-    monkeypatch.setitem(sizes.STEPPERS, "CartPole-v1, EnvPool", ("no_such_package", sizes._envpool))
+    monkeypatch.setattr(study, "_TIME", 0.001)
+    monkeypatch.setitem(study.STEPPERS, "CartPole-v1, EnvPool", ("no_such_package", study._envpool))
     monkeypatch.setitem(
-        sizes.STEPPERS, "CartPole-v1, gymnax", ("gymnasium", sizes.STEPPERS["CartPole-v1, Gymnasium"][1])
+        study.STEPPERS, "CartPole-v1, gymnax", ("gymnasium", study.STEPPERS["CartPole-v1, Gymnasium"][1])
     )
     assert stopped(bench.main, ("--quick", "--out", "out"), tmp_path) == (0, "")
     data = _frame.read_data(tmp_path / "out")
