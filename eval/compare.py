@@ -31,7 +31,6 @@ from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, verify
 from eval.comparison.scenarios import choose_set
-from eval.comparison.sets import ScenarioSet
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.report import summary
 from eval.report.publish import print_results, publish
@@ -93,27 +92,6 @@ class Config(SideBySide):
     traceback: bool = False
     """Print the whole traceback of each failure, to stderr."""
 
-    @property
-    def count(self) -> int:
-        """Scenarios per split."""
-        if self.episodes is not None:
-            return self.episodes
-        return QUICK_EPISODES if self.quick else DEFAULT_EPISODES
-
-    def chosen_scenarios(self) -> ScenarioSet:
-        """Scenarios that are run.
-
-        Raises:
-            ValueError: If there are not so many of them, saying where there are more, or the options contradict.
-        """
-        known = choose_set(self.scenarios, self.scenario_seed)
-        splits = chosen("split", self.splits, known.splits)
-        most = EPISODES if self.scenario_seed is None else MOST
-        if not 4 <= self.count <= most:
-            more = f"; --scenario-seed 1 draws up to {MOST}" if self.scenario_seed is None else ""
-            raise ValueError(f"--episodes must lie within 4 and {most}, got {self.count}{more}")
-        return known.only(splits, self.count)
-
 
 def run(config: Config) -> None:
     """Run all methods on all splits and write everything; failures are named, and exit with 1."""
@@ -125,7 +103,15 @@ def run(config: Config) -> None:
             news, sound = verify(config.verify, config.policy, config.add, config.jobs, config.time_limit, done)
         console.print(news, soft_wrap=True, markup=False, highlight=False)
         sys.exit(0 if sound else 1)
-    scenarios = config.chosen_scenarios()
+    usual = QUICK_EPISODES if config.quick else DEFAULT_EPISODES
+    count = usual if config.episodes is None else config.episodes
+    known = choose_set(config.scenarios, config.scenario_seed)
+    splits = chosen("split", config.splits, known.splits)
+    most = EPISODES if config.scenario_seed is None else MOST
+    if not 4 <= count <= most:
+        more = f"; --scenario-seed 1 draws up to {MOST}" if config.scenario_seed is None else ""
+        raise ValueError(f"--episodes must lie within 4 and {most}, got {count}{more}")
+    scenarios = known.only(splits, count)
     methods = choose_methods(
         config.methods, config.policy, config.add, config.out, guard=config.guard, time_limit=config.time_limit
     )
@@ -137,7 +123,7 @@ def run(config: Config) -> None:
         comparison = compare(
             methods,
             scenarios,
-            config.count,
+            count,
             config.out,
             config.jobs,
             engine=config.runs_on,

@@ -48,26 +48,18 @@ class Config:
     out: Path | None = None
     """Film to write, .gif or .mp4. Default: show a window."""
 
-    def check(self) -> None:
-        """Check the values.
-
-        Raises:
-            ValueError: If one is not allowed.
-        """
-        require_bounds(self, scenario=(0, (EPISODES if self.scenario_seed is None else MOST) - 1))
-        if not 0.01 <= self.speed <= 10:
-            raise ValueError(f"--speed must lie within 0.01 and 10, got {self.speed:g}")
-        if self.out is not None:
-            side_by_side.require_writer(self.out)
-        count = len(self.controller) + len(self.policy)
-        if count > side_by_side.AT_MOST:
-            raise ValueError(f"at most {side_by_side.AT_MOST} arms fit side by side, got {count}")
-
 
 def watch(config: Config) -> None:
     """Run the arms, then show or write their motions."""
     console = Console()
-    config.check()
+    require_bounds(config, scenario=(0, (EPISODES if config.scenario_seed is None else MOST) - 1))
+    if not 0.01 <= config.speed <= 10:
+        raise ValueError(f"--speed must lie within 0.01 and 10, got {config.speed:g}")
+    if config.out is not None:
+        side_by_side.require_writer(config.out)
+    count = len(config.controller) + len(config.policy)
+    if count > side_by_side.AT_MOST:
+        raise ValueError(f"at most {side_by_side.AT_MOST} arms fit side by side, got {count}")
     (name,) = chosen("split", (config.split,), SPLITS)
     if config.scenario_seed is None:
         split, scenario = choose_set().splits[name], config.scenario
@@ -78,7 +70,7 @@ def watch(config: Config) -> None:
         require_writable(config.out.parent)
     window = side_by_side.open_window(len(methods)) if config.out is None else None
     tracks = [
-        side_by_side.track_of(name, side_by_side.motion_of(name, method, split, scenario))
+        side_by_side.Track(name, side_by_side.motion_of(name, method, split, scenario))
         for name, method in progress_over("arms", methods)
     ]
     for track in tracks:

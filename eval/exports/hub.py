@@ -154,7 +154,7 @@ def film_of(policy: Path) -> bytes:
     (spec, _), splits = read_spec(policy), development_set().splits
     split = splits[main_split(list(splits))]
     motion = rollout(load_controller(policy), 1, sensors=spec.sensors, **split.arguments(slice(1)))
-    track = side_by_side.track_of(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
+    track = side_by_side.Track(f"{spec.algorithm} on {spec.base}, {split.name}", motion)
     with tempfile.TemporaryDirectory() as made:
         side_by_side.write([track], _SPEED, Path(made) / FILM)
         return (Path(made) / FILM).read_bytes()

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from html import escape
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -35,7 +35,7 @@ from beltarm_env.timing import CONTROL_PERIOD
 from eval.comparison.schema import AGAINST
 from eval.report.recordings import Scene
 from eval.report.style import COLOURS
-from eval.report.table import Results, difference, estimate
+from eval.report.table import Results, estimate
 from eval.report.text import cell
 
 INK = "#010203"  # stands for the page's colour of text
@@ -49,7 +49,7 @@ _MARKERS = {"classical": "o", "learned": "s", "added": "D"}
 _NAMED = "method-"  # begins the name of a line, which the page shows to a pointer that rests on it
 _THEMED = {INK: "currentColor", MUTED: "var(--muted)", SHADE: "var(--shade)"}
 _THEMED |= {colour.lower(): f"var(--c{k})" for k, colour in enumerate(COLOURS)}
-_LOOK: dict[Any, Any] = {
+LOOK: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "beltarm",
     "font.sans-serif": ["DejaVu Sans"],  # each text of an SVG repeats the list
@@ -67,6 +67,7 @@ _LOOK: dict[Any, Any] = {
     "axes.unicode_minus": True,
     "path.simplify_threshold": 0.2,
 }
+"""Style of all figures of the page."""
 
 
 def colours_of(results: Results, scenes: Sequence[Scene]) -> dict[str, str]:
@@ -89,13 +90,6 @@ class Panel(NamedTuple):
     title: str
 
 
-@contextmanager
-def panel_style() -> Iterator[None]:
-    """Apply the page's style to all figures drawn within."""
-    with matplotlib.rc_context(_LOOK):
-        yield
-
-
 def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
     """Render a figure as SVG, and close it; `name` is before all identifiers, `alt` is for those who do not see it."""
     buffer = io.StringIO()
@@ -115,16 +109,16 @@ def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
 
 def forests(results: Results, colours: dict[str, str]) -> list[Panel]:
     """Differences in cost from the best classical controller, split by split."""
-    with panel_style():
+    with matplotlib.rc_context(LOOK):
         return [_forest(results, split, colours) for split in results.splits if results.against(AGAINST[0], split)]
 
 
 def _forest(results: Results, split: str, colours: dict[str, str]) -> Panel:
     best = results.records[results.best_classical(split) or "", split]
-    pairs = {name: difference(pair, "cost") for name, pair in results.against(AGAINST[0], split).items()}
+    against = results.against(AGAINST[0], split)
+    pairs = {name: SimpleNamespace(**pair["metrics"]["cost"]) for name, pair in against.items()}
     figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(pairs)), layout="constrained")
     for height, (name, pair) in enumerate(pairs.items()):
-        assert pair is not None
         row, colour = results.records[name, split], colours.get(name, MUTED)
         ends = np.abs([[pair.iqm - pair.low], [pair.high - pair.iqm]])
         style = {"fmt": _MARKERS[row["kind"]], "color": colour, "ms": 5, "capsize": 2.5}
@@ -185,7 +179,7 @@ def scene_panels(scene: Scene, number: int, colours: dict[str, str]) -> list[Pan
         ("spectrum after the move", "peak in mm", _spectrum),
     ]
     runs, made = runs_of(scene, colours), []
-    with panel_style():
+    with matplotlib.rc_context(LOOK):
         for part, (title, unit, draw) in enumerate(drawn):
             figure = plt.figure(figsize=(WIDTH, 2.7), layout=ConstrainedLayoutEngine(hspace=0, h_pad=0.01))
             values = zip(runs, draw(figure, runs), strict=True)

@@ -41,7 +41,11 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         undefined=jinja2.StrictUndefined,
     )
     results = Results(content)
-    colours = colours_of(results, scenes)
+    colours, legend = colours_of(results, scenes), []
+    for method in colours:
+        look = line(colours, method)
+        dashes = "" if look["ls"] == "-" else " ".join(f"{2 * length:g}" for length in look["ls"][1])
+        legend.append({"method": method, "variable": f"--c{COLOURS.index(look['color'])}", "dashes": dashes})
     return environment.get_template("report.html").render(
         results=results,
         drawing=_DRAWING.name,
@@ -55,18 +59,12 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         scenes=[(scene, scene_panels(scene, k, colours)) for k, scene in enumerate(scenes)],
         seed_note=results.seed_note(colours),
         animation=animation(scenes, colours),
-        legend=[_legend_entry(colours, method) for method in colours],
+        legend=legend,
         palette=COLOURS,
         period_us=PERIOD_US,
         command=without_paths(content["provenance"]["command"]),
         **constants(),
     )
-
-
-def _legend_entry(colours: dict[str, str], method: str) -> dict[str, str]:
-    look = line(colours, method)
-    dashes = "" if look["ls"] == "-" else " ".join(f"{2 * length:g}" for length in look["ls"][1])
-    return {"method": method, "variable": f"--c{COLOURS.index(look['color'])}", "dashes": dashes}
 
 
 def without_paths(command: str) -> str:
@@ -86,14 +84,15 @@ def _animated(scene: Scene, names: list[str]) -> dict[str, Any]:
     moved = {method: _frames(scene.motions[method]) for method in names if method in scene.motions}
     first = next(iter(scene.motions.values()))
     arm = ArmParams.from_row(first.params[0])
-    largest = [float(np.hypot(frames[:, 2], frames[:, 3]).max()) for frames in moved.values()]
+    largest = np.median([np.hypot(frames[:, 2], frames[:, 3]).max() for frames in moved.values()])
+    power = 10.0 ** np.floor(np.log10(max(largest, 2.0)))
     return {
         "title": scene.title,
         "link": arm.link_length,
         "hand": arm.hand_length,
         "payload": arm.payload_mass,
         "duration": float(first.moves[0, 2]),
-        "magnified": _round_up(float(np.median(largest))),
+        "magnified": float(next(step * power for step in (1, 2, 5, 10) if step * power >= max(largest, 2.0))),  # in mm
         "reference": encode(reference_angles(first)[EVERY - 1 :: EVERY]),
         "methods": [
             {"name": method, "colour": names.index(method), "frames": encode(frames)}
@@ -115,9 +114,3 @@ def _frames(recording: Recording) -> np.ndarray:
 def encode(values: np.ndarray) -> str:
     """Little-endian float32 in base64, row by row."""
     return base64.b64encode(values.astype("<f4").tobytes()).decode()
-
-
-def _round_up(millimetres: float) -> float:
-    """Round up to 1, 2 or 5 times a power of ten, at least 2 mm."""
-    power = 10.0 ** np.floor(np.log10(max(millimetres, 2.0)))
-    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= max(millimetres, 2.0)))

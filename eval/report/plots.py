@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from beltarm_env.metrics import heading
-from eval.report.figures import Draw, colours_of, panel_style, runs_of, tip_after, tip_error, torque
+from eval.report.figures import LOOK, Draw, colours_of, runs_of, tip_after, tip_error, torque
 from eval.report.recordings import Scene
 from eval.report.style import BLUE, OF_KIND, mark_one_two_five
 from eval.report.table import Record, Results, estimate
@@ -34,7 +35,7 @@ def _motions(draw: Draw, traces: Sequence[Scene], colours: dict[str, str], note:
     """Draw a motion on each split, by all methods that have a colour."""
     across = min(len(traces), _ACROSS)
     down = -(-len(traces) // across)
-    with panel_style():
+    with matplotlib.rc_context(LOOK):
         figure = plt.figure(figsize=(4.2 * across, 3.3 * down + 0.7), layout="constrained")
         parts = list(figure.subfigures(down, across, squeeze=False).flat)
         for part, scene in zip(parts, traces, strict=False):

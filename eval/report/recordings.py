@@ -174,8 +174,8 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
     for group in beside_one_another([run.split for run in runs.values()]):
         batch = [runs[keys[k]] for k in group]
         scenarios = side_by_side([(run.split, slice(run.place, run.place + 1)) for run in batch])
-        play = partial(_play, batch[0].method, scenarios, len(batch))
-        together = run_controller(batch[0].method, batch[0].split.name, play)
+        playing = partial(play, batch[0].method, scenarios, len(batch))
+        together = run_controller(batch[0].method, batch[0].split.name, playing)
         for arm, (k, run) in enumerate(zip(group, batch, strict=True)):
             alone = together if isinstance(together, Failure) else together.arm(arm)
             if isinstance(alone, Failure) or alone.cost[0] != run.costs[run.place]:
@@ -185,7 +185,8 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
     return results
 
 
-def _play(method: Method, split: Split, count: int) -> Recording:
+def play(method: Method, split: Split, count: int) -> Recording:
+    """Run the first controller of a method on the first scenarios of a split."""
     return rollout(method.controller(0, []), count, sensors=method.sensors, **split.arguments(slice(count)))
 
 
@@ -198,7 +199,7 @@ def _as_measured(run: _Run) -> Recording:
     cost = run.costs[run.place]
     again = run.split.run(run.method.controller(0, []), run.place)
     if again.cost[0] != cost:
-        again = _play(run.method, run.split, len(run.costs)).arm(run.place)
+        again = play(run.method, run.split, len(run.costs)).arm(run.place)
     if again.cost[0] != cost:
         raise ValueError(f"it cost {cost:.9g}, and costs {again.cost[0]:.9g} when run again: it is not drawn")
     return again

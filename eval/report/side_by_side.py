@@ -8,8 +8,8 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from beltarm_env.rollout import Recording
 from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
 from eval.comparison.splits import Split
-from eval.report.recordings import reference_angles
+from eval.report.recordings import play, reference_angles
 
 _COLUMN = 480  # pixels across of one arm
 _PICTURE = _COLUMN * HEIGHT // WIDTH
@@ -45,29 +45,23 @@ _GIF_COLOURS = 64
 _UNSEEN = ("dummy", "offscreen")  # drivers of pygame that show nothing
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Track:
-    """Arm to show: name, motion, renderer."""
+    """Arm to show."""
 
     name: str
     motion: Recording
-    reference: np.ndarray  # of the joint [rad]     (T,)
-    renderer: Renderer
+    renderer: Renderer = field(default_factory=partial(Renderer, "rgb_array", _FPS))
 
-    @property
-    def params(self) -> ArmParams:
-        """Constants of this arm."""
-        return ArmParams.from_row(self.motion.params[0])
+    @cached_property
+    def reference(self) -> np.ndarray:
+        """Reference of the joint [rad], shape (T,)."""
+        return reference_angles(self.motion)
 
-    @property
+    @cached_property
     def error(self) -> np.ndarray:
         """Size of the tip's error [mm], shape (T,)."""
         return 1000 * np.linalg.norm(self.motion.tip_error[:, 0], axis=1)
-
-
-def track_of(name: str, motion: Recording) -> Track:
-    """Make ready what an arm did to be shown."""
-    return Track(name, motion, reference_angles(motion), Renderer("rgb_array", _FPS))
 
 
 def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recording:
@@ -76,14 +70,11 @@ def motion_of(name: str, method: Method, split: Split, scenario: int) -> Recordi
     Raises:
         ValueError: If it fails.
     """
-    motion = run_controller(method, split.name, partial(_run, method, split, scenario))
+    alone = split.part(slice(scenario, scenario + 1))
+    motion = run_controller(method, split.name, partial(play, method, alone, 1))
     if isinstance(motion, Failure):
         raise ValueError(f"{name} failed on scenario {scenario} of {split.name}: {motion.message}")
     return motion
-
-
-def _run(method: Method, split: Split, scenario: int) -> Recording:
-    return split.run(method.controller(0, []), scenario)
 
 
 def require_writer(path: Path) -> None:
@@ -157,7 +148,8 @@ def _frames(tracks: list[Track], samples: list[int]) -> Iterator[np.ndarray]:
 
 def _draw(pygame: Any, surface: Any, font: Any, track: Track, k: int, largest: tuple[float, float]) -> None:
     state, time = track.motion.state[k, 0], float(track.motion.time[k])
-    picture = track.renderer.draw(track.params, state, float(track.reference[k]), time)
+    params = ArmParams.from_row(track.motion.params[0])
+    picture = track.renderer.draw(params, state, float(track.reference[k]), time)
     assert picture is not None
     arm = pygame.image.frombuffer(picture.tobytes(), (WIDTH, HEIGHT), "RGB")
     surface.blit(pygame.transform.smoothscale(arm, (_COLUMN, _PICTURE)), (0, _TITLE))

@@ -217,33 +217,32 @@ class Results:
         return Table(
             "What each method takes",
             columns,
-            [_row(row, [*_effort(row), self._sensitivity(row)]) for row in self.methods],
+            [Row(row["method"], row["kind"], row["seeds"], self._effort(row)) for row in self.methods],
         )
 
-    def _sensitivity(self, row: Record) -> Cell:
+    def _effort(self, row: Record) -> list[Cell]:
+        steps, seconds, trials, refused, of_base = (max(row["training"].get(name, [0])) for name in EFFORT)
+        amounts = [(steps / 1e6, 1), (seconds, 0), (trials, 0), (refused, 0), (of_base / 1e6, 1)]
+        cells = [Cell(number(value, digits) if value else "–", value=value) for value, digits in amounts]
+        for time in (row["action_us"]["p50"], row["action_us"]["p99"]):
+            mark = "late" if time > PERIOD_US else ""
+            share = f"{'late: ' if mark else ''}{time / PERIOD_US:.0%} of the period"
+            cells.append(Cell(f"{time:.0f}", details=(share,), value=time, mark=mark))
         share = self.records.get((row["method"], self.main), {}).get("sensitivity")
-        return Cell("–") if share is None else Cell(number(100 * share, 1), value=share)
+        return [*cells, Cell("–") if share is None else Cell(number(100 * share, 1), value=share)]
 
     def _table(self, title: str, columns: dict[str, tuple[str, Show]]) -> Table:
         rows = []
         for row in self.methods:
             records = [(show, self.records.get((row["method"], split))) for split, show in columns.values()]
-            rows.append(_row(row, [show(record) if record else FAILED for show, record in records]))
+            cells = [show(record) if record else FAILED for show, record in records]
+            rows.append(Row(row["method"], row["kind"], row["seeds"], cells))
         return Table(title, list(columns), rows)
-
-
-def _row(row: Record, cells: list[Cell]) -> Row:
-    return Row(row["method"], row["kind"], row["seeds"], cells)
 
 
 def estimate(row: Record, metric: str) -> SimpleNamespace:
     """Estimate of a metric: `iqm`, `low` and `high`, not numbers where there is none."""
     return SimpleNamespace(**row["metrics"].get(metric, {"iqm": nan, "low": nan, "high": nan}))
-
-
-def difference(pair: dict[str, Any], metric: str) -> SimpleNamespace | None:
-    """Paired difference in a metric with its test; None where nothing is compared."""
-    return SimpleNamespace(**pair["metrics"][metric]) if metric in pair["metrics"] else None
 
 
 def difference_texts(pair: dict[str, Any]) -> list[str]:
@@ -253,10 +252,10 @@ def difference_texts(pair: dict[str, Any]) -> list[str]:
     """
     texts = []
     for metric in PAIRED_METRICS:
-        compared = difference(pair, metric)
-        if compared is None:
+        if metric not in pair["metrics"]:
             texts += ["not compared", "–"]
             continue
+        compared = SimpleNamespace(**pair["metrics"][metric])
         wins = f"{compared.win_rate:.0%} [{compared.win_rate_low:.0%}, {compared.win_rate_high:.0%}]"
         star = "*" if compared.verdict in ("better", "worse") and compared.p_holm >= 0.05 else ""
         texts += [f"{compared.verdict}{star}: {cell(metric, compared)}", wins]
@@ -292,17 +291,3 @@ def _tail(row: Record) -> tuple[str, ...]:
     counts += [f"{left} left"] if left else []
     counts += [f"{away:.0%} not arrived"] if away > 0 else []
     return (" / ".join(averages), *([", ".join(counts)] if counts else []))
-
-
-def _effort(row: Record) -> list[Cell]:
-    training = row["training"]
-    steps, seconds, trials, refused, of_base = (max(training.get(name, [0])) for name in EFFORT)
-    amounts = [(steps / 1e6, 1), (seconds, 0), (trials, 0), (refused, 0), (of_base / 1e6, 1)]
-    cells = [Cell(number(value, digits) if value else "–", value=value) for value, digits in amounts]
-    return [*cells, *(_time(row["action_us"][key]) for key in ("p50", "p99"))]
-
-
-def _time(time: float) -> Cell:
-    late = time > PERIOD_US
-    share = f"{'late: ' if late else ''}{time / PERIOD_US:.0%} of the period"
-    return Cell(f"{time:.0f}", "", (share,), time, "late" if late else "")

@@ -85,7 +85,12 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
         return _without_pair(comparison), []
     home = comparison.main_split
     own = [o for o in comparison.on(home) if o.ranked and not is_shipped(o.method) and o is not pair[0]]
-    away = [sentence for o in [*pair, *own] if (sentence := _not_arrived(o))]
+    away = [
+        f"On {home}, {o.name} does not arrive in {int(runs.sum())} of {runs.size} runs: the mean error after the move "
+        f"is more than {1000 * ARRIVAL_BOUND:g} mm."
+        for o in [*pair, *own]
+        if (runs := o.metrics[NOT_ARRIVED]).any()
+    ]
     episodes = pair[0].metrics["cost"].shape[1]
     if episodes < LEAST_SCENARIOS:
         few = (
@@ -95,22 +100,15 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     tests = {metric: pairwise_tests(comparison, metric) for metric in PAIRED_METRICS}
     sentences = [_answer(tests["cost"][home], comparison)]
     if len(tests["cost"]) > 1:
-        sentences.append(_everywhere(tests["cost"]))
+        words = {"better": f"{pair[0].name} costs less", "worse": f"{pair[0].name} costs more"}
+        for result, splits in _by_result(tests["cost"]).items():
+            listed = f"{len(splits)} of {len(tests['cost'])} splits ({', '.join(splits)})"
+            where = f"all {len(splits)} splits" if len(splits) == len(tests["cost"]) else listed
+            sentences.append(f"On {where} {words.get(result, 'no difference is shown')}.")
     sentences += _of_tip(tests, home, pair)
     best = comparison.best_classical(home)
     sentences += [_costs(test, home) for test in _tested([(outcome, best) for outcome in own if best], "cost")]
     return [*sentences, *away], [test.row() for of_metric in tests.values() for test in of_metric.values()]
-
-
-def _not_arrived(outcome: MethodOutcome) -> str:
-    """Sentence about a method that does not always arrive; empty for one that does."""
-    runs = outcome.metrics[NOT_ARRIVED]
-    if not runs.any():
-        return ""
-    return (
-        f"On {outcome.split}, {outcome.name} does not arrive in {int(runs.sum())} of {runs.size} runs: the mean "
-        f"error after the move is more than {1000 * ARRIVAL_BOUND:g} mm."
-    )
 
 
 def pairwise_tests(comparison: Comparison, metric: str = "cost") -> dict[str, PairwiseTest]:
@@ -165,21 +163,10 @@ def _costs(test: PairwiseTest, split: str, challenger: str = "", classical: str 
     return f"On {split}, scenario by scenario, {challenger} costs {shown} {classical} ({numbers}){tie}."
 
 
-def _everywhere(tests: Mapping[str, PairwiseTest]) -> str:
-    name = next(iter(tests.values())).challenger.name
-    words = {"better": f"{name} costs less", "worse": f"{name} costs more", "open": "no difference is shown"}
-    by_result = _by_result(tests).items()
-    return " ".join(f"On {_listed(splits, len(tests))} {words[result]}." for result, splits in by_result)
-
-
 def _by_result(tests: Mapping[str, PairwiseTest]) -> dict[Result, list[str]]:
     """Splits by result; only results that there are."""
     results: list[Result] = [result for result in _RESULTS if any(test.result == result for test in tests.values())]
     return {result: [split for split, test in tests.items() if test.result == result] for result in results}
-
-
-def _listed(splits: list[str], total: int) -> str:
-    return f"all {total} splits" if len(splits) == total else f"{len(splits)} of {total} splits ({', '.join(splits)})"
 
 
 def _of_tip(

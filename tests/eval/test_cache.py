@@ -48,7 +48,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """No pictures and no report, where a test looks at neither: drawing takes longer than a few episodes."""
     monkeypatch.setattr(publish, "plots", lambda *_: {})
-    monkeypatch.setattr(publish, "write_report", lambda *_: None)
+    monkeypatch.setattr(publish, "render", lambda *_: "")
 
 
 def part(method: str = "paper", episodes: int = 4, split: str = "nominal") -> Part:
