@@ -46,20 +46,13 @@ _UNITS = {
 }
 _COMMENT = re.compile(r"^ +(\w+): float = \S+ +# (.*?) *\[([^]]*)\][ ,]*(.*)$", re.MULTILINE)
 _ASSUMED = re.compile(r" *\(a\)")
-_OWN = {
-    ("Linux", "x86_64"): ("linux64", ".so"),
-    ("Linux", "aarch64"): ("aarch64-linux", ".so"),
-    ("Darwin", "x86_64"): ("darwin64", ".dylib"),
-    ("Darwin", "arm64"): ("darwin64", ".dylib"),
+_PLATFORMS = {
+    "linux64": ("Linux x86_64", "x86_64-linux-gnu", ".so"),
+    "win64": ("Windows", "x86_64-windows-gnu", ".dll"),
+    "darwin64": ("Darwin x86_64 arm64", "x86_64-macos", ".dylib"),
+    "aarch64-linux": ("Linux aarch64", "aarch64-linux-gnu", ".so"),
 }
-"""Folder of binaries and suffix of its files, by operating system and processor of this machine."""
-_TARGETS = {
-    "linux64": ("x86_64-linux-gnu", ".so"),
-    "win64": ("x86_64-windows-gnu", ".dll"),
-    "darwin64": ("x86_64-macos", ".dylib"),
-    "aarch64-linux": ("aarch64-linux-gnu", ".so"),
-}
-"""Target of zig and suffix of files, by folder of binaries."""
+"""Machines that a compiler of their own builds for, target of zig and suffix of files, by folder of binaries."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # time of all files in the archive, so that two exports are equal
 
 
@@ -165,14 +158,14 @@ def fmu_texts(params: ArmParams) -> dict[str, str]:
 
 
 def _toolchains() -> Iterator[tuple[str, str, Toolchain]]:
-    """Folder of binaries, suffix of its files and compiler, for every kind of machine that there is a compiler for."""
-    own = _OWN.get((platform.system(), platform.machine()))
-    if own is not None:
-        yield *own, native()
-    if find_spec("ziglang") is not None:
-        for folder, (target, suffix) in _TARGETS.items():
-            if own is None or folder != own[0]:
-                yield folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))
+    """Folder of binaries, suffix of its files and compiler, for this kind of machine and others that zig builds for."""
+    here, others = {platform.system(), platform.machine()}, []
+    for folder, (machines, target, suffix) in _PLATFORMS.items():
+        if here <= {*machines.split()}:
+            yield folder, suffix, native()
+        elif find_spec("ziglang") is not None:
+            others.append((folder, suffix, Toolchain((sys.executable, "-m", "ziglang", "cc", "-target", target))))
+    yield from others
 
 
 def write_fmu(path: Path, params: ArmParams) -> list[str]:

@@ -1,7 +1,6 @@
 """Pictures of the report as SVG: paired differences in cost; and of motions the error, the torque, and the spectrum.
 
-Colours follow the page's light or dark theme, element names do not clash. `eval.report.plots` draws motions by the same
-functions.
+Colours follow the page's light or dark theme, element names do not clash. `eval.report.publish` draws motions alike.
 """
 
 from __future__ import annotations
@@ -109,13 +108,13 @@ def panel(figure: Figure, name: str, title: str, alt: str) -> Panel:
 
 def forests(results: Results, colours: dict[str, str]) -> list[Panel]:
     """Differences in cost from the best classical controller, split by split."""
+    of_splits = {split: results.against(AGAINST[0], split) for split in results.splits}
     with matplotlib.rc_context(LOOK):
-        return [_forest(results, split, colours) for split in results.splits if results.against(AGAINST[0], split)]
+        return [_forest(results, split, against, colours) for split, against in of_splits.items() if against]
 
 
-def _forest(results: Results, split: str, colours: dict[str, str]) -> Panel:
+def _forest(results: Results, split: str, against: dict[str, dict[str, Any]], colours: dict[str, str]) -> Panel:
     best = results.records[results.best_classical(split) or "", split]
-    against = results.against(AGAINST[0], split)
     pairs = {name: SimpleNamespace(**pair["metrics"]["cost"]) for name, pair in against.items()}
     figure, axis = plt.subplots(figsize=(WIDTH, 0.85 + 0.23 * len(pairs)), layout="constrained")
     for height, (name, pair) in enumerate(pairs.items()):
@@ -137,19 +136,18 @@ def _forest(results: Results, split: str, colours: dict[str, str]) -> Panel:
 
 def _symmetric_log(axis: Axes, unit: float) -> None:
     """Scale an axis linearly within a power of ten near `unit`, logarithmically beyond, with room for the labels."""
+
+    def short(value: float, _: int) -> str:
+        size, sign = abs(value), "−" if value < 0 else "+" if value > 0 else ""
+        return f"{sign}{size / 1000:g}k" if size >= 1000 else f"{sign}{size:g}"
+
     threshold = 10.0 ** np.round(np.log10(max(unit, 1e-6)))
     axis.set_xscale("symlog", linthresh=threshold, linscale=0.7)
     axis.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=threshold))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _short(value)))
+    axis.xaxis.set_major_formatter(FuncFormatter(short))
     axis.minorticks_off()
     low, high = axis.get_xlim()
     axis.set_xlim(min(1.3 * low, -0.4 * threshold), max(1.3 * high, 0.4 * threshold))
-
-
-def _short(value: float) -> str:
-    sign = "−" if value < 0 else "+" if value > 0 else ""
-    size = abs(value)
-    return f"{sign}{size / 1000:g}k" if size >= 1000 else f"{sign}{size:g}"
 
 
 # Motions

@@ -1,26 +1,41 @@
-"""Output of a comparison: the main table and the verdict on the terminal, and all files of its folder but the page."""
+"""Output of a comparison: the main table and the verdict on the terminal, and all files of its folder but the page.
+
+Pictures beside the page show a motion on every split, and all intervals.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 
 from baselines.tools.files import write_text
-from beltarm_env.metrics import ARRIVAL_BOUND
+from beltarm_env.metrics import ARRIVAL_BOUND, heading
 from eval.comparison.failures import Failure
 from eval.comparison.results import Comparison
 from eval.comparison.schema import write_results
 from eval.comparison.splits import EPISODES, Split
 from eval.comparison.statistics import LEAST_OF_TAIL
+from eval.report.figures import LOOK, Draw, colours_of, runs_of, tip_after, tip_error, torque
 from eval.report.page import render
-from eval.report.plots import plots
-from eval.report.recordings import record_scenes
-from eval.report.style import save_figures
-from eval.report.table import Results, to_terminal
+from eval.report.recordings import Scene, record_scenes
+from eval.report.style import BLUE, OF_KIND, mark_one_two_five, save_figures
+from eval.report.table import Record, Results, estimate, to_terminal
+from eval.report.text import degrees
 from eval.report.verdict import verdict
+
+_INTERVALS = ("tip_rms_mm", "tip_max_mm", "residual_pp_mm", "cost")
+_MOTIONS: dict[str, Draw] = {"tip_error.png": tip_error, "residual.png": tip_after, "torque.png": torque}
+_ACROSS = 3  # splits side by side
 
 
 def publish(
@@ -60,3 +75,72 @@ def print_results(content: dict[str, Any], console: Console) -> None:
         style="dim",
         highlight=False,
     )
+
+
+def plots(results: Results, traces: Sequence[Scene]) -> dict[str, Callable[[], Figure]]:
+    """Recipes of all pictures, by the names of their files."""
+    colours = colours_of(results, traces)
+    note = f"Scenarios of the {results.label.title}"
+    recipes = {name: partial(_motions, draw, traces, colours, note) for name, draw in _MOTIONS.items() if traces}
+    return {**recipes, "intervals.png": partial(_intervals, results, note)}
+
+
+def _motions(draw: Draw, traces: Sequence[Scene], colours: dict[str, str], note: str) -> Figure:
+    """Draw a motion on each split, by all methods that have a colour."""
+    across = min(len(traces), _ACROSS)
+    down = -(-len(traces) // across)
+    with matplotlib.rc_context(LOOK):
+        figure = plt.figure(figsize=(4.2 * across, 3.3 * down + 0.7), layout="constrained")
+        parts = list(figure.subfigures(down, across, squeeze=False).flat)
+        for part, scene in zip(parts, traces, strict=False):
+            start, goal = next(iter(scene.motions.values())).moves[0, :2]
+            part.suptitle(f"{scene.split}: {scene.title}, {degrees(start)} to {degrees(goal)}", fontsize=10)
+            draw(part, runs_of(scene, colours))
+        _finish(figure, note, [axis for part in parts for axis in part.axes])
+    return figure
+
+
+def _finish(figure: Figure, note: str, axes: Sequence[Axes]) -> None:
+    """Put a note above a figure and one legend of all its axes below."""
+    figure.suptitle(note, fontsize=10, color="0.4")
+    entries = {}
+    for axis in axes:
+        entries |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    figure.legend(entries.values(), entries, loc="outside lower center", ncols=6, frameon=False)
+
+
+def _intervals(results: Results, note: str) -> Figure:
+    """Interquartile means with their intervals: a row of axes per split, best at the top, what is not ranked below."""
+    down, across = len(results.splits), len(_INTERVALS)
+    height = (0.9 + 0.19 * len(results.methods)) * down + 0.6
+    figure, axes = plt.subplots(down, across, figsize=(3.0 * across, height), layout="constrained", squeeze=False)
+    for row, split in zip(axes, results.splits, strict=True):
+        ranking = sorted(results.on(split), key=lambda r: (r["kind"] != "privileged", -estimate(r, "cost").iqm))
+        best = results.records.get((results.best_classical(split) or "", split))
+        for axis, name in zip(row, _INTERVALS, strict=True):
+            _draw_intervals(axis, ranking, name)
+            if best and np.isfinite(estimate(best, name).iqm):
+                axis.axvline(estimate(best, name).iqm, color=BLUE, lw=0.8, ls=":")
+            axis.set(xlabel=heading(name), yticks=[])
+        row[0].set_yticks(range(len(ranking)), [record["method"] for record in ranking], fontsize=8)
+        row[0].set_title(split, loc="left", fontsize=11)
+    _finish(figure, f"{note}: interquartile means with 95 % intervals; further left is better", list(axes.flat))
+    return figure
+
+
+def _draw_intervals(axis: Axes, ranking: list[Record], name: str) -> None:
+    for kind in OF_KIND:
+        heights = [height for height, record in enumerate(ranking) if record["kind"] == kind]
+        if not heights:
+            continue
+        values = [estimate(ranking[height], name) for height in heights]  # not numbers where no arm arrives
+        ends = np.abs([[value.iqm - value.low for value in values], [value.high - value.iqm for value in values]])
+        middles, colour = [value.iqm for value in values], OF_KIND[kind]
+        axis.errorbar(middles, heights, xerr=ends, fmt="o", color=colour, ms=4, capsize=2, label=kind)
+        if kind == "privileged":
+            axis.axhline(len(heights) - 0.5, color="0.55", lw=0.8)
+    axis.set_xscale("log")
+    mark_one_two_five(axis.xaxis)
+    axis.set_ylim(-0.7, len(ranking) - 0.3)
+    axis.grid(axis="x", which="both", alpha=0.3)
+    axis.tick_params(labelsize=8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -141,26 +142,22 @@ def record(
     ], failures
 
 
-@dataclass(frozen=True)
-class _Run:
+class _Run(NamedTuple):
     """A measured run of a controller."""
 
     method: Method  # of one training seed
     split: Split  # scenarios that were measured in one batch
     number: int  # of the scenario in its whole split
+    place: int  # of it in the batch
     costs: np.ndarray  # that were measured in the batch
-
-    @property
-    def place(self) -> int:
-        """Number of the scenario in the batch."""
-        return self.number % EPISODES
 
 
 def _run_of(outcome: MethodOutcome, seed: int, split: Split, scenario: int) -> _Run:
-    batch = slice(scenario - scenario % EPISODES, scenario - scenario % EPISODES + EPISODES)
+    place = scenario % EPISODES
+    batch = slice(scenario - place, scenario - place + EPISODES)
     method = replace(outcome.method, sources=(outcome.method.sources[seed],))
     part = split.part(batch) if len(split.table) > EPISODES else split
-    return _Run(method, part, scenario, outcome.metrics["cost"][seed, batch])
+    return _Run(method, part, scenario, place, outcome.metrics["cost"][seed, batch])
 
 
 def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
