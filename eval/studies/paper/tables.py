@@ -10,7 +10,7 @@ import numpy as np
 
 from eval.report.text import degrees, markdown_table, number, poles_text
 from eval.studies._effects import ALL, IDEAL, heading
-from eval.studies.paper.runs import ANSWERS, AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, PHASES, STANDARD, TO_0
+from eval.studies.paper.runs import ANSWERS, AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, PHASES, STANDARD
 
 Data = dict[str, Any]
 LEFT = "the arm left its workspace"
@@ -76,14 +76,11 @@ def _answers(data: Data, scenes: Data) -> str:
 
 
 def _ringing(data: Data) -> str:
-    """Ringing with its ratio to that without K4, velocities, tracking and torque of the moves at both ends."""
+    """Ringing with its ratio to that without K4, tracking and torque of the moves at both ends."""
     titles = ["move to", "conditions", "K4", "cruise (m/s²)", "after the stop (m/s²)", f"{_window(data)} (m/s²)"]
-    titles += ["ṙ p-p (m/s)", "ẏ p-p (m/s)", "motor error RMS (rad/s)", "of its cruising speed (%)"]
-    titles += ["peak torque (N m)", "stuck after the stop (%)"]
+    titles += ["motor error RMS (rad/s)", "of its cruising speed (%)", "peak torque (N m)", "stuck after the stop (%)"]
     rows = []
     for scene in data["scenes"]:
-        if scene["place"] == TO_0 and scene["move"] == data["move"]:
-            continue
         for k, (k4, phases) in enumerate(zip((0, data["gains"]["k4"]), scene["phases"], strict=True)):
             ratios = {phase: f" ({shown(scene['ratios'][phase], 2)})" if k else "" for phase in PHASES}
             view = f"{scene['view']} ({LEFT})" if scene["left"][k] else scene["view"]
@@ -94,9 +91,8 @@ def _ringing(data: Data) -> str:
 
 def _motion(run: Data) -> list[str]:
     error = run["motor_speed_error"]
-    speeds = [shown(run[name], 3) for name in ("radial_pp", "lateral_pp")]
     tracking = [shown(error, 1), percent(error and error / run["cruising_speed"], 1)]
-    return [*speeds, *tracking, shown(run["peak_torque"], 3), percent(run["stuck_share"])]
+    return [*tracking, shown(run["peak_torque"], 3), percent(run["stuck_share"])]
 
 
 def _assumptions(data: Data, scenes: Data) -> str:
@@ -146,16 +142,14 @@ def _title(row: Data) -> str:
 
 
 def _drives(data: Data, row: Data) -> str:
-    """Peak-to-peak motion and ringing without and with K4, ratios and answers, for every drive."""
-    k4 = f"K4 = {data['gains']['k4']:g}"
-    titles = ["drive", "p-p, K4 = 0 (mm)", k4, "ratio", "ringing after the stop, K4 = 0 (m/s²)", k4, "ratio"]
+    """Ringing without and with K4, ratios and answers, for every drive."""
+    titles = ["drive", "ringing after the stop, K4 = 0 (m/s²)", f"K4 = {data['gains']['k4']:g}", "ratio"]
     titles += [f"ratio, {_window(data)}", *(f"removed? {answer}" for answer in _ANSWERED)]
     rows = []
     for drive in row["drives"]:
-        motion = [*(shown(value, 1) for value in drive["motion"]), _spread(drive["motion_ratio"])]
         ringing = [*(shown(value, 2) for value in drive["ringing"]), _spread(drive["stop"]), _spread(drive["end"])]
         answers = [str(drive["answers"].get(answer, 0)) for answer in _ANSWERED]
-        rows.append([heading(drive["drive"]), *motion, *ringing, *answers])
+        rows.append([heading(drive["drive"]), *ringing, *answers])
     return markdown_table(titles, rows)
 
 

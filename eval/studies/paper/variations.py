@@ -8,8 +8,8 @@ several drives with each effect.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,14 +22,21 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from eval.report.text import degrees
 from eval.studies._effects import EFFECTS, IDEAL, with_effect
-from eval.studies.paper.linear import ServoGains
-from eval.studies.paper.runs import PHASES, Conditions, answer, is_allowed, ratios, ringing_of, run_moves, suppression
+from eval.studies.paper.linear import TABLE_2
+from eval.studies.paper.runs import (
+    PHASES,
+    PLACES,
+    STANDARD,
+    Conditions,
+    answer,
+    ratios,
+    ringing_of,
+    run_moves,
+    suppression,
+)
 
-USUAL_MOVE = MoveShape(np.pi / 4, np.pi / 2, 0.8, 0.12)
-"""The standard move where no other is asked for."""
-_TABLE_1 = ArmParams()
+_USUAL, _TABLE_1 = PLACES[STANDARD], ArmParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +46,38 @@ class Alternative:
     assumption: str
     chosen: str
     label: str
-    move: MoveShape
-    changes: Mapping[str, Any] = field(default_factory=dict)  # of `ArmParams` or `Conditions`
+    changes: Mapping[str, Any]  # of `MoveShape`, `ArmParams` or `Conditions`; and whether the controller is `told`
+
+    @property
+    def move(self) -> MoveShape:
+        """The standard move with this value."""
+        return _USUAL._replace(**self._of(MoveShape._fields))
 
     def under(self, base: Conditions) -> Conditions:
         """Conditions with this value, all others as in `base`; unless `told`, the controller believes in that arm."""
-        arm = {name: value for name, value in self.changes.items() if name in FIELDS}
-        others = {name: value for name, value in self.changes.items() if name not in (*arm, "told")}
+        arm, others = self._of(FIELDS), self._of(Conditions.__dataclass_fields__)
         known = base.known if self.changes.get("told", True) else base.arm
         return replace(base, arm=replace(base.arm, **arm), known=known, **others)
 
+    def _of(self, names: Iterable[str]) -> dict[str, Any]:
+        return {name: self.changes[name] for name in names if name in self.changes}
+
 
 _FRICTION, _DAMPING = _TABLE_1.coulomb_friction, _TABLE_1.belt_damping_ratio
-_OF_ARM_AND_SERVO: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
+_LONGER = {0.8: "move of 0.64 s", 1.25: "move of 1 s", 1.5: "move of 1.2 s"}
+_TRIED: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
+    ("ramp time of the trapezoid", "0.12 s"): {
+        f"ramps of {ramp:g} s": {"ramp_time": ramp} for ramp in (0.08, 0.10, 0.16, 0.20, 0.25, 0.30)
+    },
+    ("duration of the move", "0.8 s"): {
+        label: {"duration": factor * _USUAL.duration, "ramp_time": factor * _USUAL.ramp_time}
+        for factor, label in _LONGER.items()
+    },
+    ("where the move leads", "45° to 90°"): {
+        "backwards": {"start": _USUAL.goal, "goal": _USUAL.start},
+        "the same length, to 0°": {"start": np.pi / 4, "goal": 0.0},
+        "the same length, from 0°": {"start": 0.0, "goal": np.pi / 4},
+    },
     ("how the arm folds", "as printed"): {"full two-link arm": {"model": "lagrangian"}},
     ("M2(90°)", f"{_TABLE_1.arm_inertia + _TABLE_1.arm_inertia_swing:.2f} kg m²"): {
         "M2(90°) 0.04 kg m²": {"arm_inertia_swing": 0.03},
@@ -87,52 +113,18 @@ _OF_ARM_AND_SERVO: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
     },
 }
 """Changes of each `Alternative` by its label, for each assumption with the value chosen."""
+ALTERNATIVES = [Alternative(*assumption, *tried) for assumption, of_it in _TRIED.items() for tried in of_it.items()]
+"""Other values of everything assumed, one at a time around the standard move."""
 
 
-def list_alternatives(standard: MoveShape) -> list[Alternative]:
-    """Other values of everything assumed, one at a time around the standard move."""
-    others = [
-        Alternative(*assumption, label, standard, changes)
-        for assumption, alternatives in _OF_ARM_AND_SERVO.items()
-        for label, changes in alternatives.items()
-    ]
-    return [*_of_the_move(standard), *others]
-
-
-def _of_the_move(standard: MoveShape) -> Iterator[Alternative]:
-    """Alternative moves that the environment allows, without the standard one and without repetitions."""
-    start, goal, duration, ramp_time = standard
-    length = abs(goal - start)
-    named = {
-        ("ramp time of the trapezoid", f"{ramp_time:g} s"): {
-            f"ramps of {ramp:g} s": standard._replace(ramp_time=ramp) for ramp in (0.08, 0.10, 0.16, 0.20, 0.25, 0.30)
-        },
-        ("duration of the move", f"{duration:g} s"): {
-            f"move of {factor * duration:.3g} s": MoveShape(start, goal, factor * duration, factor * ramp_time)
-            for factor in (0.8, 1.25, 1.5)
-        },
-        ("where the move leads", f"{degrees(start)} to {degrees(goal)}"): {
-            "backwards": standard._replace(start=goal, goal=start),
-            "the same length, to 0°": standard._replace(start=length, goal=0.0),
-            "the same length, from 0°": standard._replace(start=0.0, goal=length),
-        },
-    }
-    tried = [standard]
-    for assumption, moves in named.items():
-        for label, move in moves.items():
-            if is_allowed(move) and not any(np.allclose(move, other) for other in tried):
-                tried.append(move)
-                yield Alternative(*assumption, label, move)
-
-
-def try_alternatives(alternatives: list[Alternative], base: Conditions, gains: ServoGains) -> dict[str, Floats]:
+def try_alternatives(alternatives: Sequence[Alternative], base: Conditions) -> dict[str, Floats]:
     """Ringing by the label of the alternative, shape (2, len(PHASES)); equal conditions are run side by side."""
     grouped: dict[Conditions, list[Alternative]] = {}
     for alternative in alternatives:
         grouped.setdefault(alternative.under(base), []).append(alternative)
     results: dict[str, Floats] = {}
     for conditions, group in grouped.items():
-        ringing = suppression(conditions, gains, [alternative.move for alternative in group])
+        ringing = suppression(conditions, [alternative.move for alternative in group])
         results |= {alternative.label: ringing[:, :, k] for k, alternative in enumerate(group)}
     return results
 
@@ -141,7 +133,7 @@ DRIVES = (IDEAL, *EFFECTS)
 """Drives by name: ideal, with one effect, with all of them."""
 
 
-def run_drives(gains: ServoGains, moves: list[MoveShape], conditions: Conditions, draws: int) -> list[Recording]:
+def run_drives(moves: list[MoveShape], conditions: Conditions, draws: int) -> list[Recording]:
     """Run moves on `draws` drives of each kind.
 
     Returns:
@@ -155,27 +147,20 @@ def run_drives(gains: ServoGains, moves: list[MoveShape], conditions: Conditions
     drawn[:, columns] = env.params_table[:, columns]
     arms = np.concatenate([with_effect(drawn, drive, 1.0) for _ in moves for drive in DRIVES])
     shapes = [move for move in moves for _ in range(len(DRIVES) * draws)]
-    return [run_moves(conditions, each, shapes, arms) for each in gains.without_and_with]
+    return [run_moves(conditions, gains, shapes, arms) for gains in TABLE_2.without_and_with]
 
 
 def compare(runs: list[Recording], draws: int) -> list[list[dict[str, Any]]]:
-    """Motion and ringing without and with vibration feedback: for each move a row for each of `DRIVES`."""
-    motions = np.array([np.where(run.finished, run.metrics()["residual_pp_mm"], np.inf) for run in runs])
-    motions = motions.reshape(2, -1, len(DRIVES), draws)
-    ringing = np.array([ringing_of(run) for run in runs]).reshape(2, len(PHASES), *motions.shape[1:])
-    return [
-        [_row(drive, motions[:, k, j], ringing[:, :, k, j]) for j, drive in enumerate(DRIVES)]
-        for k in range(motions.shape[1])
-    ]
+    """Ringing without and with vibration feedback: for each move a row for each of `DRIVES`."""
+    ringing = np.array([ringing_of(run) for run in runs]).reshape(2, len(PHASES), -1, len(DRIVES), draws)
+    return [[_row(drive, ringing[:, :, move, k]) for k, drive in enumerate(DRIVES)] for move in range(ringing.shape[2])]
 
 
-def _row(drive: str, motion: Floats, ringing: Floats) -> dict[str, Any]:
-    """Numbers of one drive, from its motion, shape (2, draws), and its ringing, shape (2, len(PHASES), draws)."""
+def _row(drive: str, ringing: Floats) -> dict[str, Any]:
+    """Numbers of one drive, from its ringing, shape (2, len(PHASES), draws)."""
     _, stop, end = ratios(ringing)
     return {
         "drive": drive,
-        "motion": np.median(motion, axis=1),
-        "motion_ratio": _spread(ratios(motion)),
         "ringing": np.median(ringing[:, 1], axis=1),
         "stop": _spread(stop),
         "end": _spread(end),
