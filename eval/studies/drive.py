@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from agents.policy.bundle import read_spec
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import params_columns
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.metrics import heading as metric_heading
@@ -29,8 +28,9 @@ from eval.comparison.rollouts import shipped_controller, shipped_methods, side_b
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
 from eval.report.text import markdown_table, rounded
+from eval.studies._arms import drawn
 from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 4, "controllers": ("paper", "student"), "effects": ("command_latency",), "jobs": 1}
 SIZES = (0.25, 0.5, 1.0, 1.5, 2.0)
@@ -45,7 +45,7 @@ _STEADY = 1.25  # ratio of costs up to which an effect changes little
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"arms": (4, 1000), "jobs": (1, 256)}
+    bounds = Bounds(arms=(4, 1000), jobs=(1, 256))
 
     controllers: tuple[str, ...] = ()
     """Controllers to measure. Default: all shipped ones."""
@@ -97,8 +97,7 @@ def trained_on(methods: Sequence[Method]) -> dict[str, str]:
 
 def metrics_of(name: str, effect: str, arms: int) -> dict[str, np.ndarray]:
     """Metrics of a controller on the same arms with all sizes of an effect, each of shape (sizes, arms)."""
-    env = BeltArmVectorEnv(arms, randomization="train")
-    env.reset(seed=DRIVE_SIZES.first)
+    env = drawn(arms, DRIVE_SIZES.first)
     sizes = (0.0,) if effect == IDEAL else SIZES
     table = np.concatenate([with_effect(env.params_table, effect, size) for size in sizes])
     move = dict(zip(MOVE_FIELDS, np.tile(env.moves, (len(sizes), 1)).T, strict=True))

@@ -7,10 +7,9 @@ and in single precision.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from eval.exports.in_the_loop import Agreement, compare, program_for
 from eval.exports.program import controller_of, exportable, loop_of, write_program
 from eval.exports.source import Loop
 from eval.report.text import markdown_table
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"controllers": ("adaptive",), "splits": ("nominal",), "episodes": 1}
 PLAN_SAMPLES = 8
@@ -46,7 +45,7 @@ _AGREES, _COSTS = (
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (1, 200)}
+    bounds = Bounds(episodes=(1, 200))
 
     controllers: tuple[str, ...] = (
         *("paper", "ei", "smooth", "flat", "disturbance", "adrc", "lqg", "robust", "preview", "adaptive"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -28,7 +28,7 @@ from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.report.style import BLUE, GREEN, ORANGE
 from eval.report.text import markdown_table, number
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
 HOLD = 4
@@ -44,7 +44,7 @@ _SHOWN_AS = {"rad": (1e3, "mrad"), "rad/s": (1.0, "rad/s"), "m": (1e3, "mm"), "m
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (4, EPISODES)}
+    bounds = Bounds(episodes=(4, EPISODES))
 
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""

@@ -7,9 +7,8 @@ breaks away: the same torques go into this package's kernel and into MuJoCo, fro
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -28,7 +27,7 @@ from beltarm_env.task.seeds import CROSSCHECK
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
 from eval.report.style import COLOURS
 from eval.report.text import markdown_table
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 Floats = NDArray[np.float64]
 
@@ -68,11 +67,7 @@ differ from the first in friction alone, beginning with MuJoCo's own."""
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "arms": (1, CROSSCHECK.size),
-        "seed": (0, None),
-        "samples": (1, EPISODE_STEPS),
-    }
+    bounds = Bounds(arms=(1, CROSSCHECK.size), seed=(0, None), samples=(1, EPISODE_STEPS))
 
     arms: int = 8
     """Arms of each kind of motion in MuJoCo, 1 to 1000."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,7 +29,7 @@ from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, estimate, inte
 from eval.reference.lugre import STEPS, LuGreArms
 from eval.report.style import COLOURS, mark_one_two_five
 from eval.report.text import cell, markdown_table, number
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {
     "controllers": ("paper", "student"),
@@ -55,11 +55,7 @@ _SHOWN = ("better", "worse")  # verdicts
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "arms": (4, PRESLIDING.size),
-        "checked": (1, PRESLIDING.size),
-        "jobs": (1, 256),
-    }
+    bounds = Bounds(arms=(4, PRESLIDING.size), checked=(1, PRESLIDING.size), jobs=(1, 256))
 
     controllers: tuple[str, ...] = ()
     """Controllers to run. Default: all of the study."""

@@ -5,9 +5,8 @@ Each runs with and without it on the same scenarios of the development set.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -28,7 +27,7 @@ from eval.comparison.splits import EPISODES, Split, main_split
 from eval.comparison.statistics import Estimate, average, paired
 from eval.report.style import BLUE, GREEN, ORANGE
 from eval.report.text import cell, markdown_table, rounded
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
 Tier = Literal["encoder", "accelerometer"]
@@ -45,7 +44,7 @@ _COLOURS = dict(zip(NAMES, (BLUE, ORANGE, GREEN), strict=True))
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (4, EPISODES)}
+    bounds = Bounds(episodes=(4, EPISODES))
 
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""

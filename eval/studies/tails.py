@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -38,7 +38,7 @@ from eval.comparison.splits import EPISODES, SPLITS, Split
 from eval.comparison.statistics import CONFIDENCE, holm, interquartile_mean
 from eval.report.style import COLOURS, mark_one_two_five
 from eval.report.text import degrees, markdown_table, number, rounded
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 Floats = NDArray[np.float64]
 Interval = tuple[float, float, float]
@@ -63,7 +63,7 @@ _USUAL = 10_000  # scenarios that say how arms are distributed
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (20, 1_000_000), "jobs": (1, 256)}
+    bounds = Bounds(episodes=(20, 1_000_000), jobs=(1, 256))
 
     episodes: int = 25_000
     """Number of scenarios."""

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
 from beltarm_env.task.seeds import PAPER_DRIVES, PAPER_MOVES, SeedRange
-from eval.studies._frame import StudyOptions
+from eval.studies._frame import Bounds, StudyOptions
 from eval.studies.paper import runs
 from eval.studies.paper.linear import TABLE_2, linear_numbers
 from eval.studies.paper.pictures import pictures
@@ -34,10 +34,7 @@ _SAME = 1e-6  # relative difference below which a value changes nothing; actions
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "draws": (1, PAPER_DRIVES.size),
-        "moves": (1, PAPER_MOVES.size),
-    }
+    bounds = Bounds(draws=(1, PAPER_DRIVES.size), moves=(1, PAPER_MOVES.size))
 
     draws: int = 24
     """Drives with each effect."""

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from eval.report.text import degrees, markdown_table, number, poles_text
+from eval.report.text import degrees, markdown_table, poles_text
 from eval.studies._effects import ALL, IDEAL, heading
+from eval.studies._frame import percent, shown
 from eval.studies.paper.runs import ANSWERS, AS_ANALYSED, BOTH_ARMS, FRICTION, MAIN, PHASES, STANDARD
 
 Data = dict[str, Any]
@@ -36,16 +37,6 @@ def tables(data: Data) -> Data:
         "drives": {_title(row): _drives(data, row) for row in data["drives"]},
         "verdicts": [_verdict(standard[view]) for view in (AS_ANALYSED, FRICTION)],
     }
-
-
-def shown(value: float | None, digits: int) -> str:
-    """A number of the data; a dash for none."""
-    return number(nan if value is None else value, digits)
-
-
-def percent(share: float | None, digits: int = 0) -> str:
-    """A share of the data in percent; a dash for none."""
-    return shown(share and 100 * share, digits)
 
 
 def pole_pairs(pairs: list[list[float]]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from beltarm_env import ArmParams, BeltArmVectorEnv
+from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording
@@ -22,6 +22,7 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES
 from beltarm_env.task.sensors import ENCODER_COUNTS
+from eval.studies._arms import drawn
 from eval.studies._effects import EFFECTS, IDEAL, with_effect
 from eval.studies.paper.linear import TABLE_2
 from eval.studies.paper.runs import (
@@ -140,12 +141,10 @@ def run_drives(moves: list[MoveShape], conditions: Conditions, draws: int) -> li
         A recording without and one with vibration feedback: for each move all `DRIVES` one after the other, for each
         drive `draws` episodes.
     """
-    env = BeltArmVectorEnv(draws, randomization=DRIVE_RANGES)
-    env.reset(seed=PAPER_DRIVES.first)
-    drawn = np.tile(conditions.arm.row(), (draws, 1))
+    table = np.tile(conditions.arm.row(), (draws, 1))
     columns = [getattr(COLUMN, name) for name in FIELDS if name in DRIVE_RANGES]
-    drawn[:, columns] = env.params_table[:, columns]
-    arms = np.concatenate([with_effect(drawn, drive, 1.0) for _ in moves for drive in DRIVES])
+    table[:, columns] = drawn(draws, PAPER_DRIVES.first, DRIVE_RANGES).params_table[:, columns]
+    arms = np.concatenate([with_effect(table, drive, 1.0) for _ in moves for drive in DRIVES])
     shapes = [move for move in moves for _ in range(len(DRIVES) * draws)]
     return [run_moves(conditions, gains, shapes, arms) for gains in TABLE_2.without_and_with]
 
