@@ -18,6 +18,7 @@ from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
 from eval.studies import _frame
 from eval.studies._effects import ALL, IDEAL
+from eval.studies.paper import ALTERNATIVES, DRIVES, compare, run_drives, try_alternatives
 from eval.studies.paper.linear import (
     PAPER_ARM,
     TABLE_2,
@@ -53,7 +54,6 @@ from eval.studies.paper.runs import (
     suppression,
 )
 from eval.studies.paper.tables import counts, tables
-from eval.studies.paper.variations import ALTERNATIVES, DRIVES, compare, run_drives, try_alternatives
 
 USUAL_MOVE = PLACES[STANDARD]
 DEG_90 = math.pi / 2
