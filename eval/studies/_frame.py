@@ -179,7 +179,7 @@ def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
     """Text of a page; its template may use `data`, `origin` and all that `tables` of the module gives.
 
     Filters are `number`, `percent` and `degrees`. For a metric, by its name, there are `heading`, `rounded` (a value)
-    and `cell` (an estimate with its interval).
+    and `cell` (an estimate with its interval). `rule` is the line under a table's titles.
 
     Raises:
         jinja2.TemplateError: If the template uses anything else.
@@ -192,7 +192,7 @@ def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {"number": shown, "percent": percent, "degrees": degrees}
-    environment.globals |= {"heading": heading, "rounded": rounded, "cell": estimate_cell}
+    environment.globals |= {"heading": heading, "rounded": rounded, "cell": estimate_cell, "rule": rule}
     template = environment.get_template(TEMPLATE)
     return template.render(data=data, origin=origin(data["provenance"]), **module.tables(data))
 
@@ -210,3 +210,8 @@ def percent(share: float | None, digits: int = 0) -> str:
 def estimate_cell(name: str, value: Mapping[str, Any]) -> str:
     """An estimate of the data with its interval, as suits the metric of this name."""
     return cell(name, SimpleNamespace(**value))
+
+
+def rule(left: int, right: int) -> str:
+    """Line under the titles of a table with some columns that are aligned to the left, then some to the right."""
+    return f"|{left * '---|'}{right * '---:|'}"

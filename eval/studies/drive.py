@@ -27,7 +27,6 @@ from eval.comparison.methods import Method, chosen
 from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
-from eval.report.text import markdown_table, rounded
 from eval.studies._arms import drawn
 from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
 from eval.studies._frame import Bounds, Pictures, StudyOptions
@@ -144,37 +143,26 @@ class _Levels:
         """Title of an effect at the upper end of its training range."""
         return effect if effect == IDEAL else self.effects[effect]["heading"]
 
-    @property
-    def single(self) -> list[str]:
-        """Effects by themselves."""
-        return [effect for effect in self.effects if effect != ALL]
-
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Tables at the upper ends of the training ranges, and what the sentences name."""
+    """Levels at the upper ends of the training ranges, and what the sentences name."""
     levels = _Levels(data)
-    names = levels.controllers
+    names, columns = levels.controllers, (IDEAL, *levels.effects)
     order = sorted(names, key=lambda name: levels(name, ALL))
+    single = [effect for effect in levels.effects if effect != ALL]
     leaders = []
     for name in sorted(names, key=lambda name: levels(name, IDEAL))[:_LEADERS]:
-        harms = sorted(levels.single, key=lambda effect: -levels.ratio(name, effect))[:2]
-        leaders.append(
-            {
-                "name": name,
-                "ideal": levels(name, IDEAL),
-                "all": levels(name, ALL),
-                "ratio": levels.ratio(name, ALL),
-                "place": order.index(name) + 1,
-                "harms": [(levels.heading(effect), levels.ratio(name, effect)) for effect in harms],
-            }
-        )
+        harms = sorted(single, key=lambda effect: -levels.ratio(name, effect))[:2]
+        leaders.append({"name": name, "place": order.index(name) + 1, "harms": harms})
     falling = [key for key, row in levels.rows.items() if key[1] != ALL and _falls(row["cost"])]
     lost = {name: sum(levels(name, effect, "left") for effect in levels.effects) for name in names}
     return {
-        "costs": _costs_table(levels),
-        "torques": _torques_table(levels),
+        "levels": levels,
+        "columns": columns,
+        "cheapest": [min(names, key=lambda name: levels(name, effect)) for effect in columns],
+        "torques": [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)],
         "leaders": leaders,
-        "least": {"name": order[0], "all": levels(order[0], ALL), "ratio": levels.ratio(order[0], ALL)},
+        "least": order[0],
         "falling": list(dict.fromkeys(name for name, _ in falling)),
         "falling_over": list(dict.fromkeys(data["effects"][effect]["title"] for _, effect in falling)),
         "steady": [name for name in names if max(levels.ratio(name, effect) for effect in levels.effects) < _STEADY],
@@ -184,32 +172,6 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
             for kind in dict.fromkeys(data["trained"].values())
         },
     }
-
-
-def _costs_table(levels: _Levels) -> str:
-    """Interquartile mean and mean of the cost, and the arms that left."""
-
-    def cell(name: str, effect: str) -> str:
-        left = levels(name, effect, "left")
-        text = f"{levels(name, effect):.0f} ({levels(name, effect, 'mean'):.0f})"
-        return f"{text}, {left} left" if left else text
-
-    columns = (IDEAL, *levels.effects)
-    rows = [[name, *(cell(name, effect) for effect in columns)] for name in levels.controllers]
-    best = [min(levels.controllers, key=lambda name: levels(name, effect)) for effect in columns]
-    rows.append(["*least*", *(f"*{name}*" for name in best)])
-    return markdown_table(["controller", *map(levels.heading, columns)], rows)
-
-
-def _torques_table(levels: _Levels) -> str:
-    """Torques on the ideal drive and with all effects."""
-    columns = [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)]
-    rows = [
-        [name, *(rounded(metric, levels(name, effect, metric)) for metric, effect in columns)]
-        for name in levels.controllers
-    ]
-    titles = [f"{metric_heading(metric)}, {levels.heading(effect)}" for metric, effect in columns]
-    return markdown_table(["torques", *titles], rows)
 
 
 def _falls(costs: Sequence[float]) -> bool:

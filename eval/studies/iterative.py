@@ -33,7 +33,6 @@ from eval.comparison.rollouts import side_by_side
 from eval.comparison.splits import SPLITS
 from eval.comparison.statistics import estimate, interquartile_mean, paired
 from eval.report.style import BLUE, ORANGE, VERMILION, mark_one_two_five
-from eval.report.text import markdown_table
 from eval.studies._arms import privileged
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
@@ -156,28 +155,8 @@ def metrics_of(run: Recording) -> dict[str, Floats]:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Differences of the last repetition to others, and a table of all repetitions for each kind of arms."""
-    differences = []
-    for row in data["differences"]:
-        change = "{iqm:+.1f} [{low:+.1f}, {high:+.1f}]".format(**row["difference"])
-        differences.append([row["kind"], row["against"], change, f"{100 * row['wins']:.0f}"])
-    titles = ["arms", "against", "cost", "lower on (% of the arms)"]
-    return {
-        "differences": markdown_table(titles, differences, "llrr"),
-        "kinds": {kind: _repetitions_table(data, kind) for kind in data["kinds"]},
-    }
-
-
-def _repetitions_table(data: dict[str, Any], kind: str) -> str:
-    rows = []
-    for row in data["rows"]:
-        if row["kind"] == kind:
-            cells = [
-                "{0:.{3}f} [{1:.{3}f}, {2:.{3}f}]".format(*row[name].values(), digits)
-                for name, digits in _DIGITS.items()
-            ]
-            rows.append([row["controller"], str(row["repetition"] or "each"), *cells])
-    return markdown_table(["controller", "repetition", *_TITLES.values()], rows)
+    """Titles and digits of the metrics."""
+    return {"titles": _TITLES, "digits": _DIGITS}
 
 
 _COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
