@@ -120,8 +120,8 @@ def _afresh(make: Callable[[], Controller], known: Session) -> str:
     starts = np.concatenate([known.starts[half:, ::-1], known.starts[:half]])
     starts[0] = True
     said = _same(replayed(make(), observations, starts)[half:], known.actions[:half])
-    mixed = Session(known.observations.copy(), known.starts.copy(), known.actions.copy())
-    for values in (mixed.observations, mixed.starts, mixed.actions):
+    mixed = Session(*(values.copy() for values in known))
+    for values in mixed:
         values[half:, 1] = values[:half, 1]
     _same(replayed(make(), mixed.observations, mixed.starts), mixed.actions)
     return said
