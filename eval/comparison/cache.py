@@ -13,8 +13,8 @@ import hashlib
 import json
 import platform
 import re
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
@@ -135,15 +135,11 @@ def read_kept(part: Part, folder: Path) -> Metrics | None:
     if part.method.identity is None:
         return None
     path = part.file(folder)
-    try:
-        metrics = read_arrays(path, part.tables)
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError):
-        metrics = {}
     shape = (len(part.method.sources), part.count)
-    if metrics and all(table.shape == shape for table in metrics.values()):
-        return metrics
+    with suppress(OSError, ValueError):
+        metrics = read_arrays(path, part.tables)
+        if all(table.shape == shape for table in metrics.values()):
+            return metrics
     path.unlink(missing_ok=True)
     return None
 
@@ -222,20 +218,17 @@ def _tasks(parts: Sequence[Part], left: list[int]) -> list[list[int]]:
     def runs(task: list[int]) -> int:
         return sum(parts[k].runs for k in task)
 
-    def fits(task: list[int], k: int) -> bool:
-        part, other = parts[k], parts[task[0]]
-        alike = part.method == other.method and part.perturbed == other.perturbed
-        alike &= part.split.kind_of_batch == other.split.kind_of_batch
-        return alike and part.method.kind != "added" and runs([*task, k]) <= LARGEST_BATCH
-
-    tasks: list[list[int]] = []
+    groups: dict[Hashable, list[list[int]]] = {}
     for k in left:
-        task = next((task for task in tasks if fits(task, k)), None)
+        method, split = parts[k].method, parts[k].split
+        alike = k if method.kind == "added" else (method.name, method.sources, parts[k].perturbed, split.kind_of_batch)
+        tasks = groups.setdefault(alike, [])
+        task = next((task for task in tasks if runs([*task, k]) <= LARGEST_BATCH), None)
         if task is None:
             tasks.append([k])
         else:
             task.append(k)
-    return sorted(tasks, key=lambda task: -runs(task))
+    return sorted((task for tasks in groups.values() for task in tasks), key=lambda task: -runs(task))
 
 
 def _run_task(parts: list[Part], belongings: dict[str, Carried], _: parallel.Channel) -> list[Metrics | Failure]:

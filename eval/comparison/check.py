@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 from baselines.engines.isolated import run_isolated
 from baselines.engines.parallel import BrokenOff
 from baselines.tools.command import this_python
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv
+from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
 from beltarm_env.arrays import Flags, Floats, Singles
 from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
@@ -31,7 +31,6 @@ ActionTimes = tuple[float, float]
 """Median and 99th percentile of the time per action for one arm [us]."""
 PERIOD_US = 1e6 * CONTROL_PERIOD
 _TIMED_ACTIONS = 300
-_REPETITIONS = 5
 
 _SEED, _ARMS = PROTOCOL_CHECK
 _STEPS = 600
@@ -122,7 +121,7 @@ def _afresh(make: Callable[[], Controller], known: Session) -> str:
     starts[0] = True
     said = _same(replayed(make(), observations, starts)[half:], known.actions[:half])
     mixed = Session(known.observations.copy(), known.starts.copy(), known.actions.copy())
-    for values in (mixed.observations, mixed.starts, mixed.actions):
+    for values in mixed:
         values[half:, 1] = values[:half, 1]
     _same(replayed(make(), mixed.observations, mixed.starts), mixed.actions)
     return said
@@ -261,37 +260,12 @@ def drive(controller: Controller, num_arms: int, steps: int, seed: int, **settin
             observation, _ = env.reset(options={"reset_mask": start})
 
 
-def _times(controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any) -> Floats:
+def microseconds(controller: Controller, num_arms: int, steps: int, seed: int, **settings: Any) -> Floats:
     """Time of each action [us], shape (steps,)."""
     return 1e6 * np.array([sample.seconds for sample in drive(controller, num_arms, steps, seed, **settings)])
 
 
 def action_times(controller: Controller, sensors: Sensors = "encoder", seed: int = 0) -> ActionTimes:
     """Time the actions of a controller for one nominal arm."""
-    median, slow = np.percentile(_times(controller, 1, _TIMED_ACTIONS, seed, sensors=sensors), [50, 99])
+    median, slow = np.percentile(microseconds(controller, 1, _TIMED_ACTIONS, seed, sensors=sensors), [50, 99])
     return float(median), float(slow)
-
-
-@dataclass(frozen=True)
-class Times:
-    """Wall-clock of a controller."""
-
-    first: float  # an episode's first action of one arm, with the plan for its move [us]
-    median: float  # per later action of one arm [us]
-    slow: float  # 99th percentile of the same [us]
-    batched: float  # per action in a batch, median over an episode [us]
-    episode: float  # a whole episode of the batch, environment included [s]
-
-
-def measure_times(controller: Controller, batch: int, seed: int) -> Times:
-    """Time a controller on one arm of the training ranges, and on a batch of them, seeded from `seed` on.
-
-    One arm plays the same episode several times, and the shortest time of each action counts, without other work of the
-    machine.
-    """
-    alone = np.min([_times(controller, 1, EPISODE_STEPS, seed, randomization="train") for _ in range(_REPETITIONS)], 0)
-    began = time.perf_counter()
-    together = _times(controller, batch, EPISODE_STEPS, seed, randomization="train")
-    took = time.perf_counter() - began
-    median, slow = np.percentile(alone[1:], [50, 99])
-    return Times(float(alone[0]), float(median), float(slow), float(np.median(together)) / batch, took)

@@ -22,6 +22,7 @@ from eval.comparison.provenance import provenance as about
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import (
     LEAST_SCENARIOS,
+    NOTHING,
     Estimate,
     Floats,
     Paired,
@@ -101,8 +102,7 @@ def arrived(metrics: Metrics) -> NDArray[np.bool_]:
 
 def estimated(measured: Sequence[Metrics]) -> list[dict[str, Estimate]]:
     """Estimate the metrics that are shown, each of several methods and splits; see `MethodOutcome.estimates`."""
-    nothing = Estimate(float("nan"), float("nan"), float("nan"))
-    by_name = [dict.fromkeys(SHOWN, nothing) for _ in measured]
+    by_name = [dict.fromkeys(SHOWN, NOTHING) for _ in measured]
     for share in (False, True):
         cells: list[tuple[int, str, Floats]] = []
         for k, metrics in enumerate(measured):

@@ -150,11 +150,9 @@ def _require_no_loss(path: Path, methods: Sequence[Method], scenarios: ScenarioS
 
 def _joined(results: Sequence[Metrics | Failure]) -> Metrics | Failure:
     """Results of a method on a split, from those of its parts: the first failure, if there is one."""
-    sound = []
-    for result in results:
-        if isinstance(result, Failure):
-            return result
-        sound.append(result)
+    sound = [result for result in results if not isinstance(result, Failure)]
+    if len(sound) < len(results):
+        return next(result for result in results if isinstance(result, Failure))
     return {name: np.concatenate([metrics[name] for metrics in sound], axis=1) for name in sound[0]}
 
 

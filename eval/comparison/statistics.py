@@ -160,8 +160,8 @@ class Paired:
         return self.survives and self.difference.iqm < 0
 
 
-_NOTHING = Estimate(float("nan"), float("nan"), float("nan"))
-NOT_COMPARED = Paired(_NOTHING, _NOTHING, 1.0, scenarios=0)
+NOTHING = Estimate(float("nan"), float("nan"), float("nan"))
+NOT_COMPARED = Paired(NOTHING, NOTHING, 1.0, scenarios=0)
 """Two methods that have no two scenarios in common of which a metric says something."""
 
 

@@ -16,7 +16,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,7 +29,7 @@ from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
 from eval.report.text import markdown_table
 from eval.speed import stepping
 from eval.speed.stepping import batch_steps, times_in_turns
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 Part = Literal["steps", "rollouts", "start", "training", "sizes"]
 PARTS: tuple[Part, ...] = ("steps", "rollouts", "start", "training", "sizes")
@@ -47,10 +47,7 @@ _LOOKS = ((VERMILION, "o-"), (ORANGE, "o--"), (BLUE, "s-"), (GREEN, "^-"), (PINK
 class Options(StudyOptions):
     """Options of the measurement."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        **dict.fromkeys(("arms", "steps", "largest"), (1, 1_000_000)),
-        "repetitions": (1, 1000),
-    }
+    bounds = Bounds(dict.fromkeys(("arms", "steps", "largest"), (1, 1_000_000)), repetitions=(1, 1000))
 
     parts: tuple[Part, ...] = PARTS
     """Parts to measure: steps of environments; rollouts with controllers; start-up and memory; PPO's training loop;

@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import jinja2
@@ -31,9 +32,10 @@ from matplotlib.figure import Figure
 import eval.studies
 from baselines.tools.command import require_bounds, require_known
 from baselines.tools.files import require_writable, write_text
+from beltarm_env.metrics import heading
 from eval.comparison.provenance import origin, provenance
 from eval.report.style import save_figures
-from eval.report.text import degrees, number
+from eval.report.text import cell, degrees, number, rounded
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 """Committed pages, each in a folder of its name."""
@@ -43,12 +45,15 @@ _DIGITS = 7  # significant ones, of what is written
 _PLACES = ("out", "jobs", "runs", "engine", "address", "storage")  # options that change no number
 
 
+class Bounds(dict[str, tuple[int, int | None]]):
+    """Least and largest value of options that are numbers, by name."""
+
+
 @dataclass(frozen=True)
 class StudyOptions:
     """Options that all studies have."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {}
-    """Least and largest value of options that are numbers."""
+    bounds: ClassVar[Bounds] = Bounds()
 
     out: Path | None = None
     """Folder for data.json, page.md and the pictures. Default: results/NAME."""
@@ -157,12 +162,36 @@ def render(name: str, module: Any, data: Mapping[str, Any], folder: Path) -> Non
 def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
     """Text of a page; its template may use `data`, `origin` and all that `tables` of the module gives.
 
+    Filters are `number`, `percent` and `degrees`. For a metric, by its name, there are `heading`, `rounded` (a value)
+    and `cell` (an estimate with its interval). `rule` is the line under a table's titles.
+
     Raises:
         jinja2.TemplateError: If the template uses anything else.
     """
     known = jinja2.FileSystemLoader(RESULTS / name)
     layout: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     environment = jinja2.Environment(loader=known, undefined=jinja2.StrictUndefined, **layout)
-    environment.filters |= {"number": number, "degrees": degrees}
-    shown = {"data": data, "origin": origin(data["provenance"]), **module.tables(data)}
-    return environment.get_template(TEMPLATE).render(shown)
+    environment.filters |= {"number": shown, "percent": percent, "degrees": degrees}
+    environment.globals |= {"heading": heading, "rounded": rounded, "cell": estimate_cell, "rule": rule}
+    template = environment.get_template(TEMPLATE)
+    return template.render(data=data, origin=origin(data["provenance"]), **module.tables(data))
+
+
+def shown(value: float | None, digits: int) -> str:
+    """A number of the data; a dash for none."""
+    return number(math.nan if value is None else value, digits)
+
+
+def percent(share: float | None, digits: int = 0) -> str:
+    """A share of the data in percent; a dash for none."""
+    return shown(share and 100 * share, digits)
+
+
+def estimate_cell(name: str, value: Mapping[str, Any]) -> str:
+    """An estimate of the data with its interval, as suits the metric of this name."""
+    return cell(name, SimpleNamespace(**value))
+
+
+def rule(left: int, right: int) -> str:
+    """Line under the titles of a table with some columns that are aligned to the left, then some to the right."""
+    return f"|{left * '---|'}{right * '---:|'}"

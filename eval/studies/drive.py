@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from agents.policy.bundle import read_spec
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import params_columns
 from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.metrics import heading as metric_heading
@@ -28,9 +27,9 @@ from eval.comparison.methods import Method, chosen
 from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
-from eval.report.text import markdown_table, rounded
+from eval.studies._arms import drawn
 from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 4, "controllers": ("paper", "student"), "effects": ("command_latency",), "jobs": 1}
 SIZES = (0.25, 0.5, 1.0, 1.5, 2.0)
@@ -45,7 +44,7 @@ _STEADY = 1.25  # ratio of costs up to which an effect changes little
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"arms": (4, 1000), "jobs": (1, 256)}
+    bounds = Bounds(arms=(4, 1000), jobs=(1, 256))
 
     controllers: tuple[str, ...] = ()
     """Controllers to measure. Default: all shipped ones."""
@@ -97,8 +96,7 @@ def trained_on(methods: Sequence[Method]) -> dict[str, str]:
 
 def metrics_of(name: str, effect: str, arms: int) -> dict[str, np.ndarray]:
     """Metrics of a controller on the same arms with all sizes of an effect, each of shape (sizes, arms)."""
-    env = BeltArmVectorEnv(arms, randomization="train")
-    env.reset(seed=DRIVE_SIZES.first)
+    env = drawn(arms, DRIVE_SIZES.first)
     sizes = (0.0,) if effect == IDEAL else SIZES
     table = np.concatenate([with_effect(env.params_table, effect, size) for size in sizes])
     move = dict(zip(MOVE_FIELDS, np.tile(env.moves, (len(sizes), 1)).T, strict=True))
@@ -145,37 +143,26 @@ class _Levels:
         """Title of an effect at the upper end of its training range."""
         return effect if effect == IDEAL else self.effects[effect]["heading"]
 
-    @property
-    def single(self) -> list[str]:
-        """Effects by themselves."""
-        return [effect for effect in self.effects if effect != ALL]
-
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Tables at the upper ends of the training ranges, and what the sentences name."""
+    """Levels at the upper ends of the training ranges, and what the sentences name."""
     levels = _Levels(data)
-    names = levels.controllers
+    names, columns = levels.controllers, (IDEAL, *levels.effects)
     order = sorted(names, key=lambda name: levels(name, ALL))
+    single = [effect for effect in levels.effects if effect != ALL]
     leaders = []
     for name in sorted(names, key=lambda name: levels(name, IDEAL))[:_LEADERS]:
-        harms = sorted(levels.single, key=lambda effect: -levels.ratio(name, effect))[:2]
-        leaders.append(
-            {
-                "name": name,
-                "ideal": levels(name, IDEAL),
-                "all": levels(name, ALL),
-                "ratio": levels.ratio(name, ALL),
-                "place": order.index(name) + 1,
-                "harms": [(levels.heading(effect), levels.ratio(name, effect)) for effect in harms],
-            }
-        )
+        harms = sorted(single, key=lambda effect: -levels.ratio(name, effect))[:2]
+        leaders.append({"name": name, "place": order.index(name) + 1, "harms": harms})
     falling = [key for key, row in levels.rows.items() if key[1] != ALL and _falls(row["cost"])]
     lost = {name: sum(levels(name, effect, "left") for effect in levels.effects) for name in names}
     return {
-        "costs": _costs_table(levels),
-        "torques": _torques_table(levels),
+        "levels": levels,
+        "columns": columns,
+        "cheapest": [min(names, key=lambda name: levels(name, effect)) for effect in columns],
+        "torques": [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)],
         "leaders": leaders,
-        "least": {"name": order[0], "all": levels(order[0], ALL), "ratio": levels.ratio(order[0], ALL)},
+        "least": order[0],
         "falling": list(dict.fromkeys(name for name, _ in falling)),
         "falling_over": list(dict.fromkeys(data["effects"][effect]["title"] for _, effect in falling)),
         "steady": [name for name in names if max(levels.ratio(name, effect) for effect in levels.effects) < _STEADY],
@@ -185,32 +172,6 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
             for kind in dict.fromkeys(data["trained"].values())
         },
     }
-
-
-def _costs_table(levels: _Levels) -> str:
-    """Interquartile mean and mean of the cost, and the arms that left."""
-
-    def cell(name: str, effect: str) -> str:
-        left = levels(name, effect, "left")
-        text = f"{levels(name, effect):.0f} ({levels(name, effect, 'mean'):.0f})"
-        return f"{text}, {left} left" if left else text
-
-    columns = (IDEAL, *levels.effects)
-    rows = [[name, *(cell(name, effect) for effect in columns)] for name in levels.controllers]
-    best = [min(levels.controllers, key=lambda name: levels(name, effect)) for effect in columns]
-    rows.append(["*least*", *(f"*{name}*" for name in best)])
-    return markdown_table(["controller", *map(levels.heading, columns)], rows)
-
-
-def _torques_table(levels: _Levels) -> str:
-    """Torques on the ideal drive and with all effects."""
-    columns = [(metric, effect) for metric in TORQUE_QUALITY for effect in (IDEAL, ALL)]
-    rows = [
-        [name, *(rounded(metric, levels(name, effect, metric)) for metric, effect in columns)]
-        for name in levels.controllers
-    ]
-    titles = [f"{metric_heading(metric)}, {levels.heading(effect)}" for metric, effect in columns]
-    return markdown_table(["torques", *titles], rows)
 
 
 def _falls(costs: Sequence[float]) -> bool:

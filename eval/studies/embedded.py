@@ -7,10 +7,9 @@ and in single precision.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +26,7 @@ from eval.exports.compilers import PROCESSORS, SINGLE, Footprint, footprint, nat
 from eval.exports.in_the_loop import Agreement, compare, program_for
 from eval.exports.program import controller_of, exportable, loop_of, write_program
 from eval.exports.source import Loop
-from eval.report.text import markdown_table
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"controllers": ("adaptive",), "splits": ("nominal",), "episodes": 1}
 PLAN_SAMPLES = 8
@@ -36,17 +34,14 @@ PLAN_SAMPLES = 8
 _LEARNED = tuple(f"{method}/seed0" for method in ("ppo", "student"))
 _ANYWAY = (SINGLE, "-DBELTARM_SINGLE_ANYWAY")  # also where sources refuse single precision
 _SHARES = (0.5, 0.999, 1.0)  # quantiles of the torque's error in single precision
-_AGREES, _COSTS = (
-    1e-3,
-    0.01,
-)  # largest such error, over the torque limit, and largest change of the cost that is allowed
+_AGREES, _COSTS = 1e-3, 0.01  # most that counts as the same: of that error over the limit, and of the cost's change
 
 
 @dataclass(frozen=True)
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (1, 200)}
+    bounds = Bounds(episodes=(1, 200))
 
     controllers: tuple[str, ...] = (
         *("paper", "ei", "smooth", "flat", "disturbance", "adrc", "lqg", "robust", "preview", "adaptive"),
@@ -152,28 +147,14 @@ def _with_single_precision(
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Tables of the page, and names of the controllers that some sentences are about."""
+    """Parts of the sizes, and names of the controllers that some sentences are about."""
     rows = data["rows"]
     return {
-        "times": _times_table(rows),
-        "spread": _spread_table(rows),
-        "sizes": _sizes_table(rows),
-        "single": _single_table(rows),
-        "holding": _listed(row["name"] for row in rows if _holds(row)),
-        "identifying": _listed(row["name"] for row in rows if row["identifies"]),
-        "not_measured": _listed(data["not_measured"]),
-        "not_exported": _listed(data["not_exported"]),
+        "parts": Footprint._fields,
+        "holding": [row["name"] for row in rows if _holds(row)],
+        "identifying": [row["name"] for row in rows if row["identifies"]],
         "measured_sizes": any(size for row in rows for size in row["sizes"].values()),
     }
-
-
-def pictures(data: dict[str, Any]) -> Pictures:
-    """No pictures: the page has tables alone."""
-    return {}
-
-
-def _listed(names: Any) -> str:
-    return ", ".join(f"`{name}`" for name in names)
 
 
 def _holds(row: dict[str, Any]) -> bool:
@@ -181,52 +162,6 @@ def _holds(row: dict[str, Any]) -> bool:
     return row["single"]["errors"][1] <= _AGREES and abs(row["single"]["cost"]) <= _COSTS
 
 
-def _times_table(rows: list[dict[str, Any]]) -> str:
-    """Equality and time."""
-    cells = [
-        [
-            f"`{row['name']}`",
-            f"{row['equal']:,} of {row['samples']:,}".replace(",", " "),
-            *(_time(row["times"][name]) for name in ("median", "high", "longest", "longest_reset")),
-        ]
-        for row in rows
-    ]
-    return markdown_table(
-        ["controller", "equal to the last bit", "sample, median (µs)", "99 %", "longest", "reset"], cells
-    )
-
-
-def _time(microseconds: float) -> str:
-    return f"{microseconds:.2g}" if microseconds < 100 else f"{microseconds:.0f}"
-
-
-def _spread_table(rows: list[dict[str, Any]]) -> str:
-    """Times and cost of plans that are spread over samples."""
-    cells = []
-    for row in rows:
-        if spread := row["spread"]:
-            times = [f"{each['median']:.2g} / {each['longest']:.0f}" for each in (row["times"], spread["times"])]
-            cells.append([f"`{row['name']}`", *times, f"{100 * spread['cost']:+.2f} %"])
-    return markdown_table(["sample, median / longest (µs)", "at once", "spread", "mean cost"], cells)
-
-
-def _sizes_table(rows: list[dict[str, Any]]) -> str:
-    """Flash, memory and stack."""
-    cells = []
-    for row in rows:
-        sizes = [size[name] if size else None for size in row["sizes"].values() for name in Footprint._fields]
-        cells.append([f"`{row['name']}`", *("–" if size is None else f"{size / 1024:.1f}" for size in sizes)])
-    heads = [f"{core}: {name}" for core in PROCESSORS for name in Footprint._fields]
-    return markdown_table(["controller (kB)", *heads], cells)
-
-
-def _single_table(rows: list[dict[str, Any]]) -> str:
-    """Errors and cost of single precision."""
-    cells = []
-    for row in rows:
-        errors = [f"{1000 * error:.2g}" for error in row["single"]["errors"]]
-        cells.append(
-            [f"`{row['name']}`", *errors, f"{100 * row['single']['cost']:+.2f} %", "yes" if _holds(row) else "no"]
-        )
-    head = ["torque off, median (‰ of limit)", "99.9 %", "largest", "mean cost", "holds"]
-    return markdown_table(["controller", *head], cells)
+def pictures(data: dict[str, Any]) -> Pictures:
+    """No pictures: the page has tables alone."""
+    return {}

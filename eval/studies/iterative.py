@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,12 +22,10 @@ from baselines import PaperController, tuned_controller
 from baselines.iterative.controller import IterativeController
 from baselines.iterative.lesson import Notes
 from baselines.iterative.motor_learning import MotorLearningController
-from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import METRICS, heading
-from beltarm_env.rollout import Controller, Recording, rollout
+from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import REPETITION
 from eval.comparison.methods import chosen
@@ -35,8 +33,8 @@ from eval.comparison.rollouts import side_by_side
 from eval.comparison.splits import SPLITS
 from eval.comparison.statistics import estimate, interquartile_mean, paired
 from eval.report.style import BLUE, ORANGE, VERMILION, mark_one_two_five
-from eval.report.text import markdown_table
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._arms import privileged
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 4, "repetitions": 2, "kinds": ("randomized",), "jobs": 1}
 TORQUE, ARM, MOTOR = "iterative", "arm alone", "motor"
@@ -62,11 +60,7 @@ _DIGITS = {**{name: METRICS[name].digits + 1 for name in _TITLES if name in METR
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "arms": (4, REPETITION.size),
-        "repetitions": (2, 100),
-        "jobs": (1, 256),
-    }
+    bounds = Bounds(arms=(4, REPETITION.size), repetitions=(2, 100), jobs=(1, 256))
 
     kinds: tuple[str, ...] = ()
     """Kinds of arms: nominal, ideal, randomized. Default: all."""
@@ -128,7 +122,7 @@ def run(kind: str, name: str, arms: int, repetitions: int) -> list[dict[str, Flo
     if name in LEARNERS:
         return repeated(LEARNERS[name], arms, repetitions, **scenarios)
     if name == "privileged":
-        return [metrics_of(rollout(_privileged(arms, **scenarios), arms, sensors="full", **scenarios))]
+        return [metrics_of(rollout(privileged(arms, **scenarios), arms, sensors="full", **scenarios))]
     controller = PaperController() if name == "paper" else tuned_controller(name)
     return [metrics_of(rollout(controller, arms, **scenarios))]
 
@@ -160,36 +154,9 @@ def metrics_of(run: Recording) -> dict[str, Floats]:
     return {name: motor if name == _MOTOR_RMS else metrics[name] for name in _TITLES}
 
 
-def _privileged(arms: int, seed: int, randomization: Any) -> Controller:
-    """The plan of `adaptive`, with its gains, for arms with known constants and state."""
-    env = BeltArmVectorEnv(arms, randomization=randomization)
-    env.reset(seed=seed)
-    return PrivilegedController(env.params)
-
-
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Differences of the last repetition to others, and a table of all repetitions for each kind of arms."""
-    differences = []
-    for row in data["differences"]:
-        change = "{iqm:+.1f} [{low:+.1f}, {high:+.1f}]".format(**row["difference"])
-        differences.append([row["kind"], row["against"], change, f"{100 * row['wins']:.0f}"])
-    titles = ["arms", "against", "cost", "lower on (% of the arms)"]
-    return {
-        "differences": markdown_table(titles, differences, "llrr"),
-        "kinds": {kind: _repetitions_table(data, kind) for kind in data["kinds"]},
-    }
-
-
-def _repetitions_table(data: dict[str, Any], kind: str) -> str:
-    rows = []
-    for row in data["rows"]:
-        if row["kind"] == kind:
-            cells = [
-                "{0:.{3}f} [{1:.{3}f}, {2:.{3}f}]".format(*row[name].values(), digits)
-                for name, digits in _DIGITS.items()
-            ]
-            rows.append([row["controller"], str(row["repetition"] or "each"), *cells])
-    return markdown_table(["controller", "repetition", *_TITLES.values()], rows)
+    """Titles and digits of the metrics."""
+    return {"titles": _TITLES, "digits": _DIGITS}
 
 
 _COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}

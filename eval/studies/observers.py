@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,8 +27,7 @@ from eval.comparison.methods import chosen
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.report.style import BLUE, GREEN, ORANGE
-from eval.report.text import markdown_table, number
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
 HOLD = 4
@@ -44,7 +43,7 @@ _SHOWN_AS = {"rad": (1e3, "mrad"), "rad/s": (1.0, "rad/s"), "m": (1e3, "mm"), "m
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (4, EPISODES)}
+    bounds = Bounds(episodes=(4, EPISODES))
 
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
@@ -194,60 +193,20 @@ def microseconds_of(watcher: Watcher) -> float:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Errors of the torsion and of all quantities, shares within the stated deviations, and sizes."""
-    rows = {(row["acting"], row["split"], row["watcher"]): row for row in data["rows"]}
-    acting, main, names = data["acting"][-1], main_split(data["splits"]), data["watchers"]
-    torsion = _torsion(data)
-    errors = [
-        [split, *(f"{1e3 * rows[by, split, name]['rms'][torsion]:.2f}" for by in data["acting"] for name in names)]
-        for split in data["splits"]
-    ]
-    quantities = []
-    for k, quantity in enumerate(data["quantities"]):
-        factor, unit = _SHOWN_AS[quantity["unit"]]
-        scores = [rows[acting, main, name] for name in names]
-        shown = [f"{factor * result['rms'][k]:.3g}" for result in scores]
-        quantities.append([f"{quantity['name']} ({unit})", *shown, *(_percent(row["within_one"][k]) for row in scores)])
-    shares = []
-    for split in data["splits"]:
-        scores = [rows[acting, split, name] for name in names]
-        pairs = [[_percent(result[key][torsion]) for key in ("within_one", "within_two")] for result in scores]
-        shares.append([split, *(" / ".join(pair) for pair in pairs)])
-    sizes = [
-        [row["observer"], f"{4e-3 * row['weights']:.0f}", *(f"{row[key]:.0f}" for key in _SIZES)]
-        for row in data["sizes"]
-    ]
-    counts = {(row["acting"], row["split"]): data["episodes"] - row["arms"] for row in data["rows"]}
+    """Scores by acting controller, split and watcher, and names for the sentences."""
+    left = {(row["acting"], row["split"]): data["episodes"] - row["arms"] for row in data["rows"]}
     return {
-        "acting": acting,
-        "main": main,
-        "left": [(by, split, count) for (by, split), count in counts.items() if count],
-        "errors": markdown_table(
-            ["error of the torsion, RMS (mrad)", *(f"{name}, under `{by}`" for by in data["acting"] for name in names)],
-            errors,
-        ),
-        "quantities": markdown_table(
-            ["quantity", *(f"{name}, RMS" for name in names), *(f"{name}, within one (%)" for name in names)],
-            quantities,
-        ),
-        "shares": markdown_table(["torsion within one / two deviations (%)", *names], shares),
-        "sizes": markdown_table(["observer", "weights (kB, single precision)", *_SIZES.values()], sizes),
+        "acting": data["acting"][-1],
+        "main": main_split(data["splits"]),
+        "left": [(*pair, count) for pair, count in left.items() if count],
+        "scores": {(row["acting"], row["split"], row["watcher"]): row for row in data["rows"]},
+        "torsion": _torsion(data),
+        "shown_as": _SHOWN_AS,
     }
-
-
-_SIZES = {
-    "products": "multiplications",
-    "hold": "every … samples",
-    "microseconds": "in Python, one arm, median (µs)",
-}
 
 
 def _torsion(data: dict[str, Any]) -> int:
     return [quantity["name"] for quantity in data["quantities"]].index("torsion")
-
-
-def _percent(share: float | None) -> str:
-    return "–" if share is None else number(100 * share, 0)
 
 
 def pictures(data: dict[str, Any]) -> Pictures:

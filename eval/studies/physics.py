@@ -7,19 +7,18 @@ breaks away: the same torques go into this package's kernel and into MuJoCo, fro
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from baselines import PaperController
 from baselines.tools.progress import progress_over
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arm import params_columns, params_table
+from beltarm_env.arrays import Floats
 from beltarm_env.mujoco.drive import EXPRESSIBLE
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
@@ -27,10 +26,7 @@ from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import CROSSCHECK
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
 from eval.report.style import COLOURS
-from eval.report.text import markdown_table
-from eval.studies._frame import Pictures, StudyOptions
-
-Floats = NDArray[np.float64]
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 1, "samples": 40}
 STEPS = (1, 2, 4, 8)
@@ -68,11 +64,7 @@ differ from the first in friction alone, beginning with MuJoCo's own."""
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "arms": (1, CROSSCHECK.size),
-        "seed": (0, None),
-        "samples": (1, EPISODE_STEPS),
-    }
+    bounds = Bounds(arms=(1, CROSSCHECK.size), seed=(0, None), samples=(1, EPISODE_STEPS))
 
     arms: int = 8
     """Arms of each kind of motion in MuJoCo, 1 to 1000."""
@@ -238,25 +230,13 @@ def compare_engines(arms: int, seed: int, samples: int) -> list[dict[str, Any]]:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Errors and orders by model and regime, and a table of distances for each kind of motion."""
-    orders = []
-    for row in data["convergence"]:
-        errors = np.array(row["errors"])
-        order = f"{np.log2(errors[:-1] / errors[1:]).mean():.2f}"
-        cells = [f"{1e9 * error:.2g}" for error in errors]
-        orders.append([row["model"], row["regime"], str(row["stops"]), *cells, order])
-    steps = [f"{count} per sample" for count in data["steps"]]
-    engines = {}
-    for regime, title in REGIMES.items():
-        rows = [row for row in data["engines"] if row["regime"] == regime]
-        cells = [[row["setting"], *(_millimetres(value) for value in row["distances"])] for row in rows]
-        engines[regime] = {
-            "title": title,
-            "stops": rows[0]["stops"],
-            "table": markdown_table(["MuJoCo", *steps], cells),
-        }
-    titles = ["model", "regime", "stops", *steps, "order"]
-    return {"orders": markdown_table(titles, orders, "llrrrrrr"), "engines": engines}
+    """Kinds of motion, and how the template writes orders and distances."""
+    return {"regimes": REGIMES, "order": _order, "millimetres": _millimetres}
+
+
+def _order(errors: list[float]) -> str:
+    """Observed order: the mean of log2 of the ratios of errors at a halved step."""
+    return f"{np.log2(errors[0] / errors[-1]) / (len(errors) - 1):.2f}"
 
 
 def _millimetres(distance: float) -> str:

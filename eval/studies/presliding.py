@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -25,20 +25,13 @@ from beltarm_env.rollout import Controller, Recording, record
 from beltarm_env.task.seeds import PRESLIDING
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import shipped_controller, side_by_side
-from eval.comparison.statistics import LEAST_SCENARIOS, Estimate, estimate, interquartile_mean, paired
+from eval.comparison.statistics import LEAST_SCENARIOS, estimate, interquartile_mean, paired
 from eval.reference.lugre import STEPS, LuGreArms
 from eval.report.style import COLOURS, mark_one_two_five
-from eval.report.text import cell, markdown_table, number
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
-QUICK = {
-    "controllers": ("paper", "student"),
-    "deflections": (1.0,),
-    "arms": 4,
-    "check_deflections": (3.0,),
-    "checked": 1,
-    "jobs": 1,
-}
+QUICK = {"controllers": ("paper", "student"), "deflections": (1.0,), "arms": 4, "jobs": 1}
+QUICK |= {"check_deflections": (3.0,), "checked": 1}
 CONTROLLERS = ("paper", "ei", "preview", "adaptive", "ppo", "student")
 """Shipped controllers; of a learned one the policy of its first training seed."""
 CHECKED = ("paper", "ei")
@@ -55,11 +48,7 @@ _SHOWN = ("better", "worse")  # verdicts
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "arms": (4, PRESLIDING.size),
-        "checked": (1, PRESLIDING.size),
-        "jobs": (1, 256),
-    }
+    bounds = Bounds(arms=(4, PRESLIDING.size), checked=(1, PRESLIDING.size), jobs=(1, 256))
 
     controllers: tuple[str, ...] = ()
     """Controllers to run. Default: all of the study."""
@@ -89,13 +78,13 @@ def measure(options: Options) -> dict[str, Any]:
     frictions |= {friction_name(value): value for value in options.deflections}
     checks = [(value, options.checked) for value in options.check_deflections]
     stiff = side_by_side("checks", check, checks, options.jobs)
-    cases = [
-        (name, deflection, PERTURBATION if friction == PERTURBED else 0.0, options.arms)
+    cases = {
+        (name, friction): (name, deflection, PERTURBATION if friction == PERTURBED else 0.0, options.arms)
         for name in names
         for friction, deflection in frictions.items()
-    ]
-    runs = iter(side_by_side("controllers and frictions", metrics_of, cases, options.jobs).values())
-    results = {(name, friction): next(runs) for name in names for friction in frictions}
+    }
+    runs = side_by_side("controllers and frictions", metrics_of, list(cases.values()), options.jobs)
+    results = {pair: runs[case] for pair, case in cases.items()}
     rows = []
     for (name, friction), metrics in results.items():
         located = results[name, LOCATED]
@@ -193,29 +182,24 @@ def _rows(data: dict[str, Any]) -> dict[tuple[str, str], dict[str, Any]]:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Tables, and the facts of the answer."""
+    """Rows by controller and friction, order of the controllers, and the facts of the answer."""
     names, frictions, rows = data["controllers"], data["frictions"], _rows(data)
     bristles = frictions[2:]
     steady = [name for name in names if not any(rows[name, friction]["left"] for friction in frictions)]
+    others = [name for name in names if name not in steady]
 
-    def change(name: str, friction: str, metric: str = "cost") -> float:
-        return rows[name, friction][f"{metric}_change"]["iqm"]
+    def changes(group: Sequence[str], friction: str, metric: str = "cost") -> list[tuple[str, float]]:
+        """Controllers with their changes, the largest first."""
+        found = [(name, rows[name, friction][f"{metric}_change"]["iqm"]) for name in group]
+        return sorted(found, key=lambda entry: -abs(entry[1]))
 
-    def largest(group: Sequence[str], pair: dict[str, Any]) -> list[tuple[str, float]]:
-        changes = [(name, change(name, pair["friction"], pair["metric"])) for name in group]
-        return sorted(changes, key=lambda entry: -abs(entry[1]))[:1]
+    def largest(friction: str, metric: str) -> list[tuple[str, float]]:
+        return [*changes(steady, friction, metric)[:1], *changes(others, friction, metric)[:1]]
+
+    def ranking(metric: str, friction: str) -> list[str]:
+        return sorted(names, key=lambda name: rows[name, friction][metric]["iqm"])
 
     judged = [pair for pair in data["pairs"] if pair["friction"] in bristles]
-    changes = [change(name, friction) for name in steady for friction in bristles]
-    ranking = [
-        [friction, *(", ".join(f"`{name}`" for name in _ranking(rows, names, metric, friction)) for metric in JUDGED)]
-        for friction in frictions
-    ]
-    checks = [
-        [row["friction"], f"{1e3 * row['tip']:.2f}", *(f"{100 * cost:.2f}" for cost in row["costs"].values())]
-        for row in data["checks"]
-    ]
-    check_titles = ["deflection", "tip (mm)", *(f"cost of `{name}` (%)" for name in data["checks"][0]["costs"])]
     return {
         "perturbed": PERTURBED,
         "decides": data["arms"] >= LEAST_SCENARIOS,
@@ -223,56 +207,12 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
         "comparisons": len(judged) * len(names) * (len(names) - 1) // 2,
         "reversals": sum(len(pair["reversed"]) for pair in judged),
         "where": list(dict.fromkeys(pair["friction"] for pair in judged if pair["reversed"])),
-        "largest": max(changes, key=abs, default=0.0),
-        "pairs": [
-            pair
-            | {
-                "title": METRICS[pair["metric"]].title,
-                "largest": [
-                    *largest(steady, pair),
-                    *largest([name for name in names if name not in steady], pair),
-                ],
-            }
-            for pair in data["pairs"]
-        ],
-        "levels": {metric: _levels_table(data, metric) for metric in JUDGED},
-        "changes": {metric: _changes_table(data, metric) for metric in JUDGED},
-        "ranking": markdown_table(
-            ["friction", *(f"{METRICS[metric].title}, lowest first" for metric in JUDGED)], ranking, "lll"
-        ),
-        "checks": markdown_table(check_titles, checks),
+        "largest": max((change for each in bristles for _, change in changes(steady, each)), key=abs, default=0.0),
+        "pairs": [pair | {"largest": largest(pair["friction"], pair["metric"])} for pair in data["pairs"]],
+        "titles": {metric: METRICS[metric].title for metric in JUDGED},
+        "rows": rows,
+        "ranking": ranking,
     }
-
-
-def _ranking(
-    rows: dict[tuple[str, str], dict[str, Any]], names: Sequence[str], metric: str, friction: str
-) -> list[str]:
-    return sorted(names, key=lambda name: rows[name, friction][metric]["iqm"])
-
-
-def _levels_table(data: dict[str, Any], metric: str) -> str:
-    """Interquartile mean with its interval, and plain mean, of each controller with each friction."""
-    rows = _rows(data)
-    lines = []
-    for name in data["controllers"]:
-        cells = []
-        for friction in data["frictions"]:
-            level = dict(rows[name, friction][metric])
-            mean = number(level.pop("mean"), METRICS[metric].digits)
-            cells.append(f"{cell(metric, Estimate(**level))}; {mean}")
-        lines.append([f"`{name}`", *cells])
-    return markdown_table(["controller", *data["frictions"]], lines)
-
-
-def _changes_table(data: dict[str, Any], metric: str) -> str:
-    """Change against the located friction, with its interval."""
-    rows, others = _rows(data), data["frictions"][1:]
-    text = "{iqm:+.1f} [{low:+.1f}, {high:+.1f}]"
-    lines = [
-        [f"`{name}`", *(text.format(**rows[name, friction][f"{metric}_change"]) for friction in others)]
-        for name in data["controllers"]
-    ]
-    return markdown_table(["controller", *others], lines)
 
 
 def pictures(data: dict[str, Any]) -> Pictures:

@@ -5,9 +5,8 @@ Each runs with and without it on the same scenarios of the development set.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,17 +17,16 @@ from agents.residual.controller import ResidualMemory
 from baselines.registry import CONTROLLERS, FELT
 from baselines.tools.progress import progress_over
 from beltarm_env.arrays import Floats
-from beltarm_env.metrics import TORQUE_QUALITY, heading
+from beltarm_env.metrics import TORQUE_QUALITY
 from beltarm_env.rollout import Controller, rollout
 from eval.comparison.check import action_times
 from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
-from eval.comparison.statistics import Estimate, average, paired
+from eval.comparison.statistics import average, paired
 from eval.report.style import BLUE, GREEN, ORANGE
-from eval.report.text import cell, markdown_table, rounded
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
 Tier = Literal["encoder", "accelerometer"]
@@ -45,7 +43,7 @@ _COLOURS = dict(zip(NAMES, (BLUE, ORANGE, GREEN), strict=True))
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (4, EPISODES)}
+    bounds = Bounds(episodes=(4, EPISODES))
 
     splits: tuple[str, ...] = ()
     """Splits to run. Default: all."""
@@ -123,42 +121,13 @@ def _torsion(memory: Any) -> Floats:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """A table for each controller, and one of torques, knowledge and time on the main split."""
-    main = main_split(data["splits"])
-    return {"compared": [_comparison(data, name) for name in NAMES], "main": main, "torques": _torques(data, main)}
+    """Rows by controller, split and sensors, and names of controllers, sensors and metrics."""
+    names = {"controllers": NAMES, "tiers": TIERS, "compared": COMPARED, "torques": TORQUE_QUALITY}
+    return {"rows": _rows(data), "main": main_split(data["splits"]), **names}
 
 
 def _rows(data: dict[str, Any]) -> dict[tuple[str, str, str], dict[str, Any]]:
     return {(row["controller"], row["split"], row["sensors"]): row for row in data["rows"]}
-
-
-def _comparison(data: dict[str, Any], name: str) -> str:
-    """Every split with and without the accelerometer, and the difference on the same scenarios."""
-    levels, rows = _rows(data), []
-    for row in data["differences"]:
-        if row["controller"] == name:
-            pair = [levels[name, row["split"], tier] for tier in TIERS]
-            cells = []
-            for metric in COMPARED:
-                cells.append(" → ".join(rounded(metric, result[metric]) for result in pair))
-                cells.append(cell(metric, Estimate(**row[metric])))
-            rows.append([row["split"], *cells, " → ".join(str(result["left"]) for result in pair)])
-    titles = [title for metric in COMPARED for title in (heading(metric), "difference")]
-    return markdown_table([f"`{name}` on", *titles, "left"], rows)
-
-
-def _torques(data: dict[str, Any], split: str) -> str:
-    """Quality of the torque, error of the filter, and time per action on one split."""
-    rows = []
-    for row in data["rows"]:
-        if row["split"] == split:
-            levels = [rounded(metric, row[metric]) for metric in TORQUE_QUALITY]
-            time = data["microseconds"][row["controller"]][row["sensors"]]
-            rows.append(
-                [f"`{row['controller']}`", row["sensors"], *levels, f"{1000 * row['torsion']:.2f}", f"{time:.0f}"]
-            )
-    titles = [*map(heading, TORQUE_QUALITY), "error of the torsion, RMS (mrad)", "per action, one arm, median (µs)"]
-    return markdown_table(["controller", "sensors", *titles], rows, "ll" + "r" * len(titles))
 
 
 def pictures(data: dict[str, Any]) -> Pictures:

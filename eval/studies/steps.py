@@ -6,86 +6,75 @@ training ranges.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
 from baselines import CONTROLLERS
-from baselines.gains import tuned
-from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.tools.progress import progress_over
-from baselines.yardsticks.privileged import PrivilegedController
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.metrics import TORQUE_QUALITY, heading
-from beltarm_env.rollout import Recording, rollout
+from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
+from eval.comparison.methods import PRIVILEGED
 from eval.comparison.statistics import average, worst_mean
 from eval.report.style import BLUE, GREEN, VERMILION
 from eval.report.text import markdown_table, rounded
-from eval.studies._frame import Pictures, StudyOptions
+from eval.studies._arms import believing, identifying_nothing, privileged
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
 """Metrics of the table."""
 QUICK = {"arms": 4}
 
-_ARM = ("swing", "stiffness", "motor_inertia", "friction", "inertia", "torque_constant")
 _TIMING = ("delay", "lag")
 _TURNING = ("variation", "excess", "stiffening")
 _RIPPLE = ("ripple",)
-_DRIFTS = ("drift", "friction_drift")
-_UNEXPLAINED = 5e-3  # [N m], of a filter that identifies nothing: what one torque has to stand for then
 
 
 @dataclass(frozen=True)
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"arms": (4, 10_000)}
+    bounds = Bounds(arms=(4, 10_000))
 
     arms: int = 256
     """Number of arms, 4 to 10000."""
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A controller, and what it has that the one before has not."""
 
     title: str
     controller: str
-    make: Callable[[], Any] | None  # None: the oracle, which is made for its arms
+    make: Callable[[int], Any]  # its controller, for a number of arms
 
 
-def _identifying(*held: str) -> Callable[[], Any]:
-    """`adaptive`, which plans with squares, and believes some of its `Uncertainty` to be what the design model says."""
+def _tuned(title: str, name: str) -> Step:
+    return Step(title, name, lambda _: CONTROLLERS[name]())
 
-    def make() -> Any:
-        gains = tuned("adaptive", AdaptiveGains)
-        known: dict[str, float] = dict.fromkeys(held, 0.0)
-        if set(_ARM) <= set(held):
-            known |= {**dict.fromkeys(_DRIFTS, 0.0), "disturbance": max(_UNEXPLAINED, gains.unexplained_torque)}
-        return AdaptiveController(gains, uncertainty=replace(gains.uncertainty(), **known), improvements=0)
 
-    return make
+def _held(title: str, *held: str) -> Step:
+    return Step(title, "adaptive", lambda _: believing(*held))
 
 
 CHAIN = (
-    Step("1991: computed torque, PD, torsion feedback", "paper", CONTROLLERS["paper"]),
-    Step("+ gains tuned, links and friction in the feed-forward", "retuned", CONTROLLERS["retuned"]),
-    Step("+ input shaping, integral action", "ei", CONTROLLERS["ei"]),
-    Step("+ optimal plan, observer, prediction (design model)", "preview", CONTROLLERS["preview"]),
-    Step("+ the arm's constants identified", "adaptive", _identifying(*_TIMING, *_TURNING, *_RIPPLE)),
-    Step("+ delay and current loop", "adaptive", _identifying(*_TURNING, *_RIPPLE)),
-    Step("+ friction over the turn, breakaway, stiffening", "adaptive", _identifying(*_RIPPLE)),
-    Step("+ torque ripple", "adaptive", _identifying()),
-    Step("+ first plan for the task's own cost", "adaptive", CONTROLLERS["adaptive"]),
-    Step("arm, drive and state known (no controller)", "privileged", None),
+    _tuned("1991: computed torque, PD, torsion feedback", "paper"),
+    _tuned("+ gains tuned, links and friction in the feed-forward", "retuned"),
+    _tuned("+ input shaping, integral action", "ei"),
+    _tuned("+ optimal plan, observer, prediction (design model)", "preview"),
+    _held("+ the arm's constants identified", *_TIMING, *_TURNING, *_RIPPLE),
+    _held("+ delay and current loop", *_TURNING, *_RIPPLE),
+    _held("+ friction over the turn, breakaway, stiffening", *_RIPPLE),
+    _held("+ torque ripple"),
+    _tuned("+ first plan for the task's own cost", "adaptive"),
+    Step("arm, drive and state known (no controller)", PRIVILEGED, lambda arms: privileged(arms, LOOPS.first)),
 )
 """The chain."""
-ASIDE = Step("`adaptive` with nothing identified", "adaptive", _identifying(*_ARM, *_TIMING, *_TURNING, *_RIPPLE))
+ASIDE = Step("`adaptive` with nothing identified", "adaptive", lambda _: identifying_nothing())
 """Not of the chain: what identification is worth to the same law."""
 
 
@@ -93,31 +82,21 @@ def measure(options: Options) -> dict[str, Any]:
     """Averages of every step's metrics over the arms."""
     rows = []
     for step in progress_over("steps", (*CHAIN, ASIDE)):
-        run = rollout_of(step, options.arms)
+        sensors = "full" if step.controller == PRIVILEGED else "encoder"
+        run = rollout(step.make(options.arms), options.arms, seed=LOOPS.first, randomization="train", sensors=sensors)
         metrics = run.metrics()
-        cost = metrics["cost"]
         rows.append(
             {
                 "title": step.title,
                 "controller": step.controller,
                 "chain": step is not ASIDE,
                 **{name: average(name, metrics[name]) for name in SHOWN},
-                "mean": np.mean(cost),
-                "worst": worst_mean(cost),
+                "mean": run.cost.mean(),
+                "worst": worst_mean(run.cost),
                 "left": np.sum(~run.finished),
             }
         )
     return {"arms": options.arms, "first_seed": LOOPS.first, "rows": rows}
-
-
-def rollout_of(step: Step, arms: int) -> Recording:
-    """Run the controller of a step on arms of the training ranges; the same ones, with the same moves, for all."""
-    if step.make is not None:
-        return rollout(step.make(), arms, seed=LOOPS.first, randomization="train")
-    env = BeltArmVectorEnv(arms, randomization="train", sensors="full")
-    env.reset(seed=LOOPS.first)
-    oracle = PrivilegedController(list(env.params))
-    return rollout(oracle, arms, seed=LOOPS.first, randomization="train", sensors="full")
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -37,8 +36,8 @@ from eval.comparison.sets import SetLabel, development_set, fresh_scenarios
 from eval.comparison.splits import EPISODES, SPLITS, Split
 from eval.comparison.statistics import CONFIDENCE, holm, interquartile_mean
 from eval.report.style import COLOURS, mark_one_two_five
-from eval.report.text import degrees, markdown_table, number, rounded
-from eval.studies._frame import Pictures, StudyOptions
+from eval.report.text import rounded
+from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 Floats = NDArray[np.float64]
 Interval = tuple[float, float, float]
@@ -63,7 +62,7 @@ _USUAL = 10_000  # scenarios that say how arms are distributed
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"episodes": (20, 1_000_000), "jobs": (1, 256)}
+    bounds = Bounds(episodes=(20, 1_000_000), jobs=(1, 256))
 
     episodes: int = 25_000
     """Number of scenarios."""
@@ -239,140 +238,46 @@ def _parameters(split: Split) -> dict[str, Floats]:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Tables, and numbers of the template."""
-    methods: dict[str, Any] = _with_nan(data["methods"])
-    tail = f"worst {100 * WORST:g} %"
-    shares = [f"{100 * share:g} %" for share in SHARES]
-    titles = ["mean", "IQM", "median", *shares[1:], tail, "worst"]
+    """Names, bounds and texts of intervals for the template."""
+    methods: dict[str, Any] = data["methods"]
     learned = [name for name, entry in methods.items() if entry["kind"] == "learned"]
     challenger = min(learned, key=lambda name: methods[name]["tails"]["cost"]["iqm"])
     rare = [methods[name]["tails"]["cost"]["percentiles"][-1] for name in (challenger, data["best"])]
+    ends = [[math.nan if end is None else end for end in interval] for interval in rare]
     return {
         "note": SetLabel(f"seed {data['scenario_seed']}", "").note,
         "few": EPISODES,
         "description": SPLITS[data["split"]].description,
         "arrival_mm": 1000 * ARRIVAL_BOUND,
         "challenger": challenger,
-        "dearer": _percent(methods[challenger]["against"]["dearer"]),
-        "rare": [_interval("cost", value) for value in rare],
-        "apart": rare[0][2] < rare[1][1] or rare[1][2] < rare[0][1],
-        "worst": [rounded("cost", methods[name]["tails"]["cost"]["worst"]) for name in (challenger, data["best"])],
-        "distributions": [
-            (heading(metric), _table(titles, methods, partial(_tail, metric=metric))) for metric in DISTRIBUTIONS
-        ],
-        "first": _table(
-            [f"{share}, {which}" for which in (f"first {EPISODES}", "all") for share in (*shares[-2:], "worst")],
-            methods,
-            lambda entry: _percentiles(entry["few"], -2) + _percentiles(entry["tails"]["cost"], -2),
-        ),
-        "failures": _table(
-            ["left the workspace (%)", "did not arrive (%)", "never settled (%)"],
-            methods,
-            lambda entry: [_percent(entry[name]) for name in ("left", "not_arrived", "not_settled")],
-        ),
-        "against": _table(
-            ["costs more (%)", "mean difference", *(f"{100 * share:g} %" for share in OF_DIFFERENCE), "most"],
-            {name: entry for name, entry in methods.items() if name != data["best"]},
-            _differences,
-        ),
-        "policies": _table(
-            ["mean cost", *shares[1:], "worst"],
-            {f"{name}, {k}": policy for name, entry in methods.items() for k, policy in enumerate(entry["policies"])},
-            lambda entry: [_mean(entry), *_percentiles(entry, 1)],
-        ),
-        "torques": _table(
-            [f"{heading(name)}, {which}" for name in TORQUE_QUALITY for which in ("mean", shares[-1])],
-            methods,
-            _torques,
-        ),
+        "rare": rare,
+        "apart": ends[0][2] < ends[1][1] or ends[1][2] < ends[0][1],
+        "shares": [f"{100 * share:g} %" for share in SHARES],
+        "differences": [f"{100 * share:g} %" for share in OF_DIFFERENCE],
+        "worst": f"worst {100 * WORST:g} %",
         "tail_size": tail_size(data["episodes"]),
-        "distinguishing": _distinguishing(methods),
-        "cases": _cases(methods),
-        "commands": [_watching(data, entry) for entry in methods.values()],
+        "distributions": DISTRIBUTIONS,
+        "torques": TORQUE_QUALITY,
+        "drawn": DRAWN,
+        "digits": {name: KNOWN[name].digits for name in DISTRIBUTIONS},
+        "interval": _interval,
+        "share": _share,
+        "rounded": _rounded,
     }
 
 
-def _table(titles: Sequence[str], methods: Mapping[str, Any], cells: Any) -> str:
-    return markdown_table(["method", *titles], [[f"`{name}`", *cells(entry)] for name, entry in methods.items()])
+def _rounded(metric: str, value: float | None) -> str:
+    return rounded(metric, math.nan if value is None else value)
 
 
-def _with_nan(value: Any) -> Any:
-    """Data with "not a number" in the places of null."""
-    if isinstance(value, dict):
-        return {key: _with_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_with_nan(entry) for entry in value]
-    return math.nan if value is None else value
-
-
-def _interval(metric: str, interval: Sequence[float]) -> str:
-    point, low, high = (rounded(metric, end) for end in interval)
+def _interval(metric: str, interval: Sequence[float | None]) -> str:
+    point, low, high = (_rounded(metric, end) for end in interval)
     return f"{point} [{low}, {high}]"
 
 
-def _percent(interval: Sequence[float]) -> str:
-    point, low, high = (f"{100 * end:.3g}" for end in interval)
-    return f"{point} [{low}, {high}]"
-
-
-def _tail(entry: dict[str, Any], metric: str) -> list[str]:
-    """Mean, IQM, percentiles, mean of the tail and largest value of a metric."""
-    tail, digits = entry["tails"][metric], KNOWN[metric].digits
-    percentiles = [_interval(metric, value) for value in tail["percentiles"]]
-    ends = [rounded(metric, tail[name]) for name in ("worst_mean", "worst")]
-    return [_mean(tail, digits), number(tail["iqm"], digits + 1), *percentiles, *ends]
-
-
-def _percentiles(tail: dict[str, Any], first: int) -> list[str]:
-    """Percentiles of the cost from the `first` on, and its largest value."""
-    return [*(_interval("cost", value) for value in tail["percentiles"][first:]), rounded("cost", tail["worst"])]
-
-
-def _torques(entry: dict[str, Any]) -> list[str]:
-    pairs = [(name, entry["tails"][name]) for name in TORQUE_QUALITY]
-    return [rounded(name, v) for name, tail in pairs for v in (tail["mean"], tail["percentiles"][-1][0])]
-
-
-def _differences(entry: dict[str, Any]) -> list[str]:
-    against = entry["against"]
-    ends = (_interval("cost", value) for value in against["percentiles"])
-    return [_percent(against["dearer"]), _mean(against), *ends, rounded("cost", against["most"])]
-
-
-def _mean(entry: dict[str, Any], digits: int = 0) -> str:
-    return f"{number(entry['mean'], digits + 1)} ± {number(entry['error'], digits + 2)}"
-
-
-def _distinguishing(methods: Mapping[str, Any], most: int = 3) -> str:
-    rows = [
-        [f"`{name}`", shown["name"], f"{shown['median']:.3g}", f"{shown['usual']:.3g}", f"{shown['distance']:.2f}"]
-        for name, entry in methods.items()
-        for shown in entry["distinguishing"][:most]
-    ]
-    return markdown_table(["method", "parameter", "median in the tail", "median of all", "distance"], rows, "llrrr")
-
-
-def _cases(methods: Mapping[str, Any]) -> str:
-    rows = [
-        [
-            f"`{name}`",
-            str(case["scenario"]),
-            str(case["policy"]) if entry["policies"] else "",
-            *(rounded(metric, case[metric]) for metric in DRAWN),
-            f"{degrees(case['start'])} to {degrees(case['goal'])}",
-        ]
-        for name, entry in methods.items()
-        for case in entry["worst"]
-    ]
-    return markdown_table(["method", "scenario", "training seed", *map(heading, DRAWN), "move"], rows, "lrrrrl")
-
-
-def _watching(data: dict[str, Any], entry: dict[str, Any]) -> str:
-    """Command that shows the worst scenario of a method."""
-    worst = entry["worst"][0]
-    option = "policy" if entry["kind"] == "learned" else "controller"
-    where = f"--scenario-seed {data['scenario_seed']} --split {data['split']} --scenario {worst['scenario']}"
-    return f"python eval/watch.py {where} --{option} {entry['sources'][worst['policy']]}"
+def _share(interval: Sequence[float]) -> str:
+    """A share with its interval, in percent."""
+    return "{:.3g} [{:.3g}, {:.3g}]".format(*(100 * end for end in interval))
 
 
 def pictures(data: dict[str, Any]) -> Pictures:

@@ -14,8 +14,9 @@ from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.seeds import LOOPS
+from eval.studies._arms import drawn
 from eval.studies.loops import NONE_LEFT, costs, gains, scan
-from eval.studies.loops.costs import CHANGES, LIMITS, blind, built_arms, price, run_arms, worth
+from eval.studies.loops.costs import CHANGES, LIMITS, blind, price, run_arms, worth
 
 
 def test_the_worst_margins_are_those_of_the_condition():
@@ -34,7 +35,7 @@ def test_an_unstable_loop_has_no_margins():
 
 
 def test_a_change_sets_its_constants_and_nothing_else():
-    table = built_arms(3)
+    table = drawn(3, LOOPS.first).params_table
     for change in CHANGES:
         differ = {FIELDS[k] for k in np.flatnonzero((change.applied(table) != table).any(axis=0))}
         assert differ <= set(change.constants)
@@ -48,8 +49,8 @@ def test_a_change_sets_its_constants_and_nothing_else():
 
 def test_arms_as_built_run_as_the_environment_draws_them():
     controller = CONTROLLERS["zv"]()
-    drawn = rollout(controller, 3, seed=LOOPS.first, randomization="train")
-    np.testing.assert_array_equal(run_arms(blind(controller), built_arms(3)).cost, drawn.cost)
+    expected = rollout(controller, 3, seed=LOOPS.first, randomization="train")
+    np.testing.assert_array_equal(run_arms(blind(controller), drawn(3, LOOPS.first).params_table).cost, expected.cost)
 
 
 def test_prices_are_of_the_same_law_and_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -57,7 +58,7 @@ def test_prices_are_of_the_same_law_and_search(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(costs, "WITHOUT", file)
     same = read_file()["zv"]["provenance"]
     write_entry("zv", tuned("zv", TUNABLE["zv"].gains), same, file)
-    kept = run_arms(blind(CONTROLLERS["zv"]()), built_arms(3)).cost
+    kept = run_arms(blind(CONTROLLERS["zv"]()), drawn(3, LOOPS.first).params_table).cost
     found = price("zv", kept)
     assert found is not None and found["with"] == found["without"] and found["mean_with"] == found["mean_without"]
     write_entry("zv", tuned("ei", TUNABLE["ei"].gains), same, file)

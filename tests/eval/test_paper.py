@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
 import pytest
-from commands import mistake
 
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
@@ -18,13 +16,12 @@ from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import MoveShape
-from eval import study
 from eval.studies import _frame
 from eval.studies._effects import ALL, IDEAL
-from eval.studies.paper import Options
+from eval.studies.paper import ALTERNATIVES, DRIVES, compare, run_drives, try_alternatives
 from eval.studies.paper.linear import (
     PAPER_ARM,
-    ServoGains,
+    TABLE_2,
     best_gain,
     closed_loop,
     damping_map,
@@ -40,6 +37,7 @@ from eval.studies.paper.runs import (
     FRICTION,
     MAIN,
     MEASURED,
+    PLACES,
     REMOVED,
     SIMULATED,
     STANDARD,
@@ -56,9 +54,8 @@ from eval.studies.paper.runs import (
     suppression,
 )
 from eval.studies.paper.tables import counts, tables
-from eval.studies.paper.variations import DRIVES, USUAL_MOVE, compare, list_alternatives, run_drives, try_alternatives
 
-TABLE_2 = ServoGains()
+USUAL_MOVE = PLACES[STANDARD]
 DEG_90 = math.pi / 2
 
 
@@ -223,19 +220,18 @@ class TestRuns:
         assert travelled == pytest.approx(0.5 * math.cos(math.pi / 4), rel=1e-3)
 
     def test_every_assumption_is_tried_at_other_values(self):
-        alternatives = list_alternatives(USUAL_MOVE)
-        assert len({tried.label for tried in alternatives}) == len(alternatives)
-        assert len({tried.move for tried in alternatives}) == 13, "the standard one, and no other twice"
-        for tried in alternatives:
+        assert len({tried.label for tried in ALTERNATIVES}) == len(ALTERNATIVES)
+        assert len({tried.move for tried in ALTERNATIVES}) == 13, "the standard one, and no other twice"
+        for tried in ALTERNATIVES:
             differs = [(tried.under(base), tried.move) != (base, USUAL_MOVE) for base in (SIMULATED, ANALYSED)]
             assert any(differs), tried.label
 
     def test_alternatives_run_side_by_side_are_those_run_alone(self):
         names = ("how the arm folds", "where the move leads")
-        alternatives = [tried for tried in list_alternatives(USUAL_MOVE) if tried.assumption in names]
-        together = try_alternatives(alternatives, ANALYSED, TABLE_2)
+        alternatives = [tried for tried in ALTERNATIVES if tried.assumption in names]
+        together = try_alternatives(alternatives, ANALYSED)
         for tried in alternatives:
-            alone = suppression(tried.under(ANALYSED), TABLE_2, [tried.move])[:, :, 0]
+            alone = suppression(tried.under(ANALYSED), [tried.move])[:, :, 0]
             np.testing.assert_allclose(together[tried.label], alone, rtol=1e-6)
 
     def test_the_full_arm_folds_differently(self):
@@ -249,17 +245,17 @@ class TestRuns:
         assert np.isnan(shown["radial_speed"][-1]) and np.isfinite(summary(shown)["peak_torque"])
 
 
-MOVES = (USUAL_MOVE, USUAL_MOVE._replace(start=math.pi / 4, goal=0.0))
+MOVES = tuple(PLACES.values())
 
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, list[Recording]]:
-    return {view: run_drives(TABLE_2, list(MOVES), base, 2) for view, base in MAIN.items()}
+    return {view: run_drives(list(MOVES), base, 2) for view, base in MAIN.items()}
 
 
 @pytest.mark.parametrize("view", MAIN)
 def test_on_the_ideal_drive_the_ringing_is_that_of_the_other_tables(runs: dict[str, list[Recording]], view: str):
-    expected, rows = suppression(MAIN[view], TABLE_2, list(MOVES)), compare(runs[view], 2)
+    expected, rows = suppression(MAIN[view], list(MOVES)), compare(runs[view], 2)
     for k in range(len(MOVES)):
         row, (_, stop, end) = rows[k][0], ratios(expected[:, :, k])
         assert row["drive"] == IDEAL
@@ -293,7 +289,6 @@ def test_the_servo_takes_given_arms_for_that_of_the_conditions():
 def test_words_of_the_page_are_those_of_its_numbers():
     """Sentences of the template that state no number."""
     data = _frame.read_data(_frame.RESULTS / "paper")
-    assert data["usual"]
     scenes, linear = tables(data)["scene"], data["linear"]
     assert 0.8 * REMOVED < scenes[AS_ANALYSED][STANDARD]["ratios"]["end"] < REMOVED, "close to the bound"
     assert scenes[MEASURED][TO_0]["ratios"]["end"] < 1e-3
@@ -309,16 +304,3 @@ def test_words_of_the_page_are_those_of_its_numbers():
     assert all(labels[name][FRICTION]["answer"] == "no" for name in named)
     assert max(linear["damping"]["printed"]) < 0, "unstable as printed"
     assert all(row["dampings"][2] < row["dampings"][0] + 5e-4 and len(row["pairs"]) == 4 for row in linear["full"])
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("--k4", "-1"), ("--natural-frequency", "nan"), ("--start-deg", "95"), ("--duration", "0.3")],
-)
-def test_bad_options(words: tuple[str, ...], tmp_path: Path):
-    line = mistake(study.main, ("paper", *words), tmp_path)
-    assert words[0].strip("-").split("-")[0] in line and words[1] in line
-
-
-def test_default_options_are_the_usual_move_and_table_2():
-    assert Options().move == USUAL_MOVE and Options().gains == TABLE_2

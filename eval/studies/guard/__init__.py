@@ -4,7 +4,235 @@ Learned and classical controllers run with and without the guard, on arms with i
 set.
 """
 
-from eval.studies.guard.measurement import QUICK, Options, measure
-from eval.studies.guard.presentation import pictures, tables
+from __future__ import annotations
 
-__all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from agents.residual.controller import ResidualController
+from agents.residual.guarded import GuardedResidualController
+from baselines.guard.controller import GuardedController, servo_for
+from baselines.guard.guard import LEARNED_LEVEL, PASSIVE_LEVEL
+from baselines.guard.settings import GuardSettings
+from beltarm_env.arrays import Flags, Floats
+from beltarm_env.rollout import Controller, record, rollout
+from beltarm_env.task.seeds import FAULTS as SEEDS
+from eval.comparison.methods import chosen
+from eval.comparison.rollouts import Recorder, shipped_controller, shipped_methods, side_by_side
+from eval.comparison.sets import development_set
+from eval.comparison.splits import EPISODES
+from eval.report.style import BLUE, GREEN, VERMILION, mark_one_two_five
+from eval.report.text import markdown_table, number
+from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies.guard.faults import EARLIEST, FAULTS, LATEST, BrokenPolicy, FaultyArms
+
+QUICK = {
+    "controllers": ("ppo",),
+    "faults": ("stuck encoder", "NaN weights"),
+    "splits": ("nominal",),
+    "arms": 2,
+    "episodes": 4,
+    "jobs": 1,
+}
+CONTROLLERS = ("student", "ppo", "adaptive", "preview", "mpc")
+"""Controllers of the study; of a learned one the policy of its first training seed."""
+NAN = "NaN weights"
+"""The fault that classical controllers cannot have."""
+
+
+@dataclass(frozen=True)
+class Options(StudyOptions):
+    """Options of the study."""
+
+    bounds = Bounds(arms=(1, SEEDS.size), episodes=(4, EPISODES), jobs=(1, 256))
+
+    controllers: tuple[str, ...] = ()
+    """Controllers to run. Default: all of the study."""
+    faults: tuple[str, ...] = ()
+    """Faults to inject. Default: all."""
+    splits: tuple[str, ...] = ()
+    """Splits on which nothing breaks. Default: all."""
+    arms: int = 60
+    """Arms on which something breaks, 1 to 10000."""
+    episodes: int = 40
+    """Scenarios per split, 4 to 500."""
+    jobs: int | None = None
+    """Number of processes. Default: one per core."""
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Outcomes of every controller under every fault, and its costs on the splits."""
+    scenarios = development_set()
+    controllers = chosen("controller", options.controllers, CONTROLLERS)
+    bases = {name: base_of(name) for name in controllers}
+    faults = chosen("fault", options.faults, FAULTS)
+    splits = chosen("split", options.splits, scenarios.splits)
+    pairs = [(name, fault) for name in controllers for fault in faults if fault != NAN or bases[name] != name]
+    kinds = {(name, fault): _kinds(name, bases[name], fault, options.arms) for name, fault in pairs}
+    cases = list(dict.fromkeys(case for of_pair in kinds.values() for case in of_pair.values()))
+    outcomes = side_by_side("faults", outcome, cases, options.jobs)
+    places = [(name, split, options.episodes) for name in controllers for split in splits]
+    healthy = side_by_side("splits where nothing breaks", health, places, options.jobs)
+    return {
+        "note": scenarios.label.note,
+        "arms": options.arms,
+        "episodes": options.episodes,
+        "settings": GuardSettings(),
+        "onset": (EARLIEST, LATEST),
+        "faults": {fault: FAULTS[fault] for fault in faults},
+        "bases": bases,
+        "rows": [
+            {"controller": name, "fault": fault, **{kind: outcomes[case] for kind, case in of_pair.items()}}
+            for (name, fault), of_pair in kinds.items()
+        ],
+        "healthy": [{"controller": name, "split": split, **result} for (name, split, _), result in healthy.items()],
+    }
+
+
+def _kinds(name: str, base: str, fault: str, arms: int) -> dict[str, tuple[str, str, bool, int]]:
+    """Arguments of `outcome` for a controller's base alone, and for itself without and with the guard."""
+    return {
+        "base": (base, fault, False, arms),
+        "without": (name, fault, False, arms),
+        "guarded": (name, fault, True, arms),
+    }
+
+
+def base_of(name: str) -> str:
+    """Name of the controller that a learned method corrects; of a classical controller its own."""
+    (method,) = shipped_methods((name,))
+    return method.base or name
+
+
+def with_guard(controller: Controller, name: str) -> Recorder[tuple[Flags, Floats]]:
+    """Put the guard behind a controller of the study, and note which commands it changed, and its levels."""
+    servo = servo_for(base_of(name))
+    learned = isinstance(controller, ResidualController)
+    guarded = GuardedResidualController(controller, servo) if learned else GuardedController(controller, servo)
+    return Recorder(guarded, lambda memory: (memory.changed, memory.level))
+
+
+def outcome(name: str, fault: str, guard: bool, arms: int) -> dict[str, float]:
+    """Run a controller, with or without the guard, on the first arms of the study's seeds while something breaks.
+
+    Returns:
+        Means over the arms: `peak`, the largest distance of the tip from its reference [mm]; `left`, the share of arms
+        that left the workspace [%]; `energy`, the integral of the squared torque [10^-3 N^2 m^2 s]; `passive`, the
+        share of arms that the guard left without torque [%].
+    """
+    env, controller = FaultyArms(arms, fault, randomization="train"), shipped_controller(name)
+    if fault == NAN and isinstance(controller, ResidualController):
+        controller.policy = BrokenPolicy(controller.policy, env)
+    recorder = with_guard(controller, name) if guard else None
+    run = record(recorder or controller, env, seed=SEEDS.first)
+    levels = np.array([level for _, level in recorder.notes]) if recorder else np.zeros((1, arms))
+    return {
+        "peak": float(np.mean(1000 * np.linalg.norm(run.tip_error, axis=2).max(axis=0))),
+        "left": float(100 * np.mean(~run.finished)),
+        "energy": float(1000 * np.mean(env.energies())),
+        "passive": float(100 * np.mean((levels == PASSIVE_LEVEL).any(axis=0))),
+    }
+
+
+def health(name: str, split: str, episodes: int) -> dict[str, float]:
+    """Run a controller with and without the guard on the first scenarios of a split.
+
+    Returns:
+        Mean costs `before` and `after` the guard is added; shares of commands that the guard `changed`, of `arms` with
+        such a command, and of arms on which it has `fallen` back.
+    """
+    arguments = development_set().splits[split].arguments(slice(episodes))
+    before = rollout(shipped_controller(name), episodes, **arguments)
+    recorder = with_guard(shipped_controller(name), name)
+    after = rollout(recorder, episodes, **arguments)
+    changed, levels = map(np.array, zip(*recorder.notes, strict=True))
+    return {
+        "before": float(np.mean(before.cost)),
+        "after": float(np.mean(after.cost)),
+        "changed": float(np.mean(changed)),
+        "arms": float(np.mean(changed.any(axis=0))),
+        "fallen": float(np.mean((levels > LEARNED_LEVEL).any(axis=0))),
+    }
+
+
+MEASURES = {"peak": "peak tip error (mm)", "left": "left (%)", "energy": "torque energy (10⁻³ N²m²s)"}
+"""Headings of an outcome's measures."""
+MARGIN = 1.1
+"""Largest ratio of the guarded controller to its base alone that counts as no worse."""
+_DIGITS = {"peak": 1, "left": 0, "energy": 1}
+
+
+def tables(data: dict[str, Any]) -> dict[str, Any]:
+    """A table of faults for each controller, and the comparisons in which the base alone is better."""
+    return {
+        "faults": [_faults_table(data, name) for name in data["bases"]],
+        "comparisons": len(data["rows"]) * len(MEASURES),
+        "worse": [(row, measure) for row in data["rows"] for measure in worse_measures(row)],
+        "titles": MEASURES,
+        "digits": _DIGITS,
+        "margin": round(100 * (MARGIN - 1)),
+        "learned": _learned(data),
+    }
+
+
+def worse_measures(row: dict[str, Any]) -> list[str]:
+    """Measures by which the guarded controller is worse than its base alone, beyond the margin."""
+    return [name for name in MEASURES if row["guarded"][name] > MARGIN * row["base"][name] + 1e-9]
+
+
+def _learned(data: dict[str, Any]) -> list[str]:
+    return [name for name, base in data["bases"].items() if name != base]
+
+
+def _faults_table(data: dict[str, Any], name: str) -> str:
+    """All faults of one controller."""
+    kinds = {"base": f"`{data['bases'][name]}` alone", "without": "without", "guarded": "with the guard"}
+    if name not in _learned(data):
+        del kinds["base"]
+    rows = []
+    for row in data["rows"]:
+        if row["controller"] == name:
+            cells, worse = [], worse_measures(row)
+            for measure, digits in _DIGITS.items():
+                *others, last = (number(row[kind][measure], digits) for kind in kinds)
+                cells.append(" → ".join([*others, f"**{last}**" if measure in worse else last]))
+            rows.append([row["fault"], *cells, number(row["guarded"]["passive"], 0)])
+    return markdown_table([f"`{name}`: {' → '.join(kinds.values())}", *MEASURES.values(), "made passive (%)"], rows)
+
+
+def pictures(data: dict[str, Any]) -> Pictures:
+    """Peak tip error under every fault."""
+    return {"peak.png": lambda: _draw(data)}
+
+
+def _draw(data: dict[str, Any]) -> Figure:
+    """Draw a panel for each learned method; for each controller if there is none."""
+    names = _learned(data) or list(data["bases"])
+    figure, grid = plt.subplots(1, len(names), figsize=(11, 4.2), sharex=True, sharey=True, squeeze=False)
+    kinds = {
+        "base": ("base alone", BLUE, "s"),
+        "without": ("without the guard", VERMILION, "o"),
+        "guarded": ("with the guard", GREEN, "D"),
+    }
+    for axis, name in zip(grid[0], names, strict=True):
+        rows = [row for row in data["rows"] if row["controller"] == name]
+        for k, (kind, (label, colour, marker)) in enumerate(kinds.items()):
+            heights = [place + 0.22 * (k - 1) for place in range(len(rows))]
+            axis.plot([row[kind]["peak"] for row in rows], heights, marker, color=colour, ms=6, label=label)
+        axis.set_yticks(range(len(rows)), [row["fault"] for row in rows])
+        axis.set_title(f"{name} on {data['bases'][name]}", fontsize=10)
+        axis.set_xscale("log")
+        mark_one_two_five(axis.xaxis)
+        axis.set_xlabel("peak tip error, mean (mm)")
+        axis.grid(axis="x", color="0.9", lw=0.6)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+    grid[0, 0].invert_yaxis()
+    marks = grid[0, 0].get_legend_handles_labels()
+    figure.legend(*marks, frameon=False, fontsize=9, loc="lower center", ncols=len(kinds))
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    return figure

@@ -65,13 +65,6 @@ class FaultyArms(BeltArmVectorEnv):
         if fault not in FAULTS:
             raise ValueError(f"no fault {fault!r}; there are {', '.join(FAULTS)}")
         self.fault = fault
-        self.onset = np.zeros(num_envs, np.intp)
-        self.samples = self.refused = 0
-        self._running, self._lasted = np.ones(num_envs, np.bool_), np.zeros(num_envs)
-        self._squares = np.zeros(num_envs)  # sum of the squared torques, over their limit, until an arm left
-        self._random = np.random.default_rng(0)
-        self._true = np.zeros((LATE + 1, num_envs))  # counts, latest first
-        self._shown = np.zeros(num_envs)
         self._seen = np.zeros((num_envs, len(_SCALES)), np.float32)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Singles, dict[str, Any]]:
@@ -85,9 +78,9 @@ class FaultyArms(BeltArmVectorEnv):
         self.onset = np.rint(share * self.moves[:, 2] / CONTROL_PERIOD).astype(np.intp)
         self.samples = self.refused = 0
         self._running, self._lasted = np.ones(self.num_envs, np.bool_), np.zeros(self.num_envs)
-        self._squares = np.zeros(self.num_envs)
+        self._squares = np.zeros(self.num_envs)  # sum of the squared torques, over their limit, until an arm left
         self._shown = self._counts(seen)
-        self._true = np.repeat(self._shown[None], LATE + 1, axis=0)
+        self._true = np.repeat(self._shown[None], LATE + 1, axis=0)  # counts, latest first
         return seen, info
 
     def step(self, actions: Singles) -> tuple[Singles, Floats, Flags, Flags, dict[str, Any]]:

@@ -8,12 +8,12 @@ interrupted ones continue. Beside them are the learning curves of the shipped po
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from agents.policy.bundle import POLICIES
 from agents.residual.bases import make_base
@@ -25,7 +25,7 @@ from baselines.tools.command import require_known
 from baselines.tools.files import require_writable
 from beltarm_env.task.seeds import ABLATIONS
 from eval.report.curves import BEST_CLASSICAL, classical_cost, find_curves, levels
-from eval.studies._frame import StudyOptions
+from eval.studies._frame import Bounds, StudyOptions
 from eval.studies.learning.page import pictures, tables
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score
 
@@ -37,19 +37,15 @@ QUICK = {"only": ("default",), "samples": 5_000, "seeds": 1, "arms": 4, "runs": 
 class Options(StudyOptions, WithStorage):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {
-        "samples": (1, 10**9),
-        "seeds": (1, 100),
-        "arms": (1, 10_000),
-    }
+    bounds = Bounds(samples=(1, 10**9), seeds=(1, 100), arms=(1, 10_000))
 
     runs: Path = Path("runs/ablations")
     """Folder of the runs. Finished runs are kept and not repeated."""
     only: tuple[str, ...] = ()
     """Factors or variants to run, such as told or gru-0, with the runs that they are compared with. Default: all."""
-    samples: int = 8_000_000
+    samples: int = 4_000_000
     """Samples that each run simulates."""
-    seeds: int = 3
+    seeds: int = 2
     """Runs of each variant, with training seeds 0, 1, ... Some variants need only one."""
     arms: int = 256
     """Arms on which the last policy is scored."""

@@ -6,9 +6,10 @@ one thing changed; the price of the margins; what identification is worth; time 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +18,15 @@ from baselines.gains import read_file
 from baselines.loops.condition import CORNERS, MarginCondition, margins_on
 from baselines.loops.models import continuous
 from baselines.models.linear import ANGLES
-from baselines.tools.command import require_known
 from baselines.tools.progress import progress_over
 from baselines.yardsticks.privileged import PrivilegedController
+from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
+from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import LOOPS
-from eval.comparison.check import measure_times
-from eval.studies._frame import StudyOptions
+from eval.comparison.check import microseconds
+from eval.comparison.methods import chosen
+from eval.studies._frame import Bounds, StudyOptions
 from eval.studies.loops.costs import CHANGES, LIMITS, blind, measure_costs, optimum, price, worth
 from eval.studies.loops.page import pictures, tables
 
@@ -35,6 +38,7 @@ ARMS = tuple(CORNERS)
 """Arms that loops are looked at on; the first is the design model."""
 NONE_LEFT = {"gain_up": 1.0, "gain_down": 1.0, "phase": 0.0, "delay": 0.0, "modulus": 0.0}
 """Margins by name, and their values for an unstable loop."""
+_REPETITIONS = 5  # of the episode that is timed
 _PLANE = (-62.0, 72.0)  # smallest real and largest imaginary part of the poles that are drawn [1/s]
 
 
@@ -42,7 +46,7 @@ _PLANE = (-62.0, 72.0)  # smallest real and largest imaginary part of the poles 
 class Options(StudyOptions):
     """Options of the study."""
 
-    bounds: ClassVar[Mapping[str, tuple[int, int | None]]] = {"arms": (8, 10_000), "batch": (1, LOOPS.size)}
+    bounds = Bounds(arms=(8, 10_000), batch=(1, LOOPS.size))
 
     names: tuple[str, ...] = ()
     """Controllers to show. Default: all."""
@@ -58,21 +62,14 @@ def measure(options: Options) -> dict[str, Any]:
     Raises:
         ValueError: If a name is unknown, or a file of gains or of the optimum is damaged.
     """
-    require_known(options.names, CONTROLLERS, "no controller {} to show: --names")
-    names = list(dict.fromkeys(options.names)) or list(CONTROLLERS)
-    entries, built_costs, rows = {}, {}, {}
-    makers = {**{name: blind(CONTROLLERS[name]()) for name in names}, ORACLE: PrivilegedController}
-    for name, make in progress_over("controllers", list(makers.items())):
-        built, rows[name] = measure_costs(make, options.arms, options.arms // 4)
-        if name == ORACLE:
-            continue
-        built_costs[name] = built
-        rows[name] |= {
-            "loop": scan(CONTROLLERS[name]()),
-            "price": price(name, built),
-            "times": measure_times(make([]), options.batch, LOOPS.first),
-        }
-        entries[name] = gains(name)
+    names = chosen("controller", options.names, CONTROLLERS)
+    rows, built = {}, {}
+    for name in progress_over("controllers", [*names, ORACLE]):
+        make = PrivilegedController if name == ORACLE else blind(CONTROLLERS[name]())
+        built[name], rows[name] = measure_costs(make, options.arms, options.arms // 4)
+        if name != ORACLE:
+            about = {"loop": scan(CONTROLLERS[name]()), "price": price(name, built[name])}
+            rows[name] |= about | {"times": times(make([]), options.batch)}
     return {
         "arms": options.arms,
         "moves": options.arms // 4,
@@ -84,8 +81,8 @@ def measure(options: Options) -> dict[str, Any]:
         "corners": ARMS,
         "asked": {"modulus": MarginCondition().modulus, "delay": MarginCondition().delay},
         "controllers": rows,
-        "gains": entries,
-        "worth": worth(built_costs),
+        "gains": {name: gains(name) for name in names},
+        "worth": worth({name: built[name] for name in names}),
         "optimum": optimum(),
     }
 
@@ -120,6 +117,25 @@ def worst(name: str, values: Floats) -> dict[str, Any]:
     place = values.argmax() if name == "gain_down" else values.argmin()
     arm, k = np.unravel_index(int(place), values.shape)
     return {"value": values[arm, k], "arm": ARMS[arm], "degrees": np.degrees(ANGLES[k])}
+
+
+def times(controller: Controller, batch: int) -> dict[str, float]:
+    """Wall-clock of a controller on arms of the training ranges.
+
+    One arm plays the same episode several times, and the shortest time of each action counts, without other work of the
+    machine.
+
+    Returns:
+        `first`, an episode's first action of one arm, with the plan for its move; `median` and `slow`, the 99th
+        percentile, of its later actions; `batched`, per action in a batch [us]; and the batch's whole `episode` [s].
+    """
+    run = partial(microseconds, controller, steps=EPISODE_STEPS, seed=LOOPS.first, randomization="train")
+    alone = np.min([run(1) for _ in range(_REPETITIONS)], axis=0)
+    began = time.perf_counter()
+    batched = np.median(run(batch)) / batch
+    episode = time.perf_counter() - began
+    median, slow = np.percentile(alone[1:], [50, 99])
+    return {"first": alone[0], "median": median, "slow": slow, "batched": batched, "episode": episode}
 
 
 def gains(name: str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ with the seed and budget of those with.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,9 @@ from baselines import CONTROLLERS, TUNABLE
 from baselines.estimation.identification import IdentifyingController
 from baselines.gains import FILE, read_file, tuned
 from baselines.loops.condition import least_margins
-from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains
 from baselines.yardsticks.oracle import METRICS
 from baselines.yardsticks.oracle import read_file as read_optimum
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, design_model
+from beltarm_env import CONTROL_PERIOD, ArmParams, design_model
 from beltarm_env.arm import COLUMN, params_columns, params_table
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUES
@@ -34,6 +33,7 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
+from eval.studies._arms import drawn, identifying_nothing
 from eval.studies._effects import EFFECTS
 
 _DESIGN = design_model()
@@ -107,7 +107,6 @@ WORSE = 1.2
 SHOWN_METRICS = ("cost", "tip_rms_mm", "residual_pp_mm")
 WITHOUT = FILE.with_name("gains_without_margins.json")
 """Gains found without margins."""
-_UNEXPLAINED = 5e-3  # [N m], of a filter that identifies nothing: what one torque has to stand for then
 
 Maker = Callable[[list[ArmParams]], Controller]
 
@@ -125,13 +124,6 @@ def run_arms(make: Maker, table: Floats, **settings: Any) -> Recording:
     return rollout(controller, len(table), seed=LOOPS.first, options=options, sensors=sensors, **settings)
 
 
-def built_arms(count: int) -> Floats:
-    """Arms and drives of the training ranges, columns as `ArmParams`, shape (count, len(FIELDS))."""
-    env = BeltArmVectorEnv(count, randomization="train")
-    env.reset(seed=LOOPS.first)
-    return env.params_table
-
-
 def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str, Any]]:
     """Run a controller on arms as they are built and on the design model, changed and not, and beside the optimum.
 
@@ -143,10 +135,10 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
     Returns:
         Costs on the arms as they are built, shape (arms,), and what the page shows.
     """
-    design, built = np.tile(design_model().row(), (moves, 1)), built_arms(arms)
+    design, built = np.tile(design_model().row(), (moves, 1)), drawn(arms, LOOPS.first).params_table
     scenarios = read_optimum()[1]
     table = params_table([scenario.params for scenario in scenarios])
-    drawn = {field: [getattr(scenario.move, field) for scenario in scenarios] for field in MoveShape._fields}
+    known = {field: [getattr(scenario.move, field) for scenario in scenarios] for field in MoveShape._fields}
     as_designed, as_built = run_arms(make, design), run_arms(make, built)
     metrics = as_built.metrics()
     return metrics["cost"], {
@@ -157,7 +149,7 @@ def measure_costs(make: Maker, arms: int, moves: int) -> tuple[Floats, dict[str,
         "design": interquartile_mean(as_designed.cost),
         "changes": [_effect(make, design, change, as_designed.cost) for change in CHANGES],
         "limits": [_effect(make, built, change, as_built.cost) for change in LIMITS],
-        "optimum": run_arms(make, table, options={"move": drawn}).cost,
+        "optimum": run_arms(make, table, options={"move": known}).cost,
     }
 
 
@@ -196,7 +188,7 @@ def price(name: str, kept: Floats) -> dict[str, Any] | None:
     if search is None or search != _search(name, FILE):
         return None
     free = TUNABLE[name].controller(tuned(name, TUNABLE[name].gains, WITHOUT))
-    cost, least = run_arms(blind(free), built_arms(len(kept))).cost, least_margins(free)
+    cost, least = run_arms(blind(free), drawn(len(kept), LOOPS.first).params_table).cost, least_margins(free)
     return {
         "with": interquartile_mean(kept),
         "without": interquartile_mean(cost),
@@ -226,7 +218,7 @@ def worth(by_name: Mapping[str, Floats]) -> list[dict[str, Any]]:
     own = by_name[IDENTIFYING]
     others = [name for name in by_name if not isinstance(CONTROLLERS[name](), IdentifyingController)]
     best = sorted(others, key=lambda name: interquartile_mean(by_name[name]))[:1]
-    same = run_arms(blind(identifying_nothing()), built_arms(len(own))).cost
+    same = run_arms(blind(identifying_nothing()), drawn(len(own), LOOPS.first).params_table).cost
     titled = {f"`{IDENTIFYING}` with nothing identified": same, **{f"`{name}`": by_name[name] for name in best}}
     return [
         {
@@ -238,13 +230,3 @@ def worth(by_name: Mapping[str, Floats]) -> list[dict[str, Any]]:
         }
         for title, other in titled.items()
     ]
-
-
-def identifying_nothing() -> AdaptiveController:
-    """`adaptive` that believes in the design model, and explains what it sees by a disturbance."""
-    gains = tuned(IDENTIFYING, AdaptiveGains)
-    doubts = gains.uncertainty()
-    noise = ("torque", "acceleration", "disturbance", "memory", "kinematic_error")
-    sure = {doubt.name: 0.0 for doubt in fields(doubts) if doubt.name not in noise}
-    doubts = replace(doubts, **sure, disturbance=max(_UNEXPLAINED, gains.unexplained_torque))
-    return AdaptiveController(gains, uncertainty=doubts, improvements=0)

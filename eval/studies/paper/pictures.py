@@ -1,4 +1,4 @@
-"""Pictures of the study: time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, alternatives, other moves, drives."""
+"""Pictures: time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, damping, alternatives, random moves, drives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from eval.report.text import degrees
 from eval.studies._effects import heading
 from eval.studies._frame import Pictures
 from eval.studies.paper.linear import (
-    GAIN_RANGES,
     MARKED_ARMS,
     PAPER_ARM,
     Poles,
@@ -44,6 +43,7 @@ _LABELS = {
     "lateral_acceleration": "lateral acc. ÿ (m/s²)",
 }
 _RATIO = "ringing with K4 = {k4:g} over that with 0"
+_K4_SHOWN = 0.5  # largest K_4 in root loci and map [N m s/rad]
 _BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False}  # the legend of a figure
 
 
@@ -145,58 +145,42 @@ def _ratios(data: Data, names: list[str], ratios: Data, lines: list[int], height
 
 
 def _moves(data: Data) -> Figure:
-    """Ringing over the ramp time, and the share of random moves that vibration feedback calms."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.8), layout="constrained")
-    gains, reduced, move = ("0", f"{data['gains']['k4']:g}"), data["bounds"]["reduced"], data["move"]
+    """Share of random moves over the ratio of ringing."""
+    figure, axis = plt.subplots(figsize=(6, 4.8), layout="constrained")
     for view, style in _STYLES.items():
-        for ringing, colour, gain in zip(data["sweep"]["views"][view], _COLOURS, gains, strict=True):
-            label = f"K4 = {gain}, {view}"
-            left.plot(data["sweep"]["ramp_times"], _array(ringing), color=colour, label=label, **style)
         for phase, colour in (("cruise", GREEN), ("stop", PINK)):
             ratios = _array(data["random"][view]["phases"][phase]["ratios"])
             share = 100 * (np.arange(len(ratios)) + 1) / max(len(ratios), 1)
-            right.plot(ratios, share, color=colour, label=f"{PHASES[phase]}, {view}", **style)
-    period = 2 * np.pi / max(imaginary for _, imaginary in data["linear"]["poles"]["off"][1])
-    left.axvline(period, color="0.5", lw=1, ls=":")
-    left.set(xlabel="ramp time of the trapezoid (s)", ylabel="ringing after the stop (m/s²)")
-    left.set_ylim(bottom=0)
-    left.set_title(f"{degrees(move['start'])} to {degrees(move['goal'])} in {move['duration']:g} s", fontsize=11)
-    right.axvline(1, color="0.5", lw=1, ls=":")
-    right.axvspan(reduced, 1 / reduced, color=_PHASE_SHADE, zorder=0)
-    right.set(xscale="log", xlim=(0.08, 8), ylim=(0, 100), ylabel="share of moves up to here (%)")
-    right.set_xlabel(_RATIO.format(**data["gains"]))
-    right.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
-    right.set_title(f"{data['random_moves']['size']} random moves", fontsize=11)
-    for axis in (left, right):
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, frameon=False)
+            axis.plot(ratios, share, color=colour, label=f"{PHASES[phase]}, {view}", **style)
+    reduced = data["bounds"]["reduced"]
+    axis.axvline(1, color="0.5", lw=1, ls=":")
+    axis.axvspan(reduced, 1 / reduced, color=_PHASE_SHADE, zorder=0)
+    axis.set(xscale="log", xlim=(0.08, 8), ylim=(0, 100), ylabel="share of moves up to here (%)")
+    axis.set_xlabel(_RATIO.format(**data["gains"]))
+    axis.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
+    axis.set_title(f"{data['random_moves']['size']} random moves", fontsize=11)
+    axis.grid(alpha=0.3)
+    figure.legend(*axis.get_legend_handles_labels(), fontsize=9, ncols=2, **_BELOW)
     return figure
-
-
-def _up_to(name: str, usual: float, given: float) -> float:
-    """Largest value of a gain to show: twice the one given where that is more than usual, within its range."""
-    return min(max(usual, 2 * given), GAIN_RANGES[name][1])
 
 
 def _root_loci(gains: ServoGains, angle_deg: float) -> Figure:
     """Root loci over K_4 and over omega_n at one joint angle, the poles at the gains given marked."""
-    k4, omega = gains.k4, gains.natural_frequency
     parameters = {
-        "k4": (np.linspace(0, _up_to("k4", 0.5, k4), 241), "$K_4$ (N m s/rad)"),
-        "natural_frequency": (np.linspace(0.1, _up_to("natural_frequency", 15.0, omega), 241), "$\\omega_n$ (rad/s)"),
+        "k4": (np.linspace(0, _K4_SHOWN, 241), "$K_4$ (N m s/rad)"),
+        "natural_frequency": (np.linspace(0.1, 15.0, 241), "$\\omega_n$ (rad/s)"),
     }
     angle = np.radians(angle_deg)
     loci = [locus(angle, gains, name, values) for name, (values, _) in parameters.items()]
     chosen = poles(closed_loop(PAPER_ARM, angle, gains))
     top = 1.12 * max(25.0, *(float(each.imag.max()) for each in loci))
-    left = -min(max(60.0, 1.15 * float(-chosen.real.min())), 3 * top)
     titles = (
-        f"(a) over $K_4$; $\\omega_n$ = {omega:g} rad/s, $\\xi$ = {gains.damping:g}",
-        f"(b) over $\\omega_n$; $K_4$ = {k4:g}, $\\xi$ = {gains.damping:g}",
+        f"(a) over $K_4$; $\\omega_n$ = {gains.natural_frequency:g} rad/s, $\\xi$ = {gains.damping:g}",
+        f"(b) over $\\omega_n$; $K_4$ = {gains.k4:g}, $\\xi$ = {gains.damping:g}",
     )
     figure, axes = plt.subplots(1, 2, figsize=(9, 5.6 if angle_deg < 45 else 3.8), layout="constrained", sharey=True)
     for axis, each, (values, label), title in zip(axes, loci, parameters.values(), titles, strict=True):
-        axis.set(xlim=(left, 8), ylim=(-0.06 * top, top), xlabel="real part (1/s)", aspect="equal")
+        axis.set(xlim=(-60, 8), ylim=(-0.06 * top, top), xlabel="real part (1/s)", aspect="equal")
         _damping_grid(axis)
         colour = np.repeat(values[:, None], each.shape[1], axis=1)
         shown = _scatter(axis, each, c=colour[_upper(each)], s=9, cmap="viridis", zorder=3)
@@ -238,7 +222,7 @@ def _damping_grid(axis: Axes) -> None:
 
 def _damping(gains: ServoGains) -> Figure:
     """Map of the dominant damping over K_4 and M2: left of the line of best gains more K_4 helps, right of it hurts."""
-    k4, m2 = np.linspace(0, _up_to("k4", 0.5, gains.k4), 501), np.linspace(0.008, 0.14, 133)
+    k4, m2 = np.linspace(0, _K4_SHOWN, 501), np.linspace(0.008, 0.14, 133)
     damping = damping_map(gains, k4, m2)
     best = k4[damping.argmax(axis=1)]
     figure, axis = plt.subplots(figsize=(9, 5.2), layout="constrained")

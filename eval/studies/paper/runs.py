@@ -22,11 +22,10 @@ from beltarm_env.arrays import Floats
 from beltarm_env.physics.kinematics import reference_tip, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.moves import check_moves
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
 from beltarm_env.task.seeds import SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from eval.studies.paper.linear import PAPER_ARM, ServoGains
+from eval.studies.paper.linear import PAPER_ARM, TABLE_2, ServoGains
 
 FrictionSign = Literal["reference", "measured", "none"]
 
@@ -57,7 +56,8 @@ SIMULATED = Conditions()
 ANALYSED = Conditions(arm=replace(PAPER_ARM, coulomb_friction=0.0))
 """As the paper's analysis has it: neither Coulomb friction nor belt damping, in arm and controller."""
 STANDARD, TO_0 = "standard", "to 0°"
-"""Places of the moves: the standard move, and one as long that ends at 0 degrees."""
+PLACES = {STANDARD: MoveShape(np.pi / 4, np.pi / 2, 0.8, 0.12), TO_0: MoveShape(np.pi / 4, 0.0, 0.8, 0.12)}
+"""Moves by place: the standard move, and one as long that ends at 0 degrees."""
 FRICTION, AS_ANALYSED = "with friction", "as analysed"
 MEASURED = "as analysed, torsion measured"
 FULL, FULL_ANALYSED = "full arm, with friction", "full arm, as analysed"
@@ -108,24 +108,6 @@ class AssumedServo:
         if self._conditions.true_torsion and reading.torsion is not None:
             torque -= self._k4 * reading.torsion[:, 1]
         return np.clip(torque / self._limit, -1, 1).astype(np.float32)[:, None], memory
-
-
-def check_move(move: MoveShape) -> None:
-    """Check that the environment allows a move.
-
-    Raises:
-        ValueError: Naming the value, the bound and what would do.
-    """
-    check_moves(TRAPEZOID, np.array([move], dtype=np.float64))
-
-
-def is_allowed(move: MoveShape) -> bool:
-    """Whether `check_move` lets a move pass."""
-    try:
-        check_move(move)
-    except ValueError:
-        return False
-    return True
 
 
 def run_moves(
@@ -185,9 +167,9 @@ def ringing_of(recording: Recording) -> Floats:
     return np.where(recording.finished, phases, np.inf)
 
 
-def suppression(conditions: Conditions, gains: ServoGains, moves: list[MoveShape] | SeedRange) -> Floats:
+def suppression(conditions: Conditions, moves: list[MoveShape] | SeedRange) -> Floats:
     """Ringing of moves without and with vibration feedback, shape (2, len(PHASES), n)."""
-    return np.array([ringing_of(run_moves(conditions, each, moves)) for each in gains.without_and_with])
+    return np.array([ringing_of(run_moves(conditions, gains, moves)) for gains in TABLE_2.without_and_with])
 
 
 def ratios(pair: Floats) -> Floats:
@@ -233,14 +215,11 @@ def signals_of(recording: Recording, episode: int = 0) -> dict[str, Floats]:
 
 
 def summary(signals: dict[str, Floats]) -> dict[str, float]:
-    """Numbers of one move: velocities peak to peak at the end, errors of the motor, torque, share of sticking."""
-    last, time = round(END_WINDOW / CONTROL_PERIOD), signals["time"]
-    speed, reference = signals["motor_speed"], signals["motor_speed_reference"]
+    """Numbers of one move: error and cruising speed of the motor, peak of its torque, share of sticking at the end."""
+    time, speed, reference = (signals[name] for name in ("time", "motor_speed", "motor_speed_reference"))
     moving = reference != 0
     known = (time > time[moving][-1]) & np.isfinite(speed)
     return {
-        "radial_pp": np.ptp(signals["radial_speed"][-last:]),
-        "lateral_pp": np.ptp(signals["lateral_speed"][-last:]),
         "motor_speed_error": np.sqrt(np.mean((speed - reference)[moving] ** 2)),
         "cruising_speed": np.abs(reference).max(),
         "peak_torque": np.nanmax(np.abs(signals["torque"])),
