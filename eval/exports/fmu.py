@@ -17,6 +17,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,10 +74,8 @@ def export(options: Options) -> None:
     """
     require_free(options.out)
     params = ArmParams()
-    with tempfile.TemporaryDirectory() as made:
-        path = Path(made) / "beltarm.fmu"
-        platforms = write_fmu(path, params)
-        write_export(options.out, "arm", "The arm of beltarm as an FMU", params, {path.name: path.read_bytes()})
+    content, platforms = packed(params)
+    write_export(options.out, "arm", "The arm of beltarm as an FMU", params, {"beltarm.fmu": content})
     print(f"written to {options.out}: beltarm.fmu, for {', '.join(platforms)}")
 
 
@@ -184,6 +183,13 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
     Raises:
         ValueError: If there is no compiler, or it fails.
     """
+    content, platforms = packed(params)
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    return platforms
+
+
+def packed(params: ArmParams) -> tuple[bytes, list[str]]:
+    """Compile an arm's FMU and pack it; returns the platforms of its binaries too, see `write_fmu`."""
     texts = fmu_texts(params)
     files = {name: text.encode() for name, text in texts.items()}
     made = []
@@ -202,11 +208,8 @@ def write_fmu(path: Path, params: ArmParams) -> list[str]:
                 continue
             files[f"binaries/{kind}/{library.name}"] = library.read_bytes()
             made.append(kind)
-
-    def write(temporary: Path) -> None:
-        with zipfile.ZipFile(temporary, "w") as archive:
-            for name, content in files.items():
-                archive.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)
-
-    write_atomically(path, write)
-    return made
+    archive = BytesIO()
+    with zipfile.ZipFile(archive, "w") as opened:
+        for name, content in files.items():
+            opened.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)
+    return archive.getvalue(), made

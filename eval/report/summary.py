@@ -90,10 +90,6 @@ def _listed(metrics: Sequence[str]) -> str:
 
 def _primary(rows: list[dict[str, Any]]) -> str:
     """Pairwise tests of the primary comparison, metric by metric and split by split."""
-
-    def mean(row: dict[str, Any]) -> SimpleNamespace:
-        return SimpleNamespace(iqm=row["mean"], low=row["mean_low"], high=row["mean_high"])
-
     cells = [
         [
             METRICS[row["metric"]].title,
@@ -102,7 +98,7 @@ def _primary(rows: list[dict[str, Any]]) -> str:
             cell(row["metric"], SimpleNamespace(**row)),
             f"{100 * row['relative']:+.0f} %",
             f"{row['p_holm']:.3f}",
-            cell(row["metric"], mean(row)),
+            cell(row["metric"], SimpleNamespace(iqm=row["mean"], low=row["mean_low"], high=row["mean_high"])),
         ]
         for row in rows
     ]

@@ -18,7 +18,7 @@ from beltarm_env import EPISODE_STEPS
 from beltarm_env.task.seeds import DATASETS, dataset_arms
 from eval import export
 from eval.exports import dataset as written
-from eval.exports.episodes import LARGEST, draw_disturbance
+from eval.exports.dataset import LARGEST, draw_disturbance
 
 minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
