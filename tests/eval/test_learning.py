@@ -18,7 +18,7 @@ from baselines.engines.parallel import StopRequest
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
-from eval.studies import learning
+from eval.studies import _frame, learning
 from eval.studies.learning import page, runs
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score, training_digest
 
@@ -141,11 +141,13 @@ def test_tables_and_panels_compare_the_variants_of_a_factor_with_their_default()
     variants = [{**asdict(v), "runs": [run(costs[v.name], seed) for seed in range(2)]} for v in VARIANTS]
     references = {"paper": dict.fromkeys(page.COLUMNS, 2000.0)}
     data = {"variants": variants, "references": references, "best_classical": {"name": "adaptive", "validated": 210.0}}
-    shown, figure = page.tables(data)["factors"], page._ablations(data)
+    shown = _frame.page("learning", learning, _frame.read_data(_frame.RESULTS / "learning") | data)
+    figure = page._ablations(data)
     panels = [axis for axis in figure.axes if axis.get_visible()]
     assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
     for (name, factor), panel in zip(FACTORS.items(), panels, strict=True):
-        first, *others = [line.split(" | ") for line in shown[factor.question].splitlines()[2:]]
+        table = shown.partition(f"## {factor.question}\n\n")[2].partition("\n\n")[0]
+        first, *others = [line.split(" | ") for line in table.splitlines()[2:]]
         own = [variant for variant in VARIANTS if variant.factor == name]
         assert "(default)" in first[0] and first[8] == "1.00"
         for variant, cells in zip(own, others, strict=True):

@@ -1,4 +1,4 @@
-"""Tables and pictures of the ablations, from the data alone."""
+"""Scores and pictures of the ablations, from the data alone."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from beltarm_env.arrays import Floats
 from eval.report.curves import Curve, curves_figure
 from eval.report.style import COLOURS, mark_one_two_five
-from eval.report.text import markdown_table
 from eval.studies._frame import Pictures
 from eval.studies.learning.runs import DEFAULT, FACTORS
 
@@ -28,17 +26,19 @@ COLUMNS = {
     "left_percent": ("left (%)", 1),
 }
 """Title and decimals of the scores that are shown."""
-_TITLES = [title for title, _ in COLUMNS.values()]
 _TOP = 5  # of the picture, over the base's cost; what is above has lost arms
 
 
 def tables(data: Data) -> Data:
-    """A table for each factor, scores of controllers that do not learn, and what the sentences need."""
+    """Variants by factor, columns of the scores, and what the sentences need."""
     runs = [run for variant in data["variants"] for run in variant["runs"]]
     first = data["variants"][0]["runs"]
     return {
-        "factors": {FACTORS[name].question: _table(name, group) for name, group in by_factor(data).items()},
-        "references": _references(data["references"]),
+        "factors": {FACTORS[name].question: (name, variants) for name, variants in by_factor(data).items()},
+        "columns": COLUMNS,
+        "scores": _scores,
+        "label": _label,
+        "words": _words,
         "seeds": len(first),
         "base": first[0]["base"],
         "common": first[0]["command"].rsplit(" --seed ", 1)[0],
@@ -55,41 +55,21 @@ def by_factor(data: Data) -> dict[str, list[Data]]:
     return {factor: [by_name[FACTORS[factor].against], *group] for factor, group in grouped.items() if group}
 
 
-def scores(variant: Data, name: str) -> Floats:
-    """Score of each run."""
-    return np.array([run["scores"][name] for run in variant["runs"]])
-
-
 def _label(variant: Data, factor: str) -> str:
     default = factor and variant["name"] == FACTORS[factor].against
     return f"{FACTORS[factor].default} (default)" if default else variant["label"]
 
 
-def _table(factor: str, variants: list[Data]) -> str:
-    default, rows = float(scores(variants[0], "cost_mean").mean()), []
-    for variant in variants:
-        cells = [_cell(scores(variant, name), decimals) for name, (_, decimals) in COLUMNS.items()]
-        script = [] if variant["script"] == DEFAULT.script else [f"train/{variant['script']}.py"]
-        words = shlex.join([*script, *variant["options"]])
-        ratio = scores(variant, "cost_mean").mean() / default
-        minutes = np.mean([run["minutes"] for run in variant["runs"]])
-        changed = f"`{words}`" if words else "–"
-        rows.append([_label(variant, factor), changed, *cells, f"{ratio:.2f}", f"{minutes:.1f}"])
-    titles = ["", "changed", *_TITLES, "vs default", "minutes"]
-    return markdown_table(titles, rows, "ll" + "r" * (len(titles) - 2))
+def _scores(variant: Data, name: str) -> Data:
+    """Mean of the runs' score, and the least and the largest of several runs."""
+    values = np.array([run["scores"][name] for run in variant["runs"]])
+    return {"mean": values.mean(), "ends": [values.min(), values.max()] if len(values) > 1 else []}
 
 
-def _cell(values: Floats, decimals: int) -> str:
-    shown = f"{values.mean():.{decimals}f}"
-    return shown if len(values) == 1 else f"{shown} [{values.min():.{decimals}f}, {values.max():.{decimals}f}]"
-
-
-def _references(references: Data) -> str:
-    rows = [
-        [name if name != "none" else "no torque", *(f"{row[key]:.{n}f}" for key, (_, n) in COLUMNS.items())]
-        for name, row in references.items()
-    ]
-    return markdown_table(["controller", *_TITLES], rows)
+def _words(variant: Data) -> str:
+    """What the command of a variant has that the default's has not."""
+    script = [] if variant["script"] == DEFAULT.script else [f"train/{variant['script']}.py"]
+    return shlex.join([*script, *variant["options"]])
 
 
 def pictures(data: Data) -> Pictures:
