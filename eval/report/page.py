@@ -22,7 +22,7 @@ from eval.comparison.splits import EDITION, SPLITS
 from eval.report.figures import colours_of, forests, line, scene_panels
 from eval.report.recordings import Scene, reference_angles
 from eval.report.style import COLOURS
-from eval.report.summary import constants
+from eval.report.summary import CONSTANTS
 from eval.report.table import Results
 
 LARGEST = 3_000_000
@@ -63,7 +63,7 @@ def render(content: dict[str, Any], scenes: Sequence[Scene] = ()) -> str:
         palette=COLOURS,
         period_us=PERIOD_US,
         command=without_paths(content["provenance"]["command"]),
-        **constants(),
+        **CONSTANTS,
     )
 
 

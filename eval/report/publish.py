@@ -129,16 +129,12 @@ def _intervals(results: Results, note: str) -> Figure:
 
 
 def _draw_intervals(axis: Axes, ranking: list[Record], name: str) -> None:
-    for kind in OF_KIND:
-        heights = [height for height, record in enumerate(ranking) if record["kind"] == kind]
-        if not heights:
-            continue
-        values = [estimate(ranking[height], name) for height in heights]  # not numbers where no arm arrives
-        ends = np.abs([[value.iqm - value.low for value in values], [value.high - value.iqm for value in values]])
-        middles, colour = [value.iqm for value in values], OF_KIND[kind]
-        axis.errorbar(middles, heights, xerr=ends, fmt="o", color=colour, ms=4, capsize=2, label=kind)
-        if kind == "privileged":
-            axis.axhline(len(heights) - 0.5, color="0.55", lw=0.8)
+    for height, record in reversed([*enumerate(ranking)]):
+        value, kind = estimate(record, name), record["kind"]  # not a number where no arm arrives
+        ends = np.abs([[value.iqm - value.low], [value.high - value.iqm]])
+        axis.errorbar(value.iqm, height, xerr=ends, fmt="o", color=OF_KIND[kind], ms=4, capsize=2, label=kind)
+    if unranked := sum(record["kind"] == "privileged" for record in ranking):
+        axis.axhline(unranked - 0.5, color="0.55", lw=0.8)
     axis.set_xscale("log")
     mark_one_two_five(axis.xaxis)
     axis.set_ylim(-0.7, len(ranking) - 0.3)

@@ -132,14 +132,13 @@ def record(
         }
         calls[name] = partial(_recorded, runs)
     results = calls_side_by_side("recordings", calls, jobs)
-    motions = [
-        {name: of_method[k] for name, of_method in results.items() if k in of_method} for k in range(len(scenes))
-    ]
-    failures = [result for of_scene in motions for result in of_scene.values() if isinstance(result, Failure)]
-    return [
-        replace(scene, motions={name: run for name, run in of_scene.items() if isinstance(run, Recording)})
-        for scene, of_scene in zip(scenes, motions, strict=True)
-    ], failures
+    recorded, failures = [], []
+    for k, scene in enumerate(scenes):
+        of_scene = {name: of_method[k] for name, of_method in results.items() if k in of_method}
+        failures += [run for run in of_scene.values() if isinstance(run, Failure)]
+        motions = {name: run for name, run in of_scene.items() if isinstance(run, Recording)}
+        recorded.append(replace(scene, motions=motions))
+    return recorded, failures
 
 
 class _Run(NamedTuple):
@@ -164,7 +163,7 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
     """Record runs of a method in as few batches as there are kinds of settings.
 
     Every shipped method moves an arm in the same way in any batch; a user's own may not, to the last digit, or fail.
-    A run that is another one in the batch is recorded by itself.
+    A run that is another one in the batch is recorded among those that it was measured with.
     """
     results: dict[int, Recording | Failure] = {}
     keys = list(runs)
@@ -174,11 +173,11 @@ def _recorded(runs: dict[int, _Run]) -> dict[int, Recording | Failure]:
         playing = partial(play, batch[0].method, scenarios, len(batch))
         together = run_controller(batch[0].method, batch[0].split.name, playing)
         for arm, (k, run) in enumerate(zip(group, batch, strict=True)):
-            alone = together if isinstance(together, Failure) else together.arm(arm)
-            if isinstance(alone, Failure) or alone.cost[0] != run.costs[run.place]:
+            recording = together if isinstance(together, Failure) else together.arm(arm)
+            if isinstance(recording, Failure) or recording.cost[0] != run.costs[run.place]:
                 where = f"on scenario {run.number}"
-                alone = run_controller(run.method, run.split.name, partial(_as_measured, run), where)
-            results[keys[k]] = alone
+                recording = run_controller(run.method, run.split.name, partial(_as_measured, run), where)
+            results[keys[k]] = recording
     return results
 
 
@@ -188,15 +187,8 @@ def play(method: Method, split: Split, count: int) -> Recording:
 
 
 def _as_measured(run: _Run) -> Recording:
-    """Record the very run that was measured: alone, or where that is another one, among those of its batch.
-
-    Raises:
-        ValueError: If the run is neither.
-    """
-    cost = run.costs[run.place]
-    again = run.split.run(run.method.controller(0, []), run.place)
-    if again.cost[0] != cost:
-        again = play(run.method, run.split, len(run.costs)).arm(run.place)
+    """Record a run among those of its batch; raises ValueError where it is not the one that was measured."""
+    cost, again = run.costs[run.place], play(run.method, run.split, len(run.costs)).arm(run.place)
     if again.cost[0] != cost:
         raise ValueError(f"it cost {cost:.9g}, and costs {again.cost[0]:.9g} when run again: it is not drawn")
     return again

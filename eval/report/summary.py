@@ -35,6 +35,18 @@ _ANSWERED = {
     "tip_rms_mm": "error of the arm's end, RMS (mm)",
     "residual_pp_mm": "vibration after the move, peak to peak (mm)",
 }
+CONSTANTS: dict[str, Any] = {
+    "arrival_mm": 1000 * ARRIVAL_BOUND,
+    "mostly": MOSTLY,
+    "resamples": RESAMPLES,
+    "least_p": LEAST_P,
+    "least_scenarios": LEAST_SCENARIOS,
+    "least_of_tail": LEAST_OF_TAIL,
+    "change": CHANGE,
+    "perturbation": PERTURBATION,
+    "reversal_swing": REVERSAL_SWING,
+}
+"""Numbers of the method, for page and report."""
 _ROWS = 5  # of the answer's table
 
 
@@ -64,22 +76,7 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
         "compared": _listed(PAIRED_METRICS),
         "edition": EDITION,
         "torque_names": _listed(TORQUES),
-        **constants(),
-    }
-
-
-def constants() -> dict[str, Any]:
-    """Numbers of the method, for page and report."""
-    return {
-        "arrival_mm": 1000 * ARRIVAL_BOUND,
-        "mostly": MOSTLY,
-        "resamples": RESAMPLES,
-        "least_p": LEAST_P,
-        "least_scenarios": LEAST_SCENARIOS,
-        "least_of_tail": LEAST_OF_TAIL,
-        "change": CHANGE,
-        "perturbation": PERTURBATION,
-        "reversal_swing": REVERSAL_SWING,
+        **CONSTANTS,
     }
 
 

@@ -101,10 +101,12 @@ def verdict(comparison: Comparison) -> tuple[list[str], list[dict[str, Any]]]:
     sentences = [_answer(tests["cost"][home], comparison)]
     if len(tests["cost"]) > 1:
         words = {"better": f"{pair[0].name} costs less", "worse": f"{pair[0].name} costs more"}
+        everywhere = []
         for result, splits in _by_result(tests["cost"]).items():
             listed = f"{len(splits)} of {len(tests['cost'])} splits ({', '.join(splits)})"
             where = f"all {len(splits)} splits" if len(splits) == len(tests["cost"]) else listed
-            sentences.append(f"On {where} {words.get(result, 'no difference is shown')}.")
+            everywhere.append(f"On {where} {words.get(result, 'no difference is shown')}.")
+        sentences.append(" ".join(everywhere))
     sentences += _of_tip(tests, home, pair)
     best = comparison.best_classical(home)
     sentences += [_costs(test, home) for test in _tested([(outcome, best) for outcome in own if best], "cost")]
