@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import subprocess
@@ -14,26 +13,24 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from episodes import assert_same_in_batches
 from hypothesis import given
 from hypothesis import strategies as st
 from networks import SHAPES, episodes, lively
 from refusals import refused
 from torch import nn
 
-from agents.policy import network
 from agents.policy.actor import Actor, ActorShape, actor_of
 from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
 from agents.policy.weights import Weights
-from beltarm_env import BeltArmVectorEnv
 from beltarm_env.arrays import Singles
 from beltarm_env.observation import ENTRIES as MEASURED
 from beltarm_env.task.seeds import VALIDATION
 
 ROOT = Path(__file__).resolve().parents[2]
 INPUTS = 3
-STEPS = 160  # of an episode: the arm sets out, and what differs by a rounding has time to grow
 
 
 def test_sizes_that_are_not_allowed():
@@ -66,8 +63,7 @@ def test_weights_are_the_arrays_of_the_layers_and_no_others():
             Weights(shape, wrong)
 
 
-@pytest.mark.parametrize("gru", [0, 2])
-@pytest.mark.parametrize("hidden", [(), (4, 2)])
+@pytest.mark.parametrize(("hidden", "gru"), [((), 0), ((4, 2), 2)])
 def test_outputs_are_those_of_the_layers_one_after_the_other(hidden: tuple[int, ...], gru: int):
     torch.manual_seed(0)
     actor = Actor(ActorShape(INPUTS, hidden, "relu", gru=gru, standardised=True)).requires_grad_(False)
@@ -148,6 +144,7 @@ def test_a_memory_begins_anew_where_an_episode_does():
 PLAIN = """
 import sys; sys.path[:0] = ["tests/agents", "tests/helpers"]
 import numpy as np
+from episodes import assert_same_in_batches
 from networks import SHAPES, episodes, lively
 from test_policy import NetworkPolicy, answers
 def of(name):
@@ -186,14 +183,6 @@ def test_shipped_policies_act_and_are_compared_without_pytorch():
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
 
 
-@given(st.floats(-30, 30))
-def test_functions_of_one_number(x: float):
-    assert network._tanh(x) == pytest.approx(math.tanh(x), abs=3e-7, rel=3e-6)
-    assert network._tanh(-x) == -network._tanh(x)
-    assert network._sigmoid(x) == pytest.approx(1 / (1 + math.exp(-x)), abs=3e-7)
-    assert network._activated(x, network._ELU) == pytest.approx(x if x > 0 else math.expm1(x), abs=3e-6)
-
-
 class Echo:
     """A policy that says what it was given."""
 
@@ -215,29 +204,11 @@ def test_inputs_are_picked_in_the_policys_own_order():
             policy.predict(np.ones(shape, np.float32))
 
 
-class TestShipped:
-    """Every shipped policy drives an arm the same way alone, in a batch of 24 and in one of 200, bit for bit."""
-
-    @staticmethod
-    def torques(folder: Path, first: int, count: int) -> Singles:
-        """Torques of `count` arms from the `first` one on, shape (STEPS, count)."""
-        sensors: Any = read_spec(folder)[0].sensors
-        arms = BeltArmVectorEnv(count, randomization="train", sensors=sensors, autoreset_mode="Disabled")
-        observation, _ = arms.reset(seed=VALIDATION.first + first)
-        controller, memory, taken = load_controller(folder), None, []
-        for _ in range(STEPS):
-            action, memory = controller.predict(observation, memory)
-            taken.append(action[:, 0].copy())
-            observation, *_ = arms.step(action)
-        return np.stack(taken)
-
-    @pytest.mark.parametrize(
-        "folder",
-        sorted(path for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/seed0")),
-        ids=lambda p: p.parts[-3] + p.parts[-2],
-    )
-    def test_an_arm_is_driven_the_same_way_alone_and_in_batches(self, folder: Path):
-        many = self.torques(folder, 0, 200)
-        assert np.abs(np.diff(many, axis=0)).max() > 0.01, "it moves"
-        np.testing.assert_array_equal(self.torques(folder, 0, 24), many[:, :24])
-        np.testing.assert_array_equal(self.torques(folder, 17, 1), many[:, 17:18])
+@pytest.mark.parametrize(
+    "folder",
+    sorted(path for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/seed0")),
+    ids=lambda p: p.parts[-3] + p.parts[-2],
+)
+def test_shipped_policies_drive_an_arm_the_same_way_alone_and_in_batches(folder: Path):
+    settings: dict[str, Any] = {"randomization": "train", "sensors": read_spec(folder)[0].sensors}
+    assert_same_in_batches(lambda: load_controller(folder), VALIDATION.first, **settings)

@@ -25,7 +25,7 @@ from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import size
 from beltarm_env.rollout import rollout
 from eval.comparison.cache import Part, measure
-from eval.comparison.methods import Method, learned_methods
+from eval.comparison.methods import learned_methods
 from eval.comparison.sets import development_set
 
 SETTINGS = ResidualSettings()
@@ -44,11 +44,6 @@ SHARE = 2  # rows of each policy
 
 def folders(name: str, seeds: int) -> list[Path]:
     return [POLICIES / name / f"seed{k}" for k in range(seeds)]
-
-
-def method(name: str, seeds: int) -> Method:
-    (actual,) = learned_methods(folders(name, seeds))
-    return actual
 
 
 @pytest.mark.parametrize("name", ["ppo", "student"])
@@ -97,7 +92,8 @@ def test_only_those_of_one_build_act_together(tmp_path: Path):
 def test_a_comparison_runs_training_seeds_together(guarded: bool):
     """On a split where delays and encoders are not the usual ones."""
     split, episodes = development_set().splits["sensing"], 3
-    several = method("student", 2).with_guard() if guarded else method("student", 2)
+    (several,) = learned_methods(folders("student", 2))
+    several = several.with_guard() if guarded else several
     actual = measure(Part(several, split, episodes))
     assert actual["cost"].shape == (2, episodes)
     for seed in range(2):
@@ -114,14 +110,16 @@ def lively(spec: BundleSpec) -> ResidualController:
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
 
 
-def assert_same(controller: ResidualController, sensors: Any, steps: int = 40) -> None:
+@pytest.mark.parametrize("name", SPECS)
+def test_residuals_of_one_arm_are_the_controllers(name: str):
     """Two episodes of one arm, the second cut in where the first one's residual is held."""
+    controller, sensors = lively(SPECS[name]), SPECS[name].sensors
     kernel = correction(controller, sensors)
     for array in kernel.memory:  # whose content does not count
         array.fill(7)
     env, memory, residuals = BeltArmVectorEnv(1, sensors=sensors, randomization="train", profile="scurve"), None, []
     seen, _ = env.reset(seed=3)
-    for step in range(steps):
+    for step in range(40):
         begins = step in (0, 17)
         if step == 17:
             seen, _ = env.reset(seed=4)
@@ -136,18 +134,6 @@ def assert_same(controller: ResidualController, sensors: Any, steps: int = 40) -
         residuals.append(residual)
         seen = env.step(action)[0]
     assert np.std(residuals) > 1e-4
-
-
-@pytest.mark.parametrize("name", SPECS)
-def test_residuals_of_one_arm_are_the_controllers(name: str):
-    assert_same(lively(SPECS[name]), SPECS[name].sensors)
-
-
-@pytest.mark.parametrize("name", ["ppo", "student"])
-def test_so_they_are_for_shipped_policies(name: str):
-    controller = load_controller(POLICIES / name / "seed0")
-    spec, _ = read_spec(POLICIES / name / "seed0")
-    assert_same(controller, spec.sensors, 200)
 
 
 def test_what_is_no_kernel_is_refused():

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import optuna
 import pandas as pd
 import pytest
 from optuna.trial import TrialState
+from refusals import refused
 from trainings import StopAfter
 
 from agents.learners import tuning
@@ -21,13 +19,6 @@ from agents.learners.spaces import SPACES
 from agents.learners.tuning import TuningConfig, _search, counted, open_study, training_command, tune
 from agents.runs.monitor import News
 from baselines.engines.parallel import Channel, Interrupted, StopRequest
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / script), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
 
 
 def few(out: Path, **options: Any) -> TuningConfig:
@@ -49,30 +40,22 @@ def test_what_is_varied_are_options_of_the_scripts(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_search_is_kept_and_goes_on(tmp_path: Path):
+    """With trainings as they are."""
     config = few(tmp_path)
-    options = ("--trials", "2", "--jobs", "1", "--samples", "2560", "--arms", "4", "--validation-arms", "2")
-    result = run("train/tune.py", "sac", *options, "--out", ".", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    study = open_study(config)
+    study = tune(config)
     first = study.get_trials()[0]
     assert first.params == config.defaults(), "begins with the script's settings"
-    assert len(counted(study)) == 2 and study.best_value == min(t.value for t in study.get_trials() if t.value)
-    assert len(first.intermediate_values) > 5
-    assert {path.name for path in tmp_path.iterdir()} == {"sac.csv", "sac.db", "sac.json"}, (
-        "runs of trials are not kept"
-    )
+    assert len(counted(study)) == 2 and len(first.intermediate_values) > 5
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files == {"sac.csv", "sac.db", "sac.json"}, "runs of trials are not kept"
     assert min(pd.read_csv(config.table)["value"].tolist()) == pytest.approx(study.best_value)
     words = training_command(config, study).split()
-    assert words[1] == "train/sac.py" == result.stdout.split("\n  ")[1].split()[1]
-    assert words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
-    with pytest.raises(ValueError, match=r"already holds a study.*--resume"):
-        tune(config)
-    with pytest.raises(ValueError, match=r"was started with .*'arms': 4"):
-        tune(few(tmp_path, resume=True, arms=8))
+    assert words[1] == "train/sac.py" and words[words.index("--gamma") + 1] == f"{study.best_params['gamma']:.6g}"
+    refused(ValueError, ("already holds a study", "--resume"), lambda: tune(config))
+    refused(ValueError, ("was started with", "'arms': 4"), lambda: tune(few(tmp_path, resume=True, arms=8)))
     study.ask()  # left running by an interruption
     again = tune(few(tmp_path, resume=True, trials=3))
-    assert len(counted(again)) == 3
-    assert not again.get_trials(states=(TrialState.RUNNING,))
+    assert len(counted(again)) == 3 and not again.get_trials(states=(TrialState.RUNNING,))
 
 
 def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path: Path):
@@ -88,11 +71,6 @@ def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path:
     states = [trial.state for trial in open_study(config).get_trials()]
     assert states == [TrialState.FAIL, TrialState.RUNNING, TrialState.WAITING]
     assert not left.exists()
-
-
-def whole_trials(study: optuna.Study) -> list[tuple[Any, ...]]:
-    """Settings and validation costs of the trials that were not interrupted."""
-    return [(trial.params, trial.value, trial.intermediate_values) for trial in counted(study)]
 
 
 def train_at_once(config: ReinforcementConfig, _: object, channel: Channel) -> None:
@@ -127,26 +105,18 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
         study.ask(SPACES["sac"])  # and never told
     begun_again(parts, 10_000)
     study = open_study(parts)
-    assert whole_trials(study) == whole_trials(open_study(whole))
-    settings = {str(trial.params) for trial in counted(study)}
-    assert len(settings) == len(counted(study)) == 14 < len(study.get_trials())
+    ours, theirs = (
+        [(trial.params, trial.value, trial.intermediate_values) for trial in counted(each)]
+        for each in (study, open_study(whole))
+    )
+    assert ours == theirs
+    assert len({str(params) for params, *_ in ours}) == len(ours) == 14 < len(study.get_trials())
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"trials": 0}, "--trials"),
-        ({"trials": 1000}, "--trials"),
-        ({"base": "papr"}, "papr"),
-        ({"resume": True}, "resume"),
-    ],
-)
-def test_bad_options_of_the_search(options: dict[str, Any], message: str, tmp_path: Path):
-    with pytest.raises((ValueError, OSError), match=message):
-        tune(few(tmp_path, **options))
-
-
-def test_a_damaged_study(tmp_path: Path):
+def test_bad_options_and_a_damaged_study(tmp_path: Path):
+    for name, value in {"trials": 0, "base": "papr", "resume": True}.items():
+        with pytest.raises((ValueError, OSError), match=name if value in (0, True) else str(value)):
+            tune(few(tmp_path, **{name: value}))
     (tmp_path / "sac.db").write_text("not a database, but long enough to be one at first sight " * 40)
     with pytest.raises(ValueError, match=r"sac\.db cannot be read"):
         open_study(few(tmp_path, resume=True))
