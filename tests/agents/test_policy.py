@@ -1,7 +1,8 @@
-"""Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as kernels."""
+"""Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as ONNX models."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -13,18 +14,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from bundles import SPEC, new_weights
 from episodes import assert_same_in_batches
+from gymnasium.error import DependencyNotInstalled
 from hypothesis import given
 from hypothesis import strategies as st
 from networks import SHAPES, episodes, lively
 from refusals import refused
 from torch import nn
 
-from agents.policy.actor import Actor, ActorShape, actor_of
-from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
+from agents.policy.actor import Actor, actor_of
+from agents.policy.bundle import FELT_POLICIES, MANIFEST, POLICIES, BundleError, load_controller, read_spec, save_bundle
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
-from agents.policy.weights import Weights
+from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
+from agents.policy.weights import ActorShape, Weights
 from beltarm_env.arrays import Singles
 from beltarm_env.observation import ENTRIES as MEASURED
 from beltarm_env.task.seeds import VALIDATION
@@ -212,3 +216,75 @@ def test_inputs_are_picked_in_the_policys_own_order():
 def test_shipped_policies_drive_an_arm_the_same_way_alone_and_in_batches(folder: Path):
     settings: dict[str, Any] = {"randomization": "train", "sensors": read_spec(folder)[0].sensors}
     assert_same_in_batches(lambda: load_controller(folder), VALIDATION.first, **settings)
+
+
+# As ONNX models
+
+MORE = {
+    "standardised": ActorShape(7, (5,), "tanh", standardised=True),
+    "squashed lstm": ActorShape(6, (8, 8), "elu", squashed=True, lstm=9),
+    "no hidden layer": ActorShape(4, ()),
+}
+
+
+def answers_of_model(model: Any, seen: Singles, memory: tuple[int, ...]) -> tuple[Singles, Singles]:
+    """Residuals through whole episodes, shape (steps, count), and the last state."""
+    session = pytest.importorskip("onnx.reference").ReferenceEvaluator(model)
+    state, residuals = np.zeros((seen.shape[1], *memory), np.float32), []
+    for observation in seen:
+        fed = {"observation": observation, "state": state} if state.size else {"observation": observation}
+        residual, *following = session.run(None, fed)
+        state = following[0] if following else state
+        residuals.append(residual[:, 0])
+    return np.stack(residuals), state
+
+
+@pytest.mark.parametrize("name", [*SHAPES, *MORE])
+def test_residuals_and_states_of_a_model_are_the_policys(name: str):
+    shape = {**SHAPES, **MORE}[name]
+    actor = lively(shape)
+    policy, seen, memory, expected = NetworkPolicy(actor.weights()), 0.5 * episodes(shape, 7, 5), None, []
+    for observation in seen:
+        residual, memory = policy.predict(observation, memory)
+        expected.append(residual[:, 0])
+    residuals, state = answers_of_model(model_of(actor.weights(), {}), seen, policy.memory)
+    np.testing.assert_allclose(residuals, np.stack(expected), rtol=0, atol=2e-6)
+    assert 0.05 < np.std(expected)
+    if memory is not None:
+        assert state.shape == memory.shape
+        np.testing.assert_allclose(state, memory, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("method", ["ppo", "student"])
+def test_a_shipped_policy_as_a_model(method: str, tmp_path: Path):
+    onnx, folder = pytest.importorskip("onnx"), POLICIES / method / "seed0"
+    write_onnx(folder, tmp_path / "policy.onnx")
+    model, (spec, content) = onnx.load(tmp_path / "policy.onnx"), read_spec(folder)
+    onnx.checker.check_model(model, full_check=True)
+    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSET)]
+    reported = {entry.key: entry.value for entry in model.metadata_props}
+    assert json.loads(reported[MANIFEST]) == content
+    assert json.loads(reported["entries"]) == spec.entries()
+    assert (reported["base"], reported["sensors"]) == (spec.base, "encoder")
+    assert (json.loads(reported["hold"]), json.loads(reported["limit"])) == (spec.residual.hold, spec.residual.limit)
+    assert json.loads(reported["edition"]) == content["edition"]
+    shapes = {
+        value.name: [axis.dim_param or axis.dim_value for axis in value.type.tensor_type.shape.dim]
+        for value in (*model.graph.input, *model.graph.output)
+    }
+    state = {"state": ["n", spec.gru], "next_state": ["n", spec.gru]} if spec.gru else {}
+    assert shapes == {"observation": ["n", len(spec.entries())], "residual": ["n", 1], **state}
+
+
+def test_a_damaged_bundle_makes_no_model(tmp_path: Path):
+    save_bundle(tmp_path, SPEC, new_weights())
+    (weights,) = tmp_path.glob("*.safetensors")
+    weights.write_bytes(weights.read_bytes()[:-4] + np.float32(np.nan).tobytes())
+    with pytest.raises(BundleError, match="damaged"):
+        onnx_model(tmp_path)
+
+
+def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(DependencyNotInstalled, match=r"'\.\[onnx\]'"):
+        model_of(lively(MORE["no hidden layer"]).weights(), {})
