@@ -39,7 +39,6 @@ from agents.policy.bundle import (
 )
 from agents.policy.card import Offer, card
 from agents.policy.network import NetworkPolicy
-from agents.policy.weights import Weights
 from agents.residual.bases import make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from baselines import PaperController
@@ -63,12 +62,6 @@ SPECS = {
 SHIPPED = sorted(path.parent for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/*/policy.json"))
 
 
-def lively(spec: BundleSpec = SPECS["plain"], seed: int = 0) -> Weights:
-    """Random weights, that move the arms but leave them in their workspace."""
-    torch.manual_seed(seed)
-    return new_weights(spec)
-
-
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
     folder = tmp_path / "policy"
@@ -86,13 +79,13 @@ class TestSaved:
     @pytest.mark.parametrize("name", SPECS)
     def test_bundle_gives_the_same_policy_bit_for_bit(self, tmp_path: Path, name: str):
         spec = SPECS[name]
-        digest = save_bundle(tmp_path, spec, lively(spec))
+        digest = save_bundle(tmp_path, spec, new_weights(spec, 0))
         read, described, content = read_weights(tmp_path)
         assert described == spec and content["content_hash"] == digest
         assert {name: value.tobytes() for name, value in read.arrays.items()} == {
-            name: value.tobytes() for name, value in lively(spec).arrays.items()
+            name: value.tobytes() for name, value in new_weights(spec, 0).arrays.items()
         }
-        original = ResidualController(make_base(spec.base), NetworkPolicy(lively(spec)), spec.residual)
+        original = ResidualController(make_base(spec.base), NetworkPolicy(new_weights(spec, 0)), spec.residual)
         sensors: Any = spec.sensors
         runs = [
             rollout(controller, 3, seed=1, sensors=sensors, randomization="train", profile="scurve")
@@ -103,36 +96,38 @@ class TestSaved:
 
     def test_content_hash_depends_on_content_alone(self, tmp_path: Path):
         spec = SPECS["plain"]
-        first = save_bundle(tmp_path / "a", spec, lively())
-        assert save_bundle(tmp_path / "b", read_spec(tmp_path / "a")[0], lively()) == first
-        assert save_bundle(tmp_path / "a", spec, lively()) == first
+        first = save_bundle(tmp_path / "a", spec, new_weights(spec, 0))
+        assert save_bundle(tmp_path / "b", read_spec(tmp_path / "a")[0], new_weights(spec, 0)) == first
+        assert save_bundle(tmp_path / "a", spec, new_weights(spec, 0)) == first
         files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
         assert files[0] == files[1] and len(files[0]) == 3
         others = [
-            save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), lively()),
-            save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), lively()),
-            save_bundle(tmp_path / "d", spec, lively(seed=1)),
+            save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), new_weights(spec, 0)),
+            save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), new_weights(spec, 0)),
+            save_bundle(tmp_path / "d", spec, new_weights(spec, 1)),
         ]
         assert len({first, *others}) == 4 and len(list((tmp_path / "d").iterdir())) == 3
         kept = read_weights(tmp_path / "d")[0].arrays
-        assert all(np.array_equal(kept[name], value) for name, value in lively(seed=1).arrays.items()), "the last one"
+        assert all(np.array_equal(kept[name], value) for name, value in new_weights(spec, 1).arrays.items()), (
+            "the last one"
+        )
 
     def test_a_policy_is_given_its_entries_by_name(self, tmp_path: Path):
         names = ("base_torque", "motor_speed", "believed_torsion", "motor_angle_error")
         spec = BundleSpec("ppo", "paper", SETTINGS, (16,), inputs=names)
-        save_bundle(tmp_path, spec, lively(spec))
+        save_bundle(tmp_path, spec, new_weights(spec, 0))
         loaded: Any = load_controller(tmp_path)
         assert read_spec(tmp_path)[0] == spec
         offered = [entry.name for entry in spec.offered()]
         seen = np.random.default_rng(0).normal(size=(3, len(offered))).astype(np.float32)
         chosen = np.ascontiguousarray(seen[:, [offered.index(name) for name in names]])
-        assert np.array_equal(loaded.policy.predict(seen)[0], NetworkPolicy(lively(spec)).predict(chosen)[0])
+        assert np.array_equal(loaded.policy.predict(seen)[0], NetworkPolicy(new_weights(spec, 0)).predict(chosen)[0])
         with pytest.raises(ValueError, match=r"\(2, 3\).*--sensors"):
             loaded.policy.predict(np.ones((2, 3), np.float32))
 
     def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(self, tmp_path: Path):
         spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
-        save_bundle(tmp_path, spec, lively(spec))
+        save_bundle(tmp_path, spec, new_weights(spec, 0))
         controller = load_controller(str(tmp_path))
         assert isinstance(controller.informed.base, FeltAdaptiveController)
         assert not isinstance(make_base("adaptive"), FeltAdaptiveController)

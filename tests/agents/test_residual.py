@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from bundles import new_weights
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 from refusals import refused
 from stable_baselines3.common.env_checker import check_env
 
-from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec
 from agents.policy.network import NetworkPolicy
 from agents.residual.controller import ResidualController, ResidualSettings, combine
@@ -72,12 +72,6 @@ def random_residuals(count: int, seed: int = 0) -> Singles:
 
 def base_run(base: str, count: int) -> Recording:
     return rollout(CONTROLLERS[base](), count, seed=30, **ARMS)
-
-
-def lively_policy() -> NetworkPolicy:
-    """Random weights, that move the arms but leave them in their workspace."""
-    torch.manual_seed(0)
-    return NetworkPolicy(Actor(BundleSpec("ppo", "paper", SETTINGS, (16, 16)).shape()).weights())
 
 
 class Silent:
@@ -166,7 +160,7 @@ def test_batch_agrees_with_single_arms_bit_for_bit():
 
 
 def test_a_policy_acts_alike_in_training_and_as_a_controller():
-    count, policy = 4, lively_policy()
+    count, policy = 4, NetworkPolicy(new_weights(BundleSpec("ppo", "paper", SETTINGS, (16, 16)), 0))
     recording = rollout(ResidualController(CONTROLLERS["paper"](), policy, SETTINGS), count, seed=30, **ARMS)
     assert recording.finished.all()
     assert not np.allclose(recording.state, base_run("paper", count).state)

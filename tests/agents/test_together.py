@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
+from bundles import new_weights
 from refusals import refused
 
-from agents.policy.actor import Actor
 from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spec, save_bundle
 from agents.policy.correction import correct, correction
 from agents.policy.inputs import SelectedInputs
@@ -75,7 +74,7 @@ def test_rows_that_cannot_be_shared_are_refused():
 
 def bundle(folder: Path, hidden: tuple[int, ...]) -> Path:
     spec = BundleSpec("ppo", "paper", ResidualSettings(), hidden, provenance={"run": {"of": folder.name}})
-    save_bundle(folder, spec, Actor(spec.shape()).weights())
+    save_bundle(folder, spec, new_weights(spec))
     return folder
 
 
@@ -103,8 +102,7 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
 
 
 def lively(spec: BundleSpec) -> ResidualController:
-    torch.manual_seed(0)
-    policy: Any = NetworkPolicy(Actor(spec.shape()).weights())
+    policy: Any = NetworkPolicy(new_weights(spec, 0))
     if spec.inputs is not None:
         policy = SelectedInputs(policy, spec.inputs, spec.offered())
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)

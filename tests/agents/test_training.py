@@ -116,6 +116,14 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path):
     assert weights(tmp_path / "run" / "last") == weights(tmp_path / "whole" / "last")
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run of PPO with 8 arms and 128 agent steps, to be copied."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    run(tiny("ppo", folder, total_steps=128))
+    return folder
+
+
 def last_curve(path: Path, text: str) -> bool:
     return path.name == "validation.csv" and len(text.splitlines()) == 3
 

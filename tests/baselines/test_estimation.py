@@ -20,7 +20,7 @@ from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kal
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
 from baselines.optimal.adaptive import AdaptiveController, tuned_identifier
 from baselines.reading import Reading, read
-from baselines.registry import CONTROLLERS, FELT
+from baselines.registry import FELT
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Flags, Floats
@@ -28,7 +28,6 @@ from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BIAS, RANGE
 from beltarm_env.task.ranges import TRAIN_RANGES
-from eval.comparison.sets import development_set
 
 GEAR = 88.0
 SEED = 5_210_000  # of the gains' search
@@ -197,31 +196,6 @@ class TestKnowledge:
         assert size.max() > 2e-4
         np.testing.assert_allclose(z[arm_of.BIAS :].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
         assert np.sqrt(memory.belief.variance[:, arm_of.BIAS :]).max() < 0.5 * SPREAD
-
-    def test_with_an_accelerometer_the_torsion_is_known_better_and_the_arm_vibrates_less(self):
-        error, cost, ringing = [], [], []
-        arms = development_set().splits["randomized"].arguments(slice(16))
-        for make, sensors in ((CONTROLLERS["adaptive"], "encoder"), (FELT["adaptive"], "accelerometer")):
-            noted = Noted(make())
-            run = rollout(noted, 16, **{**arms, "sensors": sensors})
-            error.append(np.std(np.array(noted.torsions[1:]) - run.state[:-1, :, 2]))
-            cost.append(run.cost)
-            ringing.append(run.metrics()["residual_pp_mm"].mean())
-        assert error[1] < 0.4 * error[0]
-        assert np.median(cost[1] - cost[0]) < 0 and ringing[1] < 0.9 * ringing[0]
-
-
-class Noted:
-    """Controller whose estimates of the torsion are kept."""
-
-    def __init__(self, controller: Any) -> None:
-        self.controller, self.params = controller, controller.params
-        self.torsions: list[Floats] = []
-
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        action, memory = self.controller.predict(*arguments, **named)
-        self.torsions.append(memory.belief.state[:, 2])
-        return action, memory
 
 
 TRAIN_SEED = 5_000_000

@@ -34,7 +34,7 @@ from baselines.models.corners import CORNERS, LOOP_FIELDS, corner
 from baselines.models.linear import ANGLES
 from baselines.optimal.adaptive import AdaptiveController, AdaptiveGains, AdaptiveMemory
 from baselines.servo.paper import PaperController, rigid_controller
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, sampled_state_space
+from beltarm_env import CONTROL_PERIOD, ArmParams, observation, sampled_state_space
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import TRAIN_RANGES, design_model
 
@@ -68,7 +68,7 @@ def frictionless(name: str, params: ArmParams = FRICTIONLESS) -> Any:
     return make(tuned(name, TUNABLE[name].gains), params=params)
 
 
-def resting_observation(joint: float, state: Floats, before: float, last_command: float, **at: float) -> Any:
+def resting_observation(joint: float, state: Floats, before: float, last_command: float) -> Any:
     """What the environment shows of an arm near rest at an angle, the encoder's resolution and float32 left out."""
     values = dict.fromkeys((entry.name for entry in observation.ENTRIES["encoder"]), 0.0)
     speed = (state[0] - before) / CONTROL_PERIOD
@@ -76,7 +76,7 @@ def resting_observation(joint: float, state: Floats, before: float, last_command
     values |= {"motor_angle": state[0], "sin_2_motor_angle": math.sin(2 * state[0])}
     values |= {"cos_2_motor_angle": math.cos(2 * state[0])}
     values |= {"reference_angle": joint, "start": joint + (0.5 if joint < 0.8 else -0.5), "goal": joint}
-    values |= {"duration": 0.5, "ramp_time": 0.2, "elapsed_time": 0.9, "last_command": last_command / 0.3} | at
+    values |= {"duration": 0.5, "ramp_time": 0.2, "elapsed_time": 0.9, "last_command": last_command / 0.3}
     return np.array([list(values.values())]) / observation.scales()
 
 
@@ -112,21 +112,6 @@ def check_pulse(name: str, k: int, params: ArmParams = FRICTIONLESS) -> None:
     torques = np.where(np.arange(len(motion)) == 0, pulse, 0.0)
     expected = np.asarray(closed.forced_response(inputs=torques).outputs)
     assert np.abs(motion - expected).max() < TOLERANCE.get(name, 1e-4) * np.abs(expected).max()
-
-
-def test_observations_are_those_of_the_environment():
-    env = BeltArmVectorEnv(1, encoder_counts=10_000_000)
-    env.reset(options={"move": {"start": 0.3, "goal": 0.9, "duration": 0.5, "ramp_time": 0.2}})
-    seen, before = np.empty((1, observation.size()), np.float32), 0.0
-    for _ in range(600):
-        before = env.state[0, 0]
-        seen, *_ = env.step(np.array([[0.01]], np.float32))
-    mine = resting_observation(0.9, env.state[0], before, 0.003, start=0.3)
-    count = 2 * math.pi / 10_000_000
-    tolerance = np.full(observation.size(), 1e-6)
-    of_count = np.array([1.0, 1 / CONTROL_PERIOD, 1 / CONTROL_PERIOD, 1.0, 2.0, 2.0])  # of the measured entries
-    tolerance[:6] = 1e-5 + of_count * count / observation.scales()[:6]
-    assert np.all(np.abs(mine - seen)[0] < tolerance)
 
 
 class TestAgainstTheController:

@@ -52,14 +52,6 @@ class TestSimulation:
             states = following
         np.testing.assert_array_equal(states[:, :4], env.state)
 
-    def test_commands_under_way_are_states_and_cut_at_the_limit(self):
-        late = ArmParams(command_latency=1.5 * CONTROL_PERIOD, torque_constant_error=0.1)
-        simulation = ArmSimulation(late)
-        states = simulation.at_rest(np.array([60.0]))
-        for command in (0.1, 0.2, -9.0):
-            states = simulation.advance(states, np.array([command]))
-        np.testing.assert_allclose(states[0, 4:], [0.22, -0.33, 0.22, 0.11], rtol=1e-12)
-
     def test_ahead_is_what_comes_and_a_straight_line_between_samples(self):
         arms = [design_model(), ArmParams(), replace(design_model(), command_latency=0.004), design_model()]
         simulation, torques = ArmSimulation(arms), np.full(4, 0.1)

@@ -19,7 +19,7 @@ from baselines.optimal.mpc import MpcController
 from baselines.oracle import main
 from baselines.planning.plan import GAIN, TORQUE, Plans, Weights, plan_cost, planned, planned_torque, replanned
 from baselines.planning.replanning import STEPS, PlanCache, Situation
-from baselines.planning.task_plan import anchor, improve, plan_room, plan_squares, plan_task, problem_of
+from baselines.planning.task_plan import improve, plan_room, plan_squares, plan_task, problem_of
 from baselines.yardsticks.clairvoyant import optimum
 from baselines.yardsticks.oracle import FILE, METRICS, Scenario, read_file, replay, run
 from baselines.yardsticks.privileged import PrivilegedController
@@ -151,28 +151,6 @@ def test_improvement_lowers_the_tasks_cost_on_the_nonlinear_arm():
 def test_improved_plans_keep_within_the_torque_limit():
     for plan in task_plans(30):
         assert np.abs(plan[:-1, 9]).max() <= ARM.torque_limit
-
-
-def test_anchoring_changes_nothing_about_the_law():
-    rng = np.random.default_rng(3)
-    before = replanned(None, ALL, MOVES, TABLE, TASK_WEIGHTS)
-    time = np.array([40.3, 200.0, 610.8])
-    there = np.array([plan[int(t), :4] for plan, t in zip(before, time, strict=True)])
-    there += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], there.shape)
-    after, room = [plan.copy() for plan in before], plan_room()
-    for arm, move in enumerate(MOVES):
-        plan_squares(MoveShape(*move), TABLE[arm], plan_cost(TASK_WEIGHTS), 0, room, np.empty((1200, 10)))
-        anchor(after[arm], time[arm], there[arm], problem_of(MoveShape(*move), TABLE[arm]), room.model)
-    for later in (1, 2, 100):
-        whole = np.floor(time) + later
-        x = np.array([plan[int(t), :4] for plan, t in zip(before, whole, strict=True)])
-        x += rng.normal(0, [0.1, 1.0, 1e-3, 0.02], x.shape)
-        torques = [planned_torque(plans, whole, x, np.zeros(3)) for plans in (before, after)]
-        np.testing.assert_allclose(*torques, rtol=1e-9)
-    for arm, plan in enumerate(after):
-        k, share = int(time[arm]), time[arm] % 1
-        now = plan[k, :4] + share * (plan[k + 1, :4] - plan[k, :4])
-        assert (np.abs(now - there[arm]) < [0.02, 0.3, 1e-4, 5e-3]).all()
 
 
 def test_what_is_past_stays():

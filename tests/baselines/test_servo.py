@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,20 +38,11 @@ from baselines.servo.shaping import (
 from baselines.servo.smooth import SmoothController, SmoothGains, plan_smooth
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.observation import decode
-from beltarm_env.rollout import Recording, rollout
+from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import SCURVE, TRAPEZOID, MoveShape, Reference, reference_at
 
 NOMINAL = ArmParams()
-MOVES = np.radians([(0, 90), (90, 0), (10, 30), (30, 10), (45, 90), (90, 60), (0, 45), (20, 80)])
-
-
-def over_the_range(controller: Any, **settings: Any) -> Recording:
-    """Moves all over the workspace, each in a time that its length allows."""
-    start, goal = MOVES.T
-    duration = 0.6 + 0.3 * np.abs(goal - start)
-    move = {"start": start, "goal": goal, "duration": duration, "ramp_time": 0.3 * duration}
-    return rollout(controller, len(MOVES), seed=5_000_000, options={"move": move, **settings})
 
 
 def observations(count: int = 5, steps: int = 250, seed: int = 5_000_000) -> np.ndarray:
@@ -110,32 +100,7 @@ class TestPid:
         assert memory[0, INTEGRAL] == 0.0 and memory[1, INTEGRAL] != 0.0
 
 
-class LoadedBy:
-    """A controller whose motor carries a constant torque that it is not told of; it sees its own torque alone."""
-
-    def __init__(self, controller: Any, load: float) -> None:
-        self._controller, self._share = controller, load / NOMINAL.torque_limit
-
-    def predict(self, observed, state=None, episode_start=None, deterministic=True):
-        reported = observed.copy()
-        reported[:, observation.index("last_command")] += self._share * (
-            reported[:, observation.index("elapsed_time")] > 0
-        )
-        action, state = self._controller.predict(reported, state, episode_start, deterministic)
-        return action - np.float32(self._share), state
-
-
 class TestDisturbanceObserver:
-    def test_a_constant_load_leaves_no_error(self):
-        errors = []
-        for observer in (0.1, 15.0):
-            run = over_the_range(LoadedBy(DisturbanceController(DisturbanceGains(observer=observer)), -0.03))
-            errors.append(np.abs(run.state[-1, :, 0] - 88 * MOVES[:, 1]))
-        without, with_observer = errors
-        assert np.median(without) > 1.0
-        assert with_observer.max() < 0.35  # 4 mrad at the joint
-        assert np.median(with_observer) < 0.1 * np.median(without)
-
     def test_estimate_follows_a_step_as_its_filter_does(self):
         # The motor turns at constant speed; the torque steps by 0.1 N m, which must be a load.
         gains = DisturbanceGains(observer=20.0, reaction=200.0, friction=0.0)
