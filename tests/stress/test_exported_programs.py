@@ -29,10 +29,7 @@ from eval.exports.program import controller_of, loop_of, write_program
 from eval.exports.source import Loop
 from tests.eval.exports.conftest import CachingToolchain
 
-FAULTS = (
-    "none",
-    *"stuck, other way round, lost, late, jump, spike, flipped bit, ends, anything, noise, dead".split(", "),
-)
+FAULTS = tuple("none stuck reversed lost late jump spike flipped ends anything noise dead".split())
 MOST, LEAST = 2**31 - 1, -(2**31)
 LATE = 4
 ARMS, LENGTH = 56, 1200
@@ -104,12 +101,12 @@ class FaultyEncoders:
         anything = rng.integers(LEAST, MOST, size=n, endpoint=True)
         faulty = {
             "stuck": self._given,
-            "other way round": self._given - (counts - self._true[1]),
+            "reversed": self._given - (counts - self._true[1]),
             "lost": np.where(rng.random(n) < 0.5, self._given, counts),
             "late": self._true[LATE],
             "jump": counts + 700,
             "spike": np.where(rare, anything, counts),
-            "flipped bit": np.where(rare, counts ^ (1 << rng.integers(0, 31, size=n)), counts),
+            "flipped": np.where(rare, counts ^ (1 << rng.integers(0, 31, size=n)), counts),
             "ends": np.where(rng.random(n) < 0.5, MOST, LEAST),
             "anything": anything,
             "noise": counts + rng.integers(-8, 8, size=n, endpoint=True),

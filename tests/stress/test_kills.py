@@ -1,7 +1,7 @@
 """Trouble at any event in the file system: a run that is begun again reaches the end that it would have had.
 
-A process that is killed leaves what it has written so far, and so does one whose disk is full or read-only. Trainings,
-comparisons and searches for gains promise that `--resume`, or the same command again, then goes on to the same files.
+A process that is killed leaves what it has written so far, and so does one whose disk is full or read-only. Trainings
+and comparisons promise that `--resume`, or the same command again, then goes on to the same files.
 A forked child counts the events that change its folder, by Python's audit hooks, and gets into trouble at one of them;
 another child goes on.
 """
@@ -9,7 +9,6 @@ another child goes on.
 from __future__ import annotations
 
 import errno
-import io
 import json
 import os
 import resource
@@ -31,16 +30,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
-from rich.console import Console
 
 from agents.learners.ppo import PpoConfig
 from agents.learners.registry import ALGORITHMS
 from agents.policy.bundle import read_weights
 from agents.runs.training import train
-from baselines.engines.options import WithStorage
-from baselines.gains import read_file
-from baselines.tuning.race import MIN_BUDGET
-from baselines.tuning.run import tune
 from eval.comparison.run import choose_methods, compare
 from eval.comparison.schema import read_results, write_results
 from eval.comparison.sets import development_set
@@ -62,7 +56,6 @@ class Subject(NamedTuple):
     begin: Callable[[Path], object]
     go_on: Callable[[Path], object]  # which first checks that what is there can be read
     meaning: Callable[[Path], dict[str, Any]]  # of the finished files, without what may differ
-    given: dict[str, str] = {}  # text of files that are there before  # noqa: RUF012
 
 
 def assert_same(reached: dict[str, Any], wanted: dict[str, Any]) -> None:
@@ -109,30 +102,12 @@ def _comparison(folder: Path) -> dict[str, Any]:
     return {"results.json": results, **kept}
 
 
-def _tune(folder: Path, resume: bool) -> None:
-    read_file(folder / "gains.json")
-    where: dict[str, Any] = {"out": folder / "gains.json", "journals": folder, "options": WithStorage(jobs=1)}
-    where |= {"budget": MIN_BUDGET, "seed": 0, "condition": None, "console": Console(file=io.StringIO())}
-    tune(["zv"], resume=resume and (folder / "zv.journal").exists(), **where)
-
-
-def _tuning(folder: Path) -> dict[str, Any]:
-    gains = read_file(folder / "gains.json")
-    origin = gains["zv"]["provenance"]
-    for name in ("date", "commit", "seconds", "trials", "pruned", "failed", "refused"):  # a trial that is killed counts
-        origin.pop(name)
-    origin["steps"] = origin["steps"] <= MIN_BUDGET
-    return gains
-
-
-_OTHERS = '{"zvd": {"gains": {}}}'
 _PPO = PpoConfig(
     **{"total_steps": 64, "validation_every": 32, "rollout_steps": 8, "batch_size": 32},
     **{"arms": 4, "validation_arms": 2, "hold": 40, "hidden": (4,)},
 )
 SUBJECTS: dict[str, Subject] = {
     "training": Subject(partial(_train, resume=False), partial(_train, resume=True), _training),
-    "search": Subject(partial(_tune, resume=False), partial(_tune, resume=True), _tuning, {"gains.json": _OTHERS}),
     "comparison": Subject(_compare, _compare, _comparison),
 }
 
@@ -163,16 +138,16 @@ def test_it_goes_on_to_the_same_files(name: str, pool: ProcessPoolExecutor):
 def undisturbed(name: str, folder: Path) -> tuple[list[str], dict[str, Any]]:
     """Events of a run without trouble, and the meaning of its files."""
     subject = SUBJECTS[name]
-    prepare(subject, folder)
+    prepare(folder)
     subject.begin(folder)  # so that all children have what is compiled
-    prepare(subject, folder)
+    prepare(folder)
     return in_child(subject.begin, folder), subject.meaning(folder)
 
 
 def disturbed(name: str, folder: Path, troubles: list[Trouble], events: list[str], wanted: dict[str, Any]) -> None:
     """Run into trouble, go on, and compare the files."""
     subject = SUBJECTS[name]
-    prepare(subject, folder)
+    prepare(folder)
     for k, trouble in enumerate(troubles):
         in_child(subject.go_on if k else subject.begin, folder, trouble, events)
         for path in folder.rglob(".*"):  # as if an hour had passed, after which half-written files are taken away
@@ -182,12 +157,10 @@ def disturbed(name: str, folder: Path, troubles: list[Trouble], events: list[str
     assert_same(subject.meaning(folder), wanted)
 
 
-def prepare(subject: Subject, folder: Path) -> None:
-    """Empty the folder, but for given files."""
+def prepare(folder: Path) -> None:
+    """Empty the folder."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    for name, text in subject.given.items():
-        (folder / name).write_text(text)
 
 
 def in_child(
