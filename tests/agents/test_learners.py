@@ -108,17 +108,13 @@ def test_learning_rate_falls_to_zero_and_no_further(algorithm: str, tmp_path: Pa
 
 BAD: list[tuple[str, dict[str, Any], str]] = [
     ("ppo", {"base": "papre"}, "'papre'.*'paper'"),
-    ("ppo", {"base": "xyzzyx"}, "'xyzzyx'"),
     ("ppo", {"device": "cuda"}, "--device cuda.*--device cpu"),
-    ("ppo", {"device": "gpu"}, "--device .* 'gpu'"),
     ("ppo", {"arms": 50_000}, "--arms .* 50000"),
-    ("ppo", {"seed": MAX_TRAINING_SEED + 1}, "--seed"),
     ("ppo", {"seed": MAX_TRAINING_SEED, "seeds": 2}, "--seed"),
     ("ppo", {"learning_rate": float("nan")}, "--learning-rate .* nan"),
     ("ppo", {"gamma": 1.5}, "--gamma .* 1.5"),
     ("ppo", {"hidden": (0,)}, "hidden"),
     ("ppo", {"resume": True, "overwrite": True}, "--resume.*--overwrite"),
-    ("ppo", {"jobs": 0}, "--jobs .* 0"),
     ("ppo", {"resume": True}, "nothing to resume"),
     ("ppo", {"learning_rate": 1e30}, r"diverged at .* steps.*--learning-rate"),
     ("ppo", {"epochs": 0}, "--epochs"),
@@ -129,15 +125,12 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("student", {"rounds": 0}, "--rounds"),
     ("student", {"remembered": 0}, "--remembered"),
     ("student", {"gru_width": -1}, "--gru-width"),
-    ("student", {"epochs": 0}, "--epochs"),
     ("student", {"huber": 0.0}, "--huber"),
     ("student", {"learning_rate": 1e30, "rounds": 1}, "diverged at 0 steps.*--learning-rate"),
     ("rma", {"told": 0.0}, "--told .* 0.0"),
-    ("rma", {"told": 1.0}, "--told .* 1.0"),
     ("rma", {"told": 0.9}, "--rounds .*--told 0.9"),
     ("rma", {"latent": 0}, "--latent"),
     ("rma", {"gru_width": 0}, "--gru-width"),
-    ("rma", {"learning_rate": 1e30}, "diverged at 0 steps.*--learning-rate"),
 ]
 
 
@@ -208,7 +201,7 @@ def test_a_worker_that_begins_again_gives_up_the_trial_that_it_died_in(tmp_path:
 
 def train_at_once(config: ReinforcementConfig, _: object, channel: Channel) -> None:
     """Stand for a training: its costs follow from settings and seed alone."""
-    for steps in range(10):
+    for steps in range(5):
         if channel.stop.made:
             raise Interrupted
         channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
@@ -224,14 +217,14 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
         tuning._begin(config)
         _search(config, 0, Channel(stop=StopAfter(looks)))
 
-    whole, parts = (few(tmp_path / name, trials=14) for name in ("whole", "parts"))
+    whole, parts = (few(tmp_path / name, trials=12) for name in ("whole", "parts"))
     for config in (whole, parts):
         config.out.mkdir()
     begun_again(whole, 10_000)
     told: list[str] = []
     tune(replace(whole, resume=True), tell=told.append)
     assert len(told) == 1, "how much there is to do, before the first trial"
-    for looks in (30, 1, 15, 60, 2):
+    for looks in (15, 1, 8, 30, 2):
         begun_again(parts, looks)
         study = open_study(parts)
         study.sampler = tuning._sampler(parts, study, 0)
@@ -243,7 +236,7 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
         for each in (study, open_study(whole))
     )
     assert ours == theirs
-    assert len({str(params) for params, *_ in ours}) == len(ours) == 14 < len(study.get_trials())
+    assert len({str(params) for params, *_ in ours}) == len(ours) == 12 < len(study.get_trials())
 
 
 def test_bad_options_and_a_damaged_study(tmp_path: Path):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from episodes import memory_after
 from refusals import refused
 
 from agents.observer import files
@@ -111,13 +112,9 @@ class TestWatching:
 
     @pytest.mark.parametrize("knowledge", ["belief", "none"])
     def test_an_arm_that_begins_anew_is_forgotten_and_others_are_not(self, knowledge: Any):
-        watched = WatchedController(AdaptiveController(), Observer(knowledge))
-        env = BeltArmVectorEnv(2, randomization="train")
-        observation, _ = env.reset(seed=VALIDATION.first)
-        start, memory = np.array([False, True]), None
-        for _ in range(6):
-            _, memory = watched.predict(observation, memory)
-        assert memory is not None
+        watched, start = WatchedController(AdaptiveController(), Observer(knowledge)), np.array([False, True])
+        observation, _ = BeltArmVectorEnv(2, randomization="train").reset(seed=VALIDATION.first)
+        memory = self.after(watched, 6)
         _, through = watched.predict(observation, memory, start)
         _, fresh = watched.predict(observation)
         for ours, theirs in ((through.observer, fresh.observer), (through.estimate.mean, fresh.estimate.mean)):
@@ -127,14 +124,7 @@ class TestWatching:
 
     @staticmethod
     def after(watched: WatchedController, steps: int) -> WatchedMemory:
-        env = BeltArmVectorEnv(2, randomization="train")
-        observation, _ = env.reset(seed=VALIDATION.first)
-        memory = None
-        for _ in range(steps):
-            action, memory = watched.predict(observation, memory)
-            observation, *_ = env.step(action)
-        assert memory is not None
-        return memory
+        return memory_after(watched, BeltArmVectorEnv(2, randomization="train"), steps, seed=VALIDATION.first)
 
 
 class TestFit:

@@ -185,9 +185,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"resume": False}, "--resume.*--overwrite.*--out"),
     ({"seed": 1}, "--seed 0, not 1"),
     ({"arms": 16}, "--arms 8, not 16"),
-    ({"base": "rigid"}, "--base paper, not rigid"),
     ({"hidden": (4, 4)}, r"--hidden \[8\], not \[4, 4\]"),
-    ({"knowledge": "none"}, "--knowledge belief, not none"),
     ({"learning_rate": 1e-3}, "--learning-rate 0.00035, not 0.001"),
 ]
 

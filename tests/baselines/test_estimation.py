@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from episodes import memory_after
 from scipy.linalg import solve_discrete_are
 
 from baselines.estimation import believed_arm as arm_of
@@ -210,12 +211,7 @@ def batch(count: int, seed: int = TRAIN_SEED, **settings: Any) -> BeltArmVectorE
 
 def believed_after(controller: AdaptiveController, env: BeltArmVectorEnv, steps: int = EPISODE_STEPS) -> Belief:
     """What a controller believes of arms after so many samples from their start."""
-    observations, memory = env.reset(seed=TRAIN_SEED)[0], None
-    for _ in range(steps):
-        action, memory = controller.predict(observations, memory)
-        observations, *_ = env.step(action)
-    assert memory is not None
-    return memory.belief
+    return memory_after(controller, env, steps, seed=TRAIN_SEED).belief
 
 
 def true_delays(env: BeltArmVectorEnv) -> Floats:
@@ -238,13 +234,8 @@ class TestArm:
         move = {"start": 0.2, "goal": 1.4, "duration": 1.0, "ramp_time": 0.2}
         arms = {name: np.full(4, value) for name, value in asdict(design_model()).items()}
         params = {**arms, "payload_mass": payload, "belt_stiffness": stiffness}
-        env = batch(4)
-        observations, _ = env.reset(seed=0, options={"params": params, "move": move})
-        controller, memory = AdaptiveController(), None
-        for _ in range(EPISODE_STEPS):
-            action, memory = controller.predict(observations, memory)
-            observations, *_ = env.step(action)
-        assert memory is not None
+        reset = {"seed": 0, "options": {"params": params, "move": move}}
+        memory = memory_after(AdaptiveController(), batch(4), EPISODE_STEPS, **reset)
         table = ArmIdentifier(design_model()).table(memory.belief)
         np.testing.assert_allclose(table[:, COLUMN.belt_stiffness], stiffness, rtol=0.12)
         np.testing.assert_allclose(table[:, COLUMN.arm_inertia_swing], 0.06 + 0.25 * payload, rtol=0.2)

@@ -67,6 +67,16 @@ def assert_as_alone(
     return ends
 
 
+def memory_after(controller: Any, env: BeltArmVectorEnv, steps: int, **reset: Any) -> Any:
+    """Memory of a controller that has driven a batch for so many samples."""
+    observation, _ = env.reset(**reset)
+    memory: Any = None
+    for _ in range(steps):
+        action, memory = controller.predict(observation, memory)
+        observation, *_ = env.step(action)
+    return memory
+
+
 def torques_of(controller: Any, first: int, count: int, steps: int = 160, **settings: Any) -> NDArray[np.float32]:
     """Torques of a controller on `count` arms, seeded from `first` on, as they set out; shape (steps, count).
 
