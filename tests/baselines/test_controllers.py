@@ -188,7 +188,9 @@ EASY = {"start": 0.3, "goal": 0.9, "duration": 1.0, "ramp_time": 0.3}
 class TestDataSheet:
     """Gear ratio and torque limit, which observations and actions are relative to."""
 
-    @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name != "robust"])  # whose design takes seconds
+    @pytest.mark.parametrize(
+        "name", [pytest.param(name, marks=pytest.mark.slow) if name == "robust" else name for name in CONTROLLERS]
+    )
     def test_controller_made_for_an_arm_drives_it_as_the_nominal_one_its_own(self, name: str):
         known = CONTROLLERS[name]().params
         runs = {}
