@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import torch
 from commands import stopped
 from optuna.trial import TrialState
 from refusals import refused
-from trainings import MODULES, NAMES, StopAfter, run, tiny
+from trainings import MODULES, NAMES, StopAfter, in_memory, run, tiny
 
 import agents.runs.monitor
 from agents.learners import tuning
@@ -207,8 +208,15 @@ def train_at_once(config: ReinforcementConfig, _: object, channel: Channel) -> N
         channel.report(News(steps, "", 1e3 * config.learning_rate + config.gamma + config.seed + 1 / (1 + steps)))
 
 
+@pytest.fixture
+def quick() -> Iterator[Path]:
+    """A folder whose database waits for no disk."""
+    with in_memory() as folder:
+        yield Path(folder)
+
+
 def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    quick: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """By a signal, and by the death of its worker; beyond the ten trials that are drawn without a model, too."""
     monkeypatch.setattr(tuning, "train", train_at_once)
@@ -217,7 +225,7 @@ def test_a_search_that_is_interrupted_again_and_again_is_the_uninterrupted_one(
         tuning._begin(config)
         _search(config, 0, Channel(stop=StopAfter(looks)))
 
-    whole, parts = (few(tmp_path / name, trials=12) for name in ("whole", "parts"))
+    whole, parts = (few(quick / name, trials=12) for name in ("whole", "parts"))
     for config in (whole, parts):
         config.out.mkdir()
     begun_again(whole, 10_000)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
-import os
 import pickle
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
@@ -16,7 +14,6 @@ from typing import Any
 from bundles import Exploit
 
 Read = Callable[[], object]
-_IN_MEMORY = Path("/dev/shm")  # on Linux
 EXECUTED = "executed"
 """Name of a file that only loading a pickle makes."""
 _LONG, _DEEP = 100_000, 100_000
@@ -28,11 +25,6 @@ _WEIRD: tuple[Any, ...] = (
 _NAMES = ("", "x", "a\nb", "\ud800", "__class__", "x" * 1000, "0", "seed\x00", "é", "format")
 _NUMBERS = (b"1e999", b"-", b"0x10", b"NaN", b"-Infinity", b"01", b"1" * 5000, b"1e-999", b"1.", b"9" * 400)
 _SIZES = (0, 1, 7, 2**16, 2**31 - 1, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1)
-
-
-def scratch() -> tempfile.TemporaryDirectory[str]:
-    """Make an empty folder for damaged files, in memory where there is a place: a disk takes as long again."""
-    return tempfile.TemporaryDirectory(dir=_IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else None)
 
 
 def exploit(folder: Path) -> bytes:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from trainings import in_memory
 
 from tests.stress import damage
 from tests.stress.readers import READERS
@@ -24,7 +25,7 @@ LONGEST = 2.0  # of the processor's time [s]
 
 @pytest.mark.parametrize("name", READERS)
 def test_damage_is_refused(name: str):
-    with damage.scratch() as scratch:
+    with in_memory() as scratch:
         folder = Path(scratch)
         reader = READERS[name](folder)
         sound, meaning = files(folder), reader.read()
