@@ -22,7 +22,6 @@ from refusals import refused
 from safetensors.torch import load_file
 from safetensors.torch import save as save_tensors
 
-import agents.policy.bundle
 from agents.policy.bundle import (
     CARD,
     FELT_POLICIES,
@@ -40,13 +39,10 @@ from agents.policy.bundle import (
 )
 from agents.policy.card import Offer, card
 from agents.policy.network import NetworkPolicy
-from agents.policy.weights import Weights
 from agents.residual.bases import make_base, settings_hash
 from agents.residual.controller import ResidualController, ResidualSettings
 from baselines import PaperController
 from baselines.optimal.felt import FeltAdaptiveController
-from beltarm_env import observation
-from beltarm_env.observation import size
 from beltarm_env.rollout import rollout
 
 NAN, INF = math.nan, math.inf
@@ -66,12 +62,6 @@ SPECS = {
 SHIPPED = sorted(path.parent for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/*/policy.json"))
 
 
-def lively(spec: BundleSpec = SPECS["plain"], seed: int = 0) -> Weights:
-    """Random weights, that move the arms but leave them in their workspace."""
-    torch.manual_seed(seed)
-    return new_weights(spec)
-
-
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
     folder = tmp_path / "policy"
@@ -89,13 +79,13 @@ class TestSaved:
     @pytest.mark.parametrize("name", SPECS)
     def test_bundle_gives_the_same_policy_bit_for_bit(self, tmp_path: Path, name: str):
         spec = SPECS[name]
-        digest = save_bundle(tmp_path, spec, lively(spec))
+        digest = save_bundle(tmp_path, spec, new_weights(spec, 0))
         read, described, content = read_weights(tmp_path)
         assert described == spec and content["content_hash"] == digest
         assert {name: value.tobytes() for name, value in read.arrays.items()} == {
-            name: value.tobytes() for name, value in lively(spec).arrays.items()
+            name: value.tobytes() for name, value in new_weights(spec, 0).arrays.items()
         }
-        original = ResidualController(make_base(spec.base), NetworkPolicy(lively(spec)), spec.residual)
+        original = ResidualController(make_base(spec.base), NetworkPolicy(new_weights(spec, 0)), spec.residual)
         sensors: Any = spec.sensors
         runs = [
             rollout(controller, 3, seed=1, sensors=sensors, randomization="train", profile="scurve")
@@ -106,38 +96,38 @@ class TestSaved:
 
     def test_content_hash_depends_on_content_alone(self, tmp_path: Path):
         spec = SPECS["plain"]
-        first = save_bundle(tmp_path / "a", spec, lively())
-        assert save_bundle(tmp_path / "b", read_spec(tmp_path / "a")[0], lively()) == first
-        assert save_bundle(tmp_path / "a", spec, lively()) == first
+        first = save_bundle(tmp_path / "a", spec, new_weights(spec, 0))
+        assert save_bundle(tmp_path / "b", read_spec(tmp_path / "a")[0], new_weights(spec, 0)) == first
+        assert save_bundle(tmp_path / "a", spec, new_weights(spec, 0)) == first
         files = [sorted((path.name, path.read_bytes()) for path in (tmp_path / name).iterdir()) for name in "ab"]
         assert files[0] == files[1] and len(files[0]) == 3
         others = [
-            save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), lively()),
-            save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), lively()),
-            save_bundle(tmp_path / "d", spec, lively(seed=1)),
+            save_bundle(tmp_path / "d", replace(spec, provenance={"seed": 1}), new_weights(spec, 0)),
+            save_bundle(tmp_path / "d", replace(spec, residual=replace(SETTINGS, hold=5)), new_weights(spec, 0)),
+            save_bundle(tmp_path / "d", spec, new_weights(spec, 1)),
         ]
-        assert len({first, *others}) == 4
-        seen = np.ones((1, size()), np.float32)
-        expected = ResidualController(make_base("paper"), NetworkPolicy(lively(seed=1)), SETTINGS).predict(seen)[0]
-        assert np.array_equal(load_controller(tmp_path / "d").predict(seen)[0], expected), "the last one"
-        assert len(list((tmp_path / "d").iterdir())) == 3
+        assert len({first, *others}) == 4 and len(list((tmp_path / "d").iterdir())) == 3
+        kept = read_weights(tmp_path / "d")[0].arrays
+        assert all(np.array_equal(kept[name], value) for name, value in new_weights(spec, 1).arrays.items()), (
+            "the last one"
+        )
 
     def test_a_policy_is_given_its_entries_by_name(self, tmp_path: Path):
         names = ("base_torque", "motor_speed", "believed_torsion", "motor_angle_error")
         spec = BundleSpec("ppo", "paper", SETTINGS, (16,), inputs=names)
-        save_bundle(tmp_path, spec, lively(spec))
+        save_bundle(tmp_path, spec, new_weights(spec, 0))
         loaded: Any = load_controller(tmp_path)
         assert read_spec(tmp_path)[0] == spec
         offered = [entry.name for entry in spec.offered()]
         seen = np.random.default_rng(0).normal(size=(3, len(offered))).astype(np.float32)
         chosen = np.ascontiguousarray(seen[:, [offered.index(name) for name in names]])
-        assert np.array_equal(loaded.policy.predict(seen)[0], NetworkPolicy(lively(spec)).predict(chosen)[0])
+        assert np.array_equal(loaded.policy.predict(seen)[0], NetworkPolicy(new_weights(spec, 0)).predict(chosen)[0])
         with pytest.raises(ValueError, match=r"\(2, 3\).*--sensors"):
             loaded.policy.predict(np.ones((2, 3), np.float32))
 
     def test_with_an_accelerometer_the_filter_of_the_base_has_it_too(self, tmp_path: Path):
         spec = BundleSpec("student", "adaptive", SETTINGS, (8,), sensors="accelerometer")
-        save_bundle(tmp_path, spec, lively(spec))
+        save_bundle(tmp_path, spec, new_weights(spec, 0))
         controller = load_controller(str(tmp_path))
         assert isinstance(controller.informed.base, FeltAdaptiveController)
         assert not isinstance(make_base("adaptive"), FeltAdaptiveController)
@@ -159,10 +149,7 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
     bundle: Path, monkeypatch: pytest.MonkeyPatch, files_written: int
 ):
     """The disk fills up at the weights, or between the weights and the manifest."""
-    old = load_controller(bundle)
-    seen = np.ones((2, observation.size()), np.float32)
-    expected = old.predict(seen)[0]
-    rename, calls = os.replace, []
+    before, rename, calls = read_weights(bundle)[0].arrays, os.replace, []
 
     def replace_then_fail(*arguments: Any) -> None:
         calls.append(arguments)
@@ -170,13 +157,11 @@ def test_a_bundle_that_cannot_be_replaced_stays_valid(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         rename(*arguments)
 
-    monkeypatch.setattr(os, "replace", replace_then_fail)
-    with pytest.raises(OSError, match="No space"):
+    with monkeypatch.context() as patched, pytest.raises(OSError, match="No space"):
+        patched.setattr(os, "replace", replace_then_fail)
         save_bundle(bundle, SPEC, new_weights())
-    monkeypatch.undo()
-    again = load_controller(bundle)
-    assert isinstance(again, ResidualController)
-    assert np.array_equal(again.predict(seen)[0], expected)
+    after = read_weights(bundle)[0].arrays
+    assert all(np.array_equal(before[name], after[name]) for name in before)
     assert not [name for name in os.listdir(bundle) if name.startswith(".")]
     save_bundle(bundle, SPEC, new_weights())
     assert len(os.listdir(bundle)) == 3
@@ -199,9 +184,9 @@ def foreign_weights(bundle: Path) -> None:
     put(bundle, weights(other).read_bytes())
 
 
-def replace_file(path: Path, make: Callable[[Path], object]) -> None:
+def make_pipe(path: Path) -> None:
     path.unlink()
-    make(path)
+    os.mkfifo(path)
 
 
 def flip_a_bit(path: Path) -> None:
@@ -210,36 +195,19 @@ def flip_a_bit(path: Path) -> None:
     path.write_bytes(data)
 
 
-def drop(bundle: Path, key: str) -> None:
-    content = json.loads((bundle / MANIFEST).read_text())
-    del content[key]
-    content["content_hash"] = agents.policy.bundle.content_hash(content)
-    (bundle / MANIFEST).write_text(json.dumps(content))
-
-
 DAMAGES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "no folder": (shutil.rmtree, (MANIFEST,)),
-    "a file": (lambda b: (shutil.rmtree(b), b.write_bytes(b"PK")), (MANIFEST,)),
     "no manifest": (lambda b: (b / MANIFEST).unlink(), (MANIFEST,)),
-    "manifest is a folder": (lambda b: replace_file(b / MANIFEST, Path.mkdir), (MANIFEST,)),
-    "manifest is a pipe": (lambda b: replace_file(b / MANIFEST, os.mkfifo), (MANIFEST, "no regular file")),
-    "weights are a pipe": (lambda b: replace_file(weights(b), os.mkfifo), ("weights-", "no regular file")),
-    "weights are a device": (
-        lambda b: replace_file(weights(b), lambda path: path.symlink_to("/dev/zero")),
-        ("weights-", "no regular file"),
-    ),
-    "truncated manifest": (lambda b: os.truncate(b / MANIFEST, 200), (MANIFEST,)),
+    "manifest is a pipe": (lambda b: make_pipe(b / MANIFEST), (MANIFEST, "no regular file")),
+    "weights are a pipe": (lambda b: make_pipe(weights(b)), ("weights-", "no regular file")),
     "another program's file": (lambda b: (b / MANIFEST).write_text('{"format": "onnx"}'), (MANIFEST, FORMAT)),
     "deeply nested manifest": (lambda b: (b / MANIFEST).write_text("[" * 10**5), (MANIFEST,)),
     "huge manifest": (lambda b: (b / MANIFEST).write_text(" " * (MAX_BYTES + 1)), (MANIFEST, str(MAX_BYTES))),
-    "no version": (lambda b: drop(b, "version"), ("None", str(VERSION))),
-    "no weights in the manifest": (lambda b: drop(b, "weights"), (MANIFEST, "weights")),
+    "no version": (lambda b: edit(b, rehash=True, version=None), ("None", str(VERSION))),
     "edited by hand": (lambda b: edit(b, rehash=False, base="rigid"), (MANIFEST, "hash")),
     "huge weights": (lambda b: os.truncate(weights(b), MAX_BYTES + 1), ("weights-", str(MAX_BYTES))),
     "no weights": (lambda b: weights(b).unlink(), ("weights-",)),
-    "truncated weights": (lambda b: os.truncate(weights(b), 100), ("weights-", "SHA-256")),
     "one bit of the weights": (lambda b: flip_a_bit(weights(b)), ("weights-", "SHA-256")),
-    "weights that are none": (lambda b: put(b, b"\x80\x04pickled"), ("weights-x",)),
     "weights of another network": (foreign_weights, ("weights-x",)),
     "weights in double precision": (lambda b: change_weights(b, torch.Tensor.double), ("weights-x", "float64")),
     "weights of NaN": (lambda b: change_weights(b, lambda value: value * NAN), ("weights-x", "not finite")),
@@ -275,20 +243,15 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"entries": [["tip_speed", "m/s", 1.0, 1.0]]}, "tip_speed"),
     ({"entries": [["motor_angle_error", "deg", 1.5, 200.0]]}, "motor_angle_error.*deg"),
     ({"entries": [["motor_angle_error", "rad", 3.0, 200.0]]}, "motor_angle_error.*3.0"),
-    ({"entries": [["motor_angle_error", "rad", 1.5, 5.0]]}, "motor_angle_error.*5.0"),
     ({"hidden": [10**9, 10**9]}, str(10**9)),
-    ({"hidden": [-4]}, "-4"),
     ({"hidden": [8, 8]}, "weights-"),
-    ({"lstm": 10**9}, str(10**9)),
     ({"gru": 4, "lstm": 4}, "an LSTM or a GRU"),
     ({"lstm": 4}, "weights-"),
     ({"weights": {"file": "../elsewhere.safetensors", "sha256": ""}}, "elsewhere"),
     ({"weights": {"file": "/etc/passwd", "sha256": ""}}, "/etc/passwd"),
-    ({"weights": {"file": "weights-\0.safetensors", "sha256": ""}}, "weights-"),
     ({"residual": {"limit": 5.0, "hold": 4, "knowledge": "belief"}}, "5.0"),
     ({"residual": {"limit": 0.5, "hold": 4, "knowledge": "belief", "gain": 1.0}}, "gain"),
     ({"provenance": {"run": {"steps": MOST + 1}}}, "does not fit"),
-    ({"provenance": {"run": {"seconds": -1e-9}}}, "does not fit"),
     ({"provenance": {"curve": [[0, 0.0, 1.0, 1.0]]}}, "does not fit"),
 ]
 
@@ -300,39 +263,20 @@ def test_manifests_with_wrong_values_are_refused(bundle: Path, changes: dict[str
         load_controller(bundle)
 
 
-PLACES = {
-    "edition": (True, 2.5),
-    "layout": ("2", None, [2]),
-    "algorithm": ({}, ["ppo"], None, 1),
-    "base": ({"paper": 1}, None),
-    "residual": ([], "belief", None, {"limit": NAN}, {"hold": 10**400}, {"knowledge": ["belief"]}, {"limit": 0.5}),
-    "hidden": (None, "44", [[4]], [4.5], {"4": 3}, [NAN]),
-    "activation": ([], {}, 3),
-    "sensors": ([], {}, None),
-    "lstm": ("0", None, NAN, [0]),
-    "gru": ("0", None, INF, {}),
-    "standardised": (0, "yes", None),
-    "base_settings": ({"gains": 3}, {"gains": {"a\nb": 1.0}}, {"doubts": {"swing": "0.5"}}, {"gains": {"angle": NAN}}),
-    "base_hash": (3, []),
-    "entries": (None, "speed", [3], [["motor_angle_error"]], [{}], {"a": 1}),
-    "weights": (None, [], "weights-x.safetensors", {"file": []}, {"file": "weights-x.safetensors", "sha256": 3}),
-    "provenance": (
-        *(None, {"run": []}, {"run": {"steps": "5"}}, {"run": {"steps": NAN}}, {"run": {"steps": 10**400}}),
-        *({"config": 3}, {"config": {"seed": [1]}}, {"note": INF}, {"versions": {"numpy": 2}}, {"commit": {}}),
-        *({"curve": [[1, 2]]}, {"curve": [["a", "b", "c"]]}, {"validation_of_base": [1]}, {"command": "\ud800"}),
-        *({"reached": 3}, {"reached": {"validation": {"cost": 1.0}}}),
-    ),
+OF_NO_SUCH_KIND: dict[str, Any] = {
+    **{"edition": 2.5, "layout": [2], "algorithm": {}, "base": None, "activation": [], "sensors": {}, "lstm": NAN},
+    **{"residual": {"limit": 0.5}, "hidden": [4.5], "gru": "0", "standardised": 0, "base_hash": 3, "entries": [[1]]},
+    **{"base_settings": {"gains": {"a\nb": 1.0}}, "weights": {"file": []}, "provenance": {"run": {"steps": 10**400}}},
 }
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", OF_NO_SUCH_KIND)
 def test_manifests_that_are_not_as_they_should_be(place: str, bundle: Path):
     """In one line, before anything reads them: not as a traceback, and not by numbers that JSON does not have."""
-    for value in PLACES[place]:
-        edit(bundle, rehash=True, **{place: value})
-        with pytest.raises(BundleError, match=MANIFEST) as caught:
-            read_spec(bundle)
-        assert "\n" not in str(caught.value), value
+    edit(bundle, rehash=True, **{place: OF_NO_SUCH_KIND[place]})
+    with pytest.raises(BundleError, match=MANIFEST) as caught:
+        read_spec(bundle)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("part", "field", "value"), [("gains", "angle", 1.0), ("doubts", "swing", 0.5)])
@@ -361,16 +305,16 @@ def test_loading_executes_nothing(bundle: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 class TestCard:
-    @pytest.mark.parametrize("folder", SHIPPED, ids=lambda folder: "/".join(folder.parts[-3:]))
-    def test_shipped_cards_are_what_is_written_today(self, folder: Path):
+    def test_shipped_cards_are_what_is_written_today(self):
         """If not, `agents.policy.bundle.annotate` writes the card of a bundle again, and changes nothing else."""
-        spec, content = read_spec(folder)
-        text = (folder / CARD).read_text(encoding="utf-8")
-        assert text == card(content)
-        fields, body = halves(text)
-        assert list(fields) == ["library_name", "pipeline_tag", "tags"]
-        assert {"BeltArm-v0", "reinforcement-learning", spec.algorithm} <= {*fields["tags"]}
-        assert all(words in body for words in ("docs/guide/export.md", content["weights"]["file"], "payload_mass"))
+        for folder in SHIPPED:
+            spec, content = read_spec(folder)
+            text = (folder / CARD).read_text(encoding="utf-8")
+            assert text == card(content), folder
+            fields, body = halves(text)
+            assert list(fields) == ["library_name", "pipeline_tag", "tags"]
+            assert {"BeltArm-v0", "reinforcement-learning", spec.algorithm} <= {*fields["tags"]}
+            assert all(words in body for words in ("docs/guide/export.md", content["weights"]["file"], "payload_mass"))
 
     def test_what_is_offered_comes_back_from_yaml_as_it_was(self):
         _, content = read_spec(SHIPPED[0])

@@ -41,7 +41,6 @@ from beltarm_env.task.reference import sampled_moves
 from beltarm_env.task.seeds import MAX_TRAINING_SEED, SEED_SPACING, training_arms
 from eval.report.curves import find_curves
 
-ROOT = Path(__file__).resolve().parents[2]
 SEED = 5_700_000
 ARMS = 6
 SHAPE = ActorShape(inputs=5, hidden=(7, 6), gru=4, standardised=True)

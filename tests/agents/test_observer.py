@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from episodes import memory_after
 from refusals import refused
 
 from agents.observer import files
@@ -66,18 +67,13 @@ class TestTruth:
         assert np.array_equal(truth(run, 1)[1:, :, 2:4], run.tip_error[:-1])
         assert np.array_equal(truth(run, 1)[1:, :, 4:6], run.tip_velocity_error[:-1])
 
-    @pytest.mark.parametrize(
-        ("change", "logs"),
-        [  # as they are to a filter, which sees no torque but the commanded one
-            ({"torque_constant_error": 0.1}, dict.fromkeys(NAMES[6:], -math.log(1.1))),
-            ({"belt_stiffness": 40.0}, {"belt_stiffness": math.log(40.0 / design_model().belt_stiffness)}),
-        ],
-    )
-    def test_constants_are_relative_to_the_model_of_controllers(self, change: dict[str, float], logs: dict[str, float]):
-        arm = replace(design_model(), **change)
-        run = rollout(CONTROLLERS["paper"](), 1, seed=0, options={"params": params_columns(params_table([arm]))})
-        actual = dict(zip(NAMES, truth(run, 4)[0, 0], strict=True))
-        assert {name: actual[name] for name in logs} == pytest.approx(logs, abs=1e-12)
+    def test_constants_are_relative_to_the_model_of_controllers(self):
+        """As they are to a filter, which sees no torque but the commanded one."""
+        arms = [replace(design_model(), torque_constant_error=0.1), replace(design_model(), belt_stiffness=40.0)]
+        run = rollout(CONTROLLERS["paper"](), 2, seed=0, options={"params": params_columns(params_table(arms))})
+        weaker, stiffer = (dict(zip(NAMES, row, strict=True)) for row in truth(run, 4)[0])
+        assert [weaker[name] for name in NAMES[6:]] == pytest.approx([-math.log(1.1)] * len(NAMES[6:]), abs=1e-12)
+        assert stiffer["belt_stiffness"] == pytest.approx(math.log(40.0 / design_model().belt_stiffness), abs=1e-12)
 
 
 class TestWatching:
@@ -116,13 +112,9 @@ class TestWatching:
 
     @pytest.mark.parametrize("knowledge", ["belief", "none"])
     def test_an_arm_that_begins_anew_is_forgotten_and_others_are_not(self, knowledge: Any):
-        watched = WatchedController(AdaptiveController(), Observer(knowledge))
-        env = BeltArmVectorEnv(2, randomization="train")
-        observation, _ = env.reset(seed=VALIDATION.first)
-        start, memory = np.array([False, True]), None
-        for _ in range(6):
-            _, memory = watched.predict(observation, memory)
-        assert memory is not None
+        watched, start = WatchedController(AdaptiveController(), Observer(knowledge)), np.array([False, True])
+        observation, _ = BeltArmVectorEnv(2, randomization="train").reset(seed=VALIDATION.first)
+        memory = self.after(watched, 6)
         _, through = watched.predict(observation, memory, start)
         _, fresh = watched.predict(observation)
         for ours, theirs in ((through.observer, fresh.observer), (through.estimate.mean, fresh.estimate.mean)):
@@ -132,14 +124,7 @@ class TestWatching:
 
     @staticmethod
     def after(watched: WatchedController, steps: int) -> WatchedMemory:
-        env = BeltArmVectorEnv(2, randomization="train")
-        observation, _ = env.reset(seed=VALIDATION.first)
-        memory = None
-        for _ in range(steps):
-            action, memory = watched.predict(observation, memory)
-            observation, *_ = env.step(action)
-        assert memory is not None
-        return memory
+        return memory_after(watched, BeltArmVectorEnv(2, randomization="train"), steps, seed=VALIDATION.first)
 
 
 class TestFit:
@@ -181,21 +166,16 @@ class TestFiles:
             seen = np.random.default_rng(0).standard_normal((3, len(offered("none")))).astype(np.float32)
             assert np.array_equal(read.observe(seen)[0].mean, observer.observe(seen)[0].mean)
 
-    @pytest.mark.parametrize(
-        ("make", "words"),
-        [
-            (lambda path: None, r"train/observer\.py"),
-            (lambda path: path.write_bytes(b"something else"), "no observer of this release"),
-            (lambda path: os.mkfifo(path), "no regular file"),
-            (lambda path: path.write_bytes(b"0" * 1_000_001), "1000000"),
-        ],
-        ids=["missing", "foreign", "a pipe", "large"],
-    )
-    def test_missing_and_foreign_files_are_refused(self, tmp_path: Path, make: Any, words: str):
-        make(tmp_path / "a.safetensors")
-        with pytest.raises(ObserverError, match=words) as caught:
-            load_observer(tmp_path / "a.safetensors")
-        assert "a.safetensors" in str(caught.value) and "\n" not in str(caught.value)
+    def test_missing_and_foreign_files_are_refused(self, tmp_path: Path):
+        path = tmp_path / "a.safetensors"
+        refused(ObserverError, ("a.safetensors", "train/observer.py"), lambda: load_observer(path))
+        path.write_bytes(b"something else")
+        refused(ObserverError, ("a.safetensors", "no observer of this release"), lambda: load_observer(path))
+        path.write_bytes(b"0" * 1_000_001)
+        refused(ObserverError, ("a.safetensors", "1000000"), lambda: load_observer(path))
+        path.unlink()
+        os.mkfifo(path)
+        refused(ObserverError, ("a.safetensors", "no regular file"), lambda: load_observer(path))
 
     def test_unsound_weights_are_neither_written_nor_read(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         path, observer = tmp_path / "a.safetensors", Observer(width=4)

@@ -1,8 +1,8 @@
-"""Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as kernels."""
+"""Networks of policies: their sizes, PyTorch's numbers, the same bits alone and in any batch, and as ONNX models."""
 
 from __future__ import annotations
 
-import math
+import json
 import os
 import re
 import subprocess
@@ -14,26 +14,27 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from bundles import SPEC, new_weights
+from episodes import assert_same_in_batches
+from gymnasium.error import DependencyNotInstalled
 from hypothesis import given
 from hypothesis import strategies as st
 from networks import SHAPES, episodes, lively
 from refusals import refused
 from torch import nn
 
-from agents.policy import network
-from agents.policy.actor import Actor, ActorShape, actor_of
-from agents.policy.bundle import FELT_POLICIES, POLICIES, load_controller, read_spec
+from agents.policy.actor import Actor, actor_of
+from agents.policy.bundle import FELT_POLICIES, MANIFEST, POLICIES, BundleError, load_controller, read_spec, save_bundle
 from agents.policy.inputs import SelectedInputs
 from agents.policy.network import NetworkPolicy
-from agents.policy.weights import Weights
-from beltarm_env import BeltArmVectorEnv
+from agents.policy.onnx_model import OPSET, model_of, onnx_model, write_onnx
+from agents.policy.weights import ActorShape, Weights
 from beltarm_env.arrays import Singles
 from beltarm_env.observation import ENTRIES as MEASURED
 from beltarm_env.task.seeds import VALIDATION
 
 ROOT = Path(__file__).resolve().parents[2]
 INPUTS = 3
-STEPS = 160  # of an episode: the arm sets out, and what differs by a rounding has time to grow
 
 
 def test_sizes_that_are_not_allowed():
@@ -66,8 +67,7 @@ def test_weights_are_the_arrays_of_the_layers_and_no_others():
             Weights(shape, wrong)
 
 
-@pytest.mark.parametrize("gru", [0, 2])
-@pytest.mark.parametrize("hidden", [(), (4, 2)])
+@pytest.mark.parametrize(("hidden", "gru"), [((), 0), ((4, 2), 2)])
 def test_outputs_are_those_of_the_layers_one_after_the_other(hidden: tuple[int, ...], gru: int):
     torch.manual_seed(0)
     actor = Actor(ActorShape(INPUTS, hidden, "relu", gru=gru, standardised=True)).requires_grad_(False)
@@ -148,6 +148,7 @@ def test_a_memory_begins_anew_where_an_episode_does():
 PLAIN = """
 import sys; sys.path[:0] = ["tests/agents", "tests/helpers"]
 import numpy as np
+from episodes import assert_same_in_batches
 from networks import SHAPES, episodes, lively
 from test_policy import NetworkPolicy, answers
 def of(name):
@@ -186,14 +187,6 @@ def test_shipped_policies_act_and_are_compared_without_pytorch():
     assert done.stdout.strip() == controller.predict(np.full((2, 25), 0.1, np.float32))[0].tobytes().hex()
 
 
-@given(st.floats(-30, 30))
-def test_functions_of_one_number(x: float):
-    assert network._tanh(x) == pytest.approx(math.tanh(x), abs=3e-7, rel=3e-6)
-    assert network._tanh(-x) == -network._tanh(x)
-    assert network._sigmoid(x) == pytest.approx(1 / (1 + math.exp(-x)), abs=3e-7)
-    assert network._activated(x, network._ELU) == pytest.approx(x if x > 0 else math.expm1(x), abs=3e-6)
-
-
 class Echo:
     """A policy that says what it was given."""
 
@@ -215,29 +208,83 @@ def test_inputs_are_picked_in_the_policys_own_order():
             policy.predict(np.ones(shape, np.float32))
 
 
-class TestShipped:
-    """Every shipped policy drives an arm the same way alone, in a batch of 24 and in one of 200, bit for bit."""
+@pytest.mark.parametrize(
+    "folder",
+    sorted(path for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/seed0")),
+    ids=lambda p: p.parts[-3] + p.parts[-2],
+)
+def test_shipped_policies_drive_an_arm_the_same_way_alone_and_in_batches(folder: Path):
+    settings: dict[str, Any] = {"randomization": "train", "sensors": read_spec(folder)[0].sensors}
+    assert_same_in_batches(lambda: load_controller(folder), VALIDATION.first, **settings)
 
-    @staticmethod
-    def torques(folder: Path, first: int, count: int) -> Singles:
-        """Torques of `count` arms from the `first` one on, shape (STEPS, count)."""
-        sensors: Any = read_spec(folder)[0].sensors
-        arms = BeltArmVectorEnv(count, randomization="train", sensors=sensors, autoreset_mode="Disabled")
-        observation, _ = arms.reset(seed=VALIDATION.first + first)
-        controller, memory, taken = load_controller(folder), None, []
-        for _ in range(STEPS):
-            action, memory = controller.predict(observation, memory)
-            taken.append(action[:, 0].copy())
-            observation, *_ = arms.step(action)
-        return np.stack(taken)
 
-    @pytest.mark.parametrize(
-        "folder",
-        sorted(path for root in (POLICIES, FELT_POLICIES) for path in root.glob("*/seed0")),
-        ids=lambda p: p.parts[-3] + p.parts[-2],
-    )
-    def test_an_arm_is_driven_the_same_way_alone_and_in_batches(self, folder: Path):
-        many = self.torques(folder, 0, 200)
-        assert np.abs(np.diff(many, axis=0)).max() > 0.01, "it moves"
-        np.testing.assert_array_equal(self.torques(folder, 0, 24), many[:, :24])
-        np.testing.assert_array_equal(self.torques(folder, 17, 1), many[:, 17:18])
+# As ONNX models
+
+MORE = {
+    "standardised": ActorShape(7, (5,), "tanh", standardised=True),
+    "squashed lstm": ActorShape(6, (8, 8), "elu", squashed=True, lstm=9),
+    "no hidden layer": ActorShape(4, ()),
+}
+
+
+def answers_of_model(model: Any, seen: Singles, memory: tuple[int, ...]) -> tuple[Singles, Singles]:
+    """Residuals through whole episodes, shape (steps, count), and the last state."""
+    session = pytest.importorskip("onnx.reference").ReferenceEvaluator(model)
+    state, residuals = np.zeros((seen.shape[1], *memory), np.float32), []
+    for observation in seen:
+        fed = {"observation": observation, "state": state} if state.size else {"observation": observation}
+        residual, *following = session.run(None, fed)
+        state = following[0] if following else state
+        residuals.append(residual[:, 0])
+    return np.stack(residuals), state
+
+
+@pytest.mark.parametrize("name", [*SHAPES, *MORE])
+def test_residuals_and_states_of_a_model_are_the_policys(name: str):
+    shape = {**SHAPES, **MORE}[name]
+    actor = lively(shape)
+    policy, seen, memory, expected = NetworkPolicy(actor.weights()), 0.5 * episodes(shape, 7, 5), None, []
+    for observation in seen:
+        residual, memory = policy.predict(observation, memory)
+        expected.append(residual[:, 0])
+    residuals, state = answers_of_model(model_of(actor.weights(), {}), seen, policy.memory)
+    np.testing.assert_allclose(residuals, np.stack(expected), rtol=0, atol=2e-6)
+    assert 0.05 < np.std(expected)
+    if memory is not None:
+        assert state.shape == memory.shape
+        np.testing.assert_allclose(state, memory, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("method", ["ppo", "student"])
+def test_a_shipped_policy_as_a_model(method: str, tmp_path: Path):
+    onnx, folder = pytest.importorskip("onnx"), POLICIES / method / "seed0"
+    write_onnx(folder, tmp_path / "policy.onnx")
+    model, (spec, content) = onnx.load(tmp_path / "policy.onnx"), read_spec(folder)
+    onnx.checker.check_model(model, full_check=True)
+    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", OPSET)]
+    reported = {entry.key: entry.value for entry in model.metadata_props}
+    assert json.loads(reported[MANIFEST]) == content
+    assert json.loads(reported["entries"]) == spec.entries()
+    assert (reported["base"], reported["sensors"]) == (spec.base, "encoder")
+    assert (json.loads(reported["hold"]), json.loads(reported["limit"])) == (spec.residual.hold, spec.residual.limit)
+    assert json.loads(reported["edition"]) == content["edition"]
+    shapes = {
+        value.name: [axis.dim_param or axis.dim_value for axis in value.type.tensor_type.shape.dim]
+        for value in (*model.graph.input, *model.graph.output)
+    }
+    state = {"state": ["n", spec.gru], "next_state": ["n", spec.gru]} if spec.gru else {}
+    assert shapes == {"observation": ["n", len(spec.entries())], "residual": ["n", 1], **state}
+
+
+def test_a_damaged_bundle_makes_no_model(tmp_path: Path):
+    save_bundle(tmp_path, SPEC, new_weights())
+    (weights,) = tmp_path.glob("*.safetensors")
+    weights.write_bytes(weights.read_bytes()[:-4] + np.float32(np.nan).tobytes())
+    with pytest.raises(BundleError, match="damaged"):
+        onnx_model(tmp_path)
+
+
+def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(DependencyNotInstalled, match=r"'\.\[onnx\]'"):
+        model_of(lively(MORE["no hidden layer"]).weights(), {})

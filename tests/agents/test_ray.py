@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,7 +25,6 @@ from eval.comparison.cache import Part, run_parts
 from eval.comparison.methods import added_method, learned_methods, shipped_policies
 from eval.comparison.sets import development_set
 
-ROOT = Path(__file__).resolve().parents[2]
 RAY = Engine("ray")
 
 
@@ -46,7 +44,7 @@ class Own:
 
 
 def test_a_comparison_is_the_same_on_ray(tmp_path: Path):
-    """With a policy and a user's own controller, whose files the workers do not have when they run."""
+    """With a policy and a user's own controller."""
     (tmp_path / "own").mkdir()
     (tmp_path / "own/near_the_policy.py").write_text("GAIN = 0.1\n")
     (tmp_path / "own/own.py").write_text(OWN)
@@ -55,29 +53,15 @@ def test_a_comparison_is_the_same_on_ray(tmp_path: Path):
     split = development_set().splits["randomized"]
     parts = [Part(method, split, 4) for method in methods]
     here = run_parts(parts, tmp_path / "here", 1)
-    gone = tmp_path / "own"
-    carried = parts[1].method.belongings()
-    gone.rename(tmp_path / "gone")
-    moved = parts[1].method.at(carried)
-    assert not moved.sources[0].startswith(str(gone)) and moved.sources[0].endswith("own.py:Own")
-    (tmp_path / "gone").rename(gone)
     there = run_parts(parts, tmp_path / "there", None, engine=RAY)
     for one, other in zip(here, there, strict=True):
         assert isinstance(one, dict) and isinstance(other, dict)
         assert all(np.array_equal(one[name], other[name]) for name in one)
     assert len(list((tmp_path / "there/parts").iterdir())) == 2, "kept by this process"
-
-
-@pytest.mark.slow
-def test_the_command_runs_on_a_cluster_that_is_there(tmp_path: Path):
-    """Whose workers know the command's folder, where a file has the name of a package."""
-    ray = pytest.importorskip("ray")
-    address = ray.get_runtime_context().gcs_address
-    words = f"--methods paper rigid --splits nominal --episodes 4 --engine ray --address {address} --out out"
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *words.split()]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "out/parts").iterdir())) == 2
+    carried = methods[1].belongings()
+    (tmp_path / "own").rename(tmp_path / "gone")
+    (moved,) = methods[1].at(carried).sources
+    assert not moved.startswith(str(tmp_path / "own")) and moved.endswith("own.py:Own"), "where its files are not"
 
 
 FEW = "--total-steps 256 --validation-every 128 --arms 8 --rollout-steps 16 --batch-size 64 --validation-arms 4".split()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
-import torch
+from bundles import new_weights
 from refusals import refused
 
-from agents.policy.actor import Actor
 from agents.policy.bundle import POLICIES, BundleSpec, load_controller, read_spec, save_bundle
 from agents.policy.correction import correct, correction
 from agents.policy.inputs import SelectedInputs
@@ -25,7 +24,7 @@ from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import size
 from beltarm_env.rollout import rollout
 from eval.comparison.cache import Part, measure
-from eval.comparison.methods import Method, learned_methods
+from eval.comparison.methods import learned_methods
 from eval.comparison.sets import development_set
 
 SETTINGS = ResidualSettings()
@@ -44,11 +43,6 @@ SHARE = 2  # rows of each policy
 
 def folders(name: str, seeds: int) -> list[Path]:
     return [POLICIES / name / f"seed{k}" for k in range(seeds)]
-
-
-def method(name: str, seeds: int) -> Method:
-    (actual,) = learned_methods(folders(name, seeds))
-    return actual
 
 
 @pytest.mark.parametrize("name", ["ppo", "student"])
@@ -80,7 +74,7 @@ def test_rows_that_cannot_be_shared_are_refused():
 
 def bundle(folder: Path, hidden: tuple[int, ...]) -> Path:
     spec = BundleSpec("ppo", "paper", ResidualSettings(), hidden, provenance={"run": {"of": folder.name}})
-    save_bundle(folder, spec, Actor(spec.shape()).weights())
+    save_bundle(folder, spec, new_weights(spec))
     return folder
 
 
@@ -97,7 +91,8 @@ def test_only_those_of_one_build_act_together(tmp_path: Path):
 def test_a_comparison_runs_training_seeds_together(guarded: bool):
     """On a split where delays and encoders are not the usual ones."""
     split, episodes = development_set().splits["sensing"], 3
-    several = method("student", 2).with_guard() if guarded else method("student", 2)
+    (several,) = learned_methods(folders("student", 2))
+    several = several.with_guard() if guarded else several
     actual = measure(Part(several, split, episodes))
     assert actual["cost"].shape == (2, episodes)
     for seed in range(2):
@@ -107,21 +102,22 @@ def test_a_comparison_runs_training_seeds_together(guarded: bool):
 
 
 def lively(spec: BundleSpec) -> ResidualController:
-    torch.manual_seed(0)
-    policy: Any = NetworkPolicy(Actor(spec.shape()).weights())
+    policy: Any = NetworkPolicy(new_weights(spec, 0))
     if spec.inputs is not None:
         policy = SelectedInputs(policy, spec.inputs, spec.offered())
     return ResidualController(make_base(spec.base, spec.sensors), policy, spec.residual)
 
 
-def assert_same(controller: ResidualController, sensors: Any, steps: int = 40) -> None:
+@pytest.mark.parametrize("name", SPECS)
+def test_residuals_of_one_arm_are_the_controllers(name: str):
     """Two episodes of one arm, the second cut in where the first one's residual is held."""
+    controller, sensors = lively(SPECS[name]), cast("Any", SPECS[name].sensors)
     kernel = correction(controller, sensors)
     for array in kernel.memory:  # whose content does not count
         array.fill(7)
     env, memory, residuals = BeltArmVectorEnv(1, sensors=sensors, randomization="train", profile="scurve"), None, []
     seen, _ = env.reset(seed=3)
-    for step in range(steps):
+    for step in range(40):
         begins = step in (0, 17)
         if step == 17:
             seen, _ = env.reset(seed=4)
@@ -136,18 +132,6 @@ def assert_same(controller: ResidualController, sensors: Any, steps: int = 40) -
         residuals.append(residual)
         seen = env.step(action)[0]
     assert np.std(residuals) > 1e-4
-
-
-@pytest.mark.parametrize("name", SPECS)
-def test_residuals_of_one_arm_are_the_controllers(name: str):
-    assert_same(lively(SPECS[name]), SPECS[name].sensors)
-
-
-@pytest.mark.parametrize("name", ["ppo", "student"])
-def test_so_they_are_for_shipped_policies(name: str):
-    controller = load_controller(POLICIES / name / "seed0")
-    spec, _ = read_spec(POLICIES / name / "seed0")
-    assert_same(controller, spec.sensors, 200)
 
 
 def test_what_is_no_kernel_is_refused():

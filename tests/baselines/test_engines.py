@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 from clusters import local_cluster
 from gymnasium.error import DependencyNotInstalled
+from refusals import refused
 from tasks import (
     die_at_first,
     fail,
@@ -78,6 +79,9 @@ def place(request: pytest.FixtureRequest) -> Place:
 
 
 apart = pytest.mark.parametrize("place", [PROCESSES, RAY], ids=["processes", "ray"], indirect=True)
+apart_for_long = pytest.mark.parametrize(
+    "place", [PROCESSES, pytest.param(RAY, marks=pytest.mark.slow)], ids=["processes", "ray"], indirect=True
+)
 
 
 def test_results_and_news_are_those_of_the_tasks(place: Place):
@@ -140,7 +144,7 @@ def test_workers_have_the_folder_and_the_threads_that_they_are_given(
             place.outcomes({"a": where}, threads=3)
 
 
-@apart
+@apart_for_long
 def test_closing_ends_what_runs(place: Place, tmp_path: Path):
     (tmp_path / "a").mkdir()
     tasks = {"a": partial(last, tmp_path / "a"), "b": partial(until_begun, [tmp_path / "a"])}
@@ -160,7 +164,7 @@ def test_a_killed_worker_loses_nothing(place: Place, tmp_path: Path):
     assert outcomes == {"killed": "after 1", "0": 0, "1": 1, "2": 4}
 
 
-@apart
+@apart_for_long
 def test_a_task_that_always_dies_is_reported_and_the_others_finish(place: Place, tmp_path: Path):
     outcomes = place.outcomes({"killed": partial(die_at_first, tmp_path, 99), "good": partial(slow_square, 2)})
     broken = outcomes.pop("killed")
@@ -237,24 +241,23 @@ class TestRay:
         with pytest.raises(DependencyNotInstalled, match=r"\[ray\]"):
             RAY.outcomes({"a": partial(square, 2)})
 
-    @pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense", "ray://127.0.0.1:10001"])
-    def test_an_address_that_does_not_answer_is_refused(self, address: str):
+    def test_an_address_that_does_not_answer_is_refused(self):
         pytest.importorskip("ray")
-        with pytest.raises(OSError, match=address.removesuffix("127.0.0.1:10001")):
-            ray_cluster.require_answer(address)
+        for address in ("127.0.0.1:1", "nonsense", "ray://127.0.0.1:10001"):
+            with pytest.raises(OSError, match=address.removesuffix("127.0.0.1:10001")):
+                ray_cluster.require_answer(address)
 
     def test_a_folder_that_workers_do_not_see_needs_a_storage(self, cluster: None, tmp_path: Path):
         with Workplace(WithStorage(engine="ray"), tmp_path / "out") as workplace:
             task = workplace.task("a", tmp_path / "out", where_it_works, Path("checkpoint"))
             assert RAY.outcomes({"a": task})["a"] == str(tmp_path / "out")
         assert list((tmp_path / "out").iterdir()) == []
-        message = RAY.outcomes({"a": task})["a"].message, "without the file that proves it"
-        assert all(word in message[0] for word in (socket.gethostname(), str(tmp_path / "out"), "--storage"))
+        message = RAY.outcomes({"a": task})["a"].message  # without the file that proves it
+        assert all(word in message for word in (socket.gethostname(), str(tmp_path / "out"), "--storage"))
 
-    @pytest.mark.parametrize("options", [{"address": "auto"}, {"storage": "s3://bucket"}, {"jobs": 0}], ids=str)
-    def test_options_that_do_not_fit_are_refused(self, options: dict[str, Any]):
-        with pytest.raises(ValueError, match="--" + next(iter(options))):
-            WithStorage(**options).check_engine()
+    def test_options_that_do_not_fit_are_refused(self):
+        for name, value in {"address": "auto", "storage": "s3://bucket", "jobs": 0}.items():
+            refused(ValueError, (f"--{name}",), WithStorage(**{name: value}).check_engine)
 
 
 class TestFolders:

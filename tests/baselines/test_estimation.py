@@ -1,4 +1,4 @@
-"""Observers against the truth: the Kalman filter of the encoder, and the one that feels with an accelerometer."""
+"""Observers and the identification against the truth, with the encoder alone and with an accelerometer."""
 
 from __future__ import annotations
 
@@ -9,23 +9,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from episodes import memory_after
+from scipy.linalg import solve_discrete_are
 
 from baselines.estimation import believed_arm as arm_of
+from baselines.estimation.believed_arm import IDENTIFIED, LOGS, nominal_row
 from baselines.estimation.felt import SPREAD, unfiltered
 from baselines.estimation.felt_observer import felt_slopes, steady_felt_gain
+from baselines.estimation.identification import ArmIdentifier, Belief
 from baselines.estimation.observer import QUANTUM, Noise, StickSlipObserver, kalman_gains
 from baselines.models.linear import ANGLES, LinearArms, linear_arm
-from baselines.reading import read
-from baselines.registry import CONTROLLERS, FELT
-from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, design_model
-from beltarm_env.arm import COLUMN
+from baselines.optimal.adaptive import AdaptiveController, tuned_identifier
+from baselines.reading import Reading, read
+from baselines.registry import FELT
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams, BeltArmVectorEnv, design_model
+from beltarm_env.arm import COLUMN, FIELDS
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.observation import decode
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BIAS, RANGE
-from eval.comparison.sets import development_set
+from beltarm_env.task.ranges import TRAIN_RANGES
 
-Floats = NDArray[np.float64]
 GEAR = 88.0
 SEED = 5_210_000  # of the gains' search
 STEPS = 1200
@@ -36,42 +40,17 @@ def single_arm(**settings: Any) -> BeltArmVectorEnv:
 
 
 class TestObserver:
-    def test_covariance_is_that_of_simulated_errors(self):
-        # The linear arm driven by the noise that the filter is designed for, at 45 degrees.
-        noise, k = Noise(1e-2, 30.0, 0.2), 22
-        tables = [part[k] for part in linear_arm(ArmParams())]
-        gain = kalman_gains(ArmParams(), noise)[k]
-        transition = np.eye(5)
-        transition[:4, :4], transition[:4, 4] = tables[0], tables[1]
-        rng, count = np.random.default_rng(0), 4000
-        error, squares = np.zeros((count, 5)), []
-        for step in range(1500):
-            error = error @ transition.T
-            error[:, :4] += rng.normal(0, noise.torque, (count, 1)) * tables[1]
-            error[:, :4] += rng.normal(0, noise.acceleration, (count, 1)) * tables[2]
-            error[:, 4] += rng.normal(0, noise.disturbance * CONTROL_PERIOD**0.5, count)
-            innovation = error[:, 0] + rng.normal(0, QUANTUM / 12**0.5, count)
-            error -= innovation[:, None] * gain
-            if step > 1400:
-                squares.append(np.mean(error**2, axis=0))
-        spread = np.sqrt(np.mean(squares, axis=0))
-        worse = [np.sqrt(self.spread_of(gain * f, transition, tables, noise)) for f in (0.9, 1.0, 1.1)]
-        np.testing.assert_allclose(spread, worse[1], rtol=0.05)
-        assert (worse[1] < worse[0]).all() and (worse[1] < worse[2]).all(), "the Kalman gain is the best"
-
-    @staticmethod
-    def spread_of(gain: Floats, transition: Floats, tables: list[Floats], noise: Noise) -> Floats:
-        """Steady-state variance of the estimate's errors under a gain, by iterating its Lyapunov equation."""
-        drive = np.zeros((5, 5))
-        drive[:4, :4] = noise.torque**2 * np.outer(tables[1], tables[1])
-        drive[:4, :4] += noise.acceleration**2 * np.outer(tables[2], tables[2])
-        drive[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
-        kept = np.eye(5) - np.outer(gain, [1, 0, 0, 0, 0])
-        covariance = np.zeros((5, 5))
-        for _ in range(6000):
-            covariance = kept @ (transition @ covariance @ transition.T + drive) @ kept.T
-            covariance += QUANTUM**2 / 12 * np.outer(gain, gain)
-        return np.diag(covariance)
+    @pytest.mark.parametrize("k", [0, 22, 45])
+    def test_gain_is_that_of_riccatis_equation(self, k: int):
+        noise, (transition, by_torque, by_noise) = Noise(1e-2, 30.0, 0.2), (part[k] for part in linear_arm(ArmParams()))
+        a, process = np.eye(5), np.zeros((5, 5))
+        a[:4, :4], a[:4, 4] = transition, by_torque  # a load on the motor is the fifth state
+        process[:4, :4] = noise.torque**2 * np.outer(by_torque, by_torque)
+        process[:4, :4] += noise.acceleration**2 * np.outer(by_noise, by_noise)
+        process[4, 4] = noise.disturbance**2 * CONTROL_PERIOD
+        before = solve_discrete_are(a.T, np.eye(5)[:, :1], process, np.array([[QUANTUM**2 / 12]]))
+        expected = before[:, 0] / (before[0, 0] + QUANTUM**2 / 12)
+        np.testing.assert_allclose(kalman_gains(ArmParams(), noise)[k], expected, rtol=1e-4)
 
     def test_knows_the_torsion_behind_a_stuck_motor(self):
         env = single_arm(encoder_counts=4000)
@@ -219,27 +198,113 @@ class TestKnowledge:
         np.testing.assert_allclose(z[arm_of.BIAS :].T, felt[0], atol=4 * SPREAD)  # at rest, but for its noise
         assert np.sqrt(memory.belief.variance[:, arm_of.BIAS :]).max() < 0.5 * SPREAD
 
-    def test_with_an_accelerometer_the_torsion_is_known_better_and_the_arm_vibrates_less(self):
-        error, cost, ringing = [], [], []
-        arms = development_set().splits["randomized"].arguments(slice(16))
-        for make, sensors in ((CONTROLLERS["adaptive"], "encoder"), (FELT["adaptive"], "accelerometer")):
-            noted = Noted(make())
-            run = rollout(noted, 16, **{**arms, "sensors": sensors})
-            error.append(np.std(np.array(noted.torsions[1:]) - run.state[:-1, :, 2]))
-            cost.append(run.cost)
-            ringing.append(run.metrics()["residual_pp_mm"].mean())
-        assert error[1] < 0.4 * error[0]
-        assert np.median(cost[1] - cost[0]) < 0 and ringing[1] < 0.9 * ringing[0]
+
+TRAIN_SEED = 5_000_000
+ROWS = [FIELDS.index(name) for name in IDENTIFIED]
 
 
-class Noted:
-    """Controller whose estimates of the torsion are kept."""
+def batch(count: int, seed: int = TRAIN_SEED, **settings: Any) -> BeltArmVectorEnv:
+    env = BeltArmVectorEnv(count, autoreset_mode="Disabled", **settings)
+    env.reset(seed=seed)
+    return env
 
-    def __init__(self, controller: Any) -> None:
-        self.controller, self.params = controller, controller.params
-        self.torsions: list[Floats] = []
 
-    def predict(self, *arguments: Any, **named: Any) -> Any:
-        action, memory = self.controller.predict(*arguments, **named)
-        self.torsions.append(memory.belief.state[:, 2])
-        return action, memory
+def believed_after(controller: AdaptiveController, env: BeltArmVectorEnv, steps: int = EPISODE_STEPS) -> Belief:
+    """What a controller believes of arms after so many samples from their start."""
+    return memory_after(controller, env, steps, seed=TRAIN_SEED).belief
+
+
+def true_delays(env: BeltArmVectorEnv) -> Floats:
+    """Latency and current loop [samples]."""
+    table = env.params_table
+    return (table[:, COLUMN.command_latency] + table[:, COLUMN.current_loop_time_constant]) / CONTROL_PERIOD
+
+
+def true_logs(env: BeltArmVectorEnv, nominal: ArmParams) -> Floats:
+    """Logarithms of `IDENTIFIED` over their nominal values, as seen through the torque constant; shape (n, 6)."""
+    table = env.params_table
+    swing = [arm.plant().inertia_swing for arm in env.params]
+    true = np.column_stack([swing, *(table[:, FIELDS.index(name)] for name in IDENTIFIED[1:])])
+    return np.log(true / (1 + table[:, [COLUMN.torque_constant_error]]) / nominal_row(nominal)[ROWS])
+
+
+class TestArm:
+    def test_finds_payload_and_stiffness_while_moving(self):
+        payload, stiffness = np.array([0.0, 0.0, 0.2, 0.2]), np.array([28.0, 38.0, 28.0, 38.0])
+        move = {"start": 0.2, "goal": 1.4, "duration": 1.0, "ramp_time": 0.2}
+        arms = {name: np.full(4, value) for name, value in asdict(design_model()).items()}
+        params = {**arms, "payload_mass": payload, "belt_stiffness": stiffness}
+        reset = {"seed": 0, "options": {"params": params, "move": move}}
+        memory = memory_after(AdaptiveController(), batch(4), EPISODE_STEPS, **reset)
+        table = ArmIdentifier(design_model()).table(memory.belief)
+        np.testing.assert_allclose(table[:, COLUMN.belt_stiffness], stiffness, rtol=0.12)
+        np.testing.assert_allclose(table[:, COLUMN.arm_inertia_swing], 0.06 + 0.25 * payload, rtol=0.2)
+
+    def test_knows_motor_and_friction_afterwards_and_is_right_within_what_it_says_of_itself(self):
+        env, controller = batch(64, randomization="train"), AdaptiveController()
+        belief = believed_after(controller, env, 600)
+        error = belief.logs - true_logs(env, controller.params)
+        assert (np.sqrt(np.mean(error**2 / belief.variance[:, LOGS], axis=0)) < 2.0).all()
+        for name, most in (("motor_inertia", 0.05), ("coulomb_friction", 0.1)):
+            assert np.sqrt(np.mean(error[:, IDENTIFIED.index(name)] ** 2)) < most, name
+
+
+class TestDrive:
+    @pytest.mark.parametrize("nominal", [design_model(), ArmParams()])
+    def test_finds_the_delay_of_drives_as_they_are_built(self, nominal: ArmParams):
+        env = batch(64, randomization="train")
+        error = believed_after(AdaptiveController(params=nominal), env, 300).delay - true_delays(env)
+        assert np.sqrt(np.mean(error**2)) < 0.2
+
+    def test_finds_how_friction_varies_over_the_turn(self):
+        env = batch(32, randomization={**TRAIN_RANGES, "friction_variation": (0.2, 0.25)})
+        belief, table = believed_after(AdaptiveController(), env, 600), env.params_table
+        actual = ArmIdentifier(design_model()).table(belief)
+        of = COLUMN.friction_variation, COLUMN.friction_variation_phase
+        true, believed = (t[:, of[0]] * np.exp(1j * t[:, of[1]]) for t in (table, actual))
+        assert np.median(np.abs(believed - true)) < 0.03
+
+
+class TestTrust:
+    def test_begins_anew_where_what_it_believes_is_wrong(self):
+        controller, n = AdaptiveController(), 16
+
+        class Misled(AdaptiveController):
+            def _identified(self, reading: Reading, begins: Flags, belief: Belief | None) -> Belief:
+                new = super()._identified(reading, begins, belief)
+                wrong = new.constants
+                wrong[:, 2:5] = [0.5, -1.5, -1.5]  # a heavy motor without friction, of which it is sure
+                return new.with_constants(begins, wrong, 1e-8 * new.covariance[:, 4:, 4:])
+
+        nominal = {name: (value, value) for name, value in asdict(design_model()).items()}
+        reported = rollout(Misled(), n, seed=TRAIN_SEED, randomization=nominal)
+        untold = rollout(controller, n, seed=TRAIN_SEED, randomization=nominal)
+        assert reported.finished.all()
+        assert reported.cost.mean() < 1.35 * untold.cost.mean()
+
+    @pytest.mark.parametrize(("torsion", "variance"), [(2.0, 1e-4), (0.0, 1e300)], ids=["torsion", "variance"])
+    def test_begins_anew_at_rest_where_its_state_is_beyond_bounds_behind_a_dead_encoder(
+        self, torsion: float, variance: float
+    ):
+        controller = AdaptiveController()
+        env = batch(8)
+        belief, observations = believed_after(controller, env, 60), env.reset(seed=TRAIN_SEED)[0]
+        reading, identifier = read(observations, controller.params), tuned_identifier(controller.params)
+        dead, none, going = np.zeros(8), np.zeros(8), np.zeros(8, np.bool_)
+        belief.tracks.mean[:, 2:4] = [torsion, 100 * torsion]  # as after a jump of the encoder by a hundred radians
+        belief.covariance[:, 2, 2] = variance
+        for _ in range(EPISODE_STEPS):
+            belief = identifier.update(belief, reading._replace(motor_angle=dead, last_command=none), going)
+            assert np.isfinite(belief.tracks.mean).all()
+            assert (belief.variance[:, 2] <= 4).all()
+        assert (np.sqrt(belief.variance[:, 2]) < 0.02).all()
+        assert (abs(belief.state[:, 2]) < 0.02).all()
+
+
+class TestEncoder:
+    @pytest.mark.parametrize(("delay", "counts"), [(0.0, 1500), (1.5, 1000)])
+    def test_finds_delay_and_resolution_of_the_encoder_on_arms_that_differ(self, delay: float, counts: int):
+        env = batch(24, randomization="train", delay=delay, encoder_counts=counts)
+        belief = believed_after(AdaptiveController(), env, 150)
+        assert np.sqrt(np.mean((belief.delay - true_delays(env) - delay) ** 2)) < 0.3
+        np.testing.assert_allclose(belief.count, 2 * np.pi / counts, rtol=0.05)

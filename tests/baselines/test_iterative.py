@@ -101,18 +101,6 @@ def test_limited_changes_end_at_the_bounded_least_squares():
     np.testing.assert_allclose(torque, expected, atol=1e-6)
 
 
-def test_linearisation_predicts_what_the_arm_does():
-    params, rng = ArmParams(), np.random.default_rng(2)
-    states = np.array([[88 * angle, speed, 0.01, 0.2] for angle, speed in ((0.3, 40.0), (0.8, -30.0), (1.3, 20.0))])
-    torques, task = np.array([0.05, -0.1, 0.02]), np.array([[0.3, 0.4], [0.8, -0.3], [1.3, 0.2]])
-    linearisation = Linearisation(params, 3)
-    trial = linearisation.about(states, torques, task, NOMINAL)
-    dx = rng.normal(0, 1, (3, 4)) * [1e-2, 1e-1, 1e-5, 1e-3]
-    moved = linearisation.about(states + dx, torques + 1e-3, task, NOMINAL).errors - trial.errors
-    after = np.einsum("kij,kj->ki", trial.transition, dx) + 1e-3 * trial.by_torque
-    np.testing.assert_allclose(np.einsum("kij,kj->ki", trial.of_state, after), moved, rtol=2e-3, atol=2e-7)
-
-
 def simulated(params: ArmParams, torques: np.ndarray, start: float) -> np.ndarray:
     """States of an arm and its drive before each sample and after the last, friction drifting."""
     simulation, row = ArmSimulation(params), params.row()[None]

@@ -21,10 +21,8 @@ from baselines.models.flatness import Corners, FlatMotion, flat_motion, smoothed
 from baselines.models.friction import commanded_direction, dry_friction, friction_level, smooth_direction
 from baselines.models.linear import ANGLES, at_angle, linear_arm, linear_arms
 from baselines.models.rigid_arm import rigid_torque
-from baselines.optimal.lqg import LqgController, LqgGains
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, state_space
 from beltarm_env.arm import params_table
-from beltarm_env.rollout import rollout
 from beltarm_env.simulation import ArmSimulation
 from beltarm_env.task.ranges import design_model
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
@@ -53,14 +51,6 @@ class TestSimulation:
             np.testing.assert_array_equal(states, before, "what was given is left alone")
             states = following
         np.testing.assert_array_equal(states[:, :4], env.state)
-
-    def test_commands_under_way_are_states_and_cut_at_the_limit(self):
-        late = ArmParams(command_latency=1.5 * CONTROL_PERIOD, torque_constant_error=0.1)
-        simulation = ArmSimulation(late)
-        states = simulation.at_rest(np.array([60.0]))
-        for command in (0.1, 0.2, -9.0):
-            states = simulation.advance(states, np.array([command]))
-        np.testing.assert_allclose(states[0, 4:], [0.22, -0.33, 0.22, 0.11], rtol=1e-12)
 
     def test_ahead_is_what_comes_and_a_straight_line_between_samples(self):
         arms = [design_model(), ArmParams(), replace(design_model(), command_latency=0.004), design_model()]
@@ -177,18 +167,6 @@ class TestSmoothedMove:
             task = [reference_at(TRAPEZOID, MoveShape(start, goal, duration, ramp), t)[:2] for t in cruising]
             np.testing.assert_allclose(at(corners, cruising).link[:, :2], task, atol=1e-12)
 
-    def test_derivatives_are_those_of_each_other(self):
-        corners = smoothed(MOVE, UNDAMPED, 0.4, 0.7)
-        times = np.linspace(0.01, 1.2, 400)
-        times = times[np.abs(times[:, None] - knots(corners)).min(axis=1) > 1e-3]
-        step = 2e-4
-        middle = at(corners, times).link
-        slopes = (at(corners, times + step).link - at(corners, times - step).link) / (2 * step)
-        for k in range(4):
-            np.testing.assert_allclose(slopes[:, k], middle[:, k + 1], atol=1e-4 * np.abs(middle[:, k + 1]).max())
-        jumps = at(corners, knots(corners) + 1e-10).link - at(corners, knots(corners) - 1e-10).link
-        assert np.abs(jumps[:, :4]).max() < 1e-5 < 100 < np.abs(jumps[:, 4]).max()
-
 
 def integrate(corners: Corners, params: ArmParams) -> tuple[Floats, Floats]:
     """Times, and states of (5a), (5b) under the flat torque without Coulomb friction: the equations written anew."""
@@ -231,15 +209,3 @@ class TestFlatInverse:
         np.testing.assert_allclose(states, planned.state, atol=1e-7)
         np.testing.assert_allclose(states[:, 0] / GEAR - states[:, 2], planned.link[:, 0], atol=1e-9)
         assert np.abs(planned.state[:, 2]).max() > 0.01, "the belt gives way"
-
-    def test_lqg_follows_the_smoothed_move_without_friction_and_rounding(self):
-        move = {"start": 0.2, "goal": 1.4, "duration": 0.9, "ramp_time": 0.25}
-        options: dict[str, Any] = {"params": {"coulomb_friction": 0.0}, "move": move}
-        params = ArmParams(coulomb_friction=0.0)
-        controller = LqgController(LqgGains(), params)
-        run = rollout(controller, 1, seed=0, options=options, encoder_counts=10**7)
-        gains = controller.gains
-        planned = at(smoothed(MOVE, params, gains.first_spread, gains.spread), run.time, params).state
-        error = np.abs(run.state[:, 0] - planned)
-        assert (error[:, 0] / GEAR).max() < 1e-4 and error[:, 2].max() < 1e-4
-        assert np.abs(run.tip_error[-200:]).max() < 2e-5

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
 import yaml
 
 import agents.policy.bundle
@@ -17,7 +18,10 @@ from agents.residual.controller import ResidualSettings
 SPEC = BundleSpec("ppo", "paper", ResidualSettings(), (4, 3), provenance={"seed": 1})
 
 
-def new_weights(spec: BundleSpec = SPEC) -> Weights:
+def new_weights(spec: BundleSpec = SPEC, seed: int | None = None) -> Weights:
+    """Random weights, with a seed always the same, that move the arms but leave them in their workspace."""
+    if seed is not None:
+        torch.manual_seed(seed)
     return Actor(spec.shape()).weights()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -65,3 +65,37 @@ def assert_as_alone(
         assert batch.state[arm].tobytes() == env.state.tobytes()
         assert batch.motor_torques[arm] == env.motor_torque
     return ends
+
+
+def memory_after(controller: Any, env: BeltArmVectorEnv, steps: int, **reset: Any) -> Any:
+    """Memory of a controller that has driven a batch for so many samples."""
+    observation, _ = env.reset(**reset)
+    memory: Any = None
+    for _ in range(steps):
+        action, memory = controller.predict(observation, memory)
+        observation, *_ = env.step(action)
+    return memory
+
+
+def torques_of(controller: Any, first: int, count: int, steps: int = 160, **settings: Any) -> NDArray[np.float32]:
+    """Torques of a controller on `count` arms, seeded from `first` on, as they set out; shape (steps, count).
+
+    After 160 samples what differs by a rounding has had time to grow.
+    """
+    arms = BeltArmVectorEnv(count, autoreset_mode="Disabled", **settings)
+    observation, _ = arms.reset(seed=first)
+    memory, start, taken = None, np.ones(count, np.bool_), []
+    for _ in range(steps):
+        action, memory = controller.predict(observation, memory, start)
+        taken.append(action[:, 0].copy())
+        observation, *_ = arms.step(action)
+        start = np.zeros(count, np.bool_)
+    return np.stack(taken)
+
+
+def assert_same_in_batches(make: Callable[[], Any], first: int, **settings: Any) -> None:
+    """Assert that controllers made like this drive an arm the same way alone, in a batch of 24, and in one of 200."""
+    many = torques_of(make(), first, 200, **settings)
+    assert np.abs(np.diff(many, axis=0)).max() > 0.01, "it moves"
+    np.testing.assert_array_equal(torques_of(make(), first, 24, **settings), many[:, :24])
+    np.testing.assert_array_equal(torques_of(make(), first + 17, 1, **settings), many[:, 17:18])

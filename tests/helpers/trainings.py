@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -70,3 +72,8 @@ def weights(folder: Path) -> bytes:
     """File of the weights in a bundle."""
     (path,) = folder.glob("*.safetensors")
     return path.read_bytes()
+
+
+def in_memory() -> tempfile.TemporaryDirectory[str]:
+    """Make an empty folder, in memory where there is a place: what is often written waits for no disk."""
+    return tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None)

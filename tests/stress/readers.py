@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.learners.ppo import PpoConfig
-from agents.observer.files import SHIPPED, load_observer
 from agents.policy.actor import Actor
 from agents.policy.bundle import BundleSpec, read_spec, read_weights, save_bundle
 from agents.policy.card import MANIFEST
@@ -30,8 +29,6 @@ from baselines.registry import TUNABLE
 from baselines.tools.files import sealed
 from beltarm_env.task.seeds import arms_chosen_by
 from eval.comparison import scenarios
-from eval.comparison.cache import Part, keep, read_kept
-from eval.comparison.methods import classical_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
@@ -47,23 +44,8 @@ Damaged = tuple[dict[str, bytes], bool]
 class Reader(NamedTuple):
     """Something that reads files, of which sound ones are in a folder."""
 
-    read: damage.Read  # what the files mean; None where they are refused without an error
+    read: damage.Read  # what the files mean
     damaged: Callable[[Random], Damaged]
-    removes: bool = False  # whether a damaged file is removed
-
-
-def _json(
-    rng: Random, content: Any, folder: Path, rehash: Callable[[dict[str, Any]], object] | None = None
-) -> tuple[bytes, bool]:
-    """Damaged text of JSON, and whether its hash fits, by `rehash`, or it has none."""
-    fits = rehash is None
-    if rng.random() < 0.75:
-        content = damage.damaged_content(rng, content)
-        if rehash is not None and rng.random() < 0.7 and isinstance(content, dict):
-            rehash(content)
-            fits = True
-    text = json.dumps(content).encode()
-    return (text, fits) if rng.random() < 0.7 else (damage.damaged_text(rng, text, folder), fits)
 
 
 def _of_json(
@@ -73,8 +55,14 @@ def _of_json(
     path.write_text(json.dumps(content))
 
     def damaged(rng: Random) -> Damaged:
-        text, fits = _json(rng, content, path.parent, rehash)
-        return {path.name: text}, fits
+        written, fits = content, rehash is None
+        if rng.random() < 0.75:
+            written = damage.damaged_content(rng, content)
+            if rehash is not None and rng.random() < 0.7:
+                rehash(written)
+                fits = True
+        text = json.dumps(written).encode()
+        return {path.name: text if rng.random() < 0.7 else damage.damaged_text(rng, text, path.parent)}, fits
 
     return Reader(read, damaged)
 
@@ -139,28 +127,6 @@ def _checkpoint(folder: Path) -> Reader:
     return Reader(lambda: run.load(lambda state: state["weights"].sum()), damaged)
 
 
-def _pair(folder: Path) -> Reader:
-    (method,) = [known for known in classical_methods() if known.name == "paper"]
-    pair = Part(method, draw_arms("nominal", "seed 0", range(4)), 4)
-    keep(pair, folder, {name: np.arange(4.0)[None] for name in pair.tables})
-    path = pair.file(folder)
-    data, name = path.read_bytes(), str(path.relative_to(folder))
-
-    def damaged(rng: Random) -> Damaged:
-        changed, fits = damage.damaged_archive(rng, data, folder, damage.damaged_array)
-        return {name: changed}, fits
-
-    def read() -> dict[str, bytes] | None:
-        kept = read_kept(pair, folder)
-        if kept is None:
-            return None
-        if wrong := {str(table.dtype) for table in kept.values()} - {"float64"}:
-            raise TypeError(f"tables of {wrong} are taken for numbers")
-        return {key: table.tobytes() for key, table in kept.items()}
-
-    return Reader(read, damaged, removes=True)
-
-
 def _scenarios(folder: Path) -> Reader:
     protocol = json.loads(scenarios.FILE.read_text())["protocol"]
     first = first_seed("nominal", arms_chosen_by(protocol))
@@ -186,27 +152,13 @@ def _gains(folder: Path) -> Reader:
     return _of_json(partial(tuned, "zv", TUNABLE["zv"].gains, path), path, content)
 
 
-def _observer(folder: Path) -> Reader:
-    path = folder / "none.safetensors"
-    data = (SHIPPED / path.name).read_bytes()
-    path.write_bytes(data)
-
-    def read() -> object:
-        observer, content = load_observer(path)
-        return {name: array.tolist() for name, array in observer.state_dict().items()}, content
-
-    return Reader(read, lambda rng: ({path.name: damage.damaged_weights(rng, data, folder)}, False))
-
-
 READERS: dict[str, Callable[[Path], Reader]] = {
     "manifest": _manifest,
     "weights": _weights,
     "options": _options,
     "checkpoint": _checkpoint,
-    "pair": _pair,
     "scenarios": _scenarios,
     "results": _results,
     "gains": _gains,
-    "observer": _observer,
 }
 """Makes sound files in an empty folder, and what reads them."""

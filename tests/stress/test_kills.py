@@ -1,7 +1,7 @@
 """Trouble at any event in the file system: a run that is begun again reaches the end that it would have had.
 
-A process that is killed leaves what it has written so far, and so does one whose disk is full or read-only. Trainings,
-comparisons and searches for gains promise that `--resume`, or the same command again, then goes on to the same files.
+A process that is killed leaves what it has written so far, and so does one whose disk is full or read-only. Trainings
+and comparisons promise that `--resume`, or the same command again, then goes on to the same files.
 A forked child counts the events that change its folder, by Python's audit hooks, and gets into trouble at one of them;
 another child goes on.
 """
@@ -15,39 +15,101 @@ import resource
 import shutil
 import signal
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context, get_start_method, set_start_method
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import pandas as pd
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from tests.stress.subjects import SUBJECTS, Subject, assert_same
+from agents.learners.ppo import PpoConfig
+from agents.learners.registry import ALGORITHMS
+from agents.policy.bundle import read_weights
+from agents.runs.training import train
+from eval.comparison.run import choose_methods, compare
+from eval.comparison.schema import read_results, write_results
+from eval.comparison.sets import development_set
 
-LONGEST = 120.0  # that a child may take [s]
+Trouble = tuple[str, float]
+LONGEST = 120  # that a child may take [s]
 CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod", "os.link", "os.symlink", "os.truncate")
-DAY = 86400.0  # [s]
-KINDS = ("killed", "killed", "cut", "cut", "full", "read-only", "clock")
-"""Kinds of trouble: killed at once, killed within the next write, a disk that is full or read-only from then on, and a
-clock that jumps to and fro by a day."""
+TROUBLES = st.lists(
+    st.tuples(st.sampled_from(["killed", "killed", "full", "read-only"]), st.floats(0, 1, exclude_max=True)),
+    min_size=1,
+    max_size=2,
+)
+"""What happens to a run, and at which share of its events: from then on, a disk is full or read-only."""
 
 
-class Trouble(NamedTuple):
-    """What happens to a run, and at which share of its events."""
+class Subject(NamedTuple):
+    """A run that writes files, and can be begun again."""
 
-    kind: str
-    share: float
-    size: int = 0  # bytes that are still written of a file that is cut
+    begin: Callable[[Path], object]
+    go_on: Callable[[Path], object]  # which first checks that what is there can be read
+    meaning: Callable[[Path], dict[str, Any]]  # of the finished files, without what may differ
 
 
-TROUBLES = st.builds(Trouble, st.sampled_from(KINDS), st.floats(0, 1, exclude_max=True), st.integers(0, 400))
+def assert_same(reached: dict[str, Any], wanted: dict[str, Any]) -> None:
+    """Assert that files mean what those of a run without trouble do."""
+    differ = sorted(name for name in {*wanted, *reached} if wanted.get(name) != reached.get(name))
+    assert not differ, f"other files than without trouble: {', '.join(differ)}"
+
+
+def _train(folder: Path, resume: bool) -> None:
+    for kind in ("best", "last"):
+        if resume and (folder / kind / "policy.json").exists():
+            read_weights(folder / kind)
+    config = replace(_PPO, out=folder, resume=resume and (folder / "config.json").exists())
+    train(config, ALGORITHMS["ppo"].make_learner)
+
+
+def _training(folder: Path) -> dict[str, Any]:
+    """Policies and curve of a finished training, and which files there are."""
+    meaning: dict[str, Any] = {"config.json": json.loads((folder / "config.json").read_text())["identity"]}
+    meaning["validation.csv"] = pd.read_csv(folder / "validation.csv").drop(columns="seconds").to_csv()
+    for kind in ("best", "last"):
+        _, spec, content = read_weights(folder / kind)
+        curve = [[steps, cost] for steps, _, cost in content["provenance"]["curve"]]
+        meaning[kind] = [replace(spec, provenance={}), content["weights"], curve]
+    written = (*folder.glob("*"), *folder.glob("*/*"))
+    names = {str(path.relative_to(folder)) for path in written if not path.name.startswith((".", "progress", "events"))}
+    return meaning | dict.fromkeys(names - {*meaning})
+
+
+def _compare(folder: Path) -> None:
+    if (folder / "results.json").exists():
+        read_results(folder / "results.json")
+    comparison = compare(choose_methods(("paper", "rigid")), development_set().only(["nominal"]), 4, folder, 1)
+    write_results(comparison, folder)
+
+
+def _comparison(folder: Path) -> dict[str, Any]:
+    results = read_results(folder / "results.json")
+    for name in ("seconds", "pairs_kept_before", "commit"):
+        results["provenance"].pop(name)
+    for row in results["rows"]:
+        row.pop("action_us")
+    kept = {path.name: path.read_bytes() for path in (*folder.glob("parts/*.npz"), folder / "episodes.csv")}
+    return {"results.json": results, **kept}
+
+
+_PPO = PpoConfig(
+    **{"total_steps": 64, "validation_every": 32, "rollout_steps": 8, "batch_size": 32},
+    **{"arms": 4, "validation_arms": 2, "hold": 40, "hidden": (4,)},
+)
+SUBJECTS: dict[str, Subject] = {
+    "training": Subject(partial(_train, resume=False), partial(_train, resume=True), _training),
+    "comparison": Subject(_compare, _compare, _comparison),
+}
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +128,7 @@ def test_it_goes_on_to_the_same_files(name: str, pool: ProcessPoolExecutor):
         events, wanted = pool.submit(undisturbed, name, folder).result()
 
         @examples(6, shrink=False)
-        @given(st.lists(TROUBLES, min_size=1, max_size=2))
+        @given(TROUBLES)
         def run(troubles: list[Trouble]) -> None:
             pool.submit(disturbed, name, folder, troubles, events, wanted).result()
 
@@ -76,16 +138,16 @@ def test_it_goes_on_to_the_same_files(name: str, pool: ProcessPoolExecutor):
 def undisturbed(name: str, folder: Path) -> tuple[list[str], dict[str, Any]]:
     """Events of a run without trouble, and the meaning of its files."""
     subject = SUBJECTS[name]
-    prepare(subject, folder)
+    prepare(folder)
     subject.begin(folder)  # so that all children have what is compiled
-    prepare(subject, folder)
+    prepare(folder)
     return in_child(subject.begin, folder), subject.meaning(folder)
 
 
 def disturbed(name: str, folder: Path, troubles: list[Trouble], events: list[str], wanted: dict[str, Any]) -> None:
     """Run into trouble, go on, and compare the files."""
     subject = SUBJECTS[name]
-    prepare(subject, folder)
+    prepare(folder)
     for k, trouble in enumerate(troubles):
         in_child(subject.go_on if k else subject.begin, folder, trouble, events)
         for path in folder.rglob(".*"):  # as if an hour had passed, after which half-written files are taken away
@@ -95,93 +157,66 @@ def disturbed(name: str, folder: Path, troubles: list[Trouble], events: list[str
     assert_same(subject.meaning(folder), wanted)
 
 
-def prepare(subject: Subject, folder: Path) -> None:
-    """Empty the folder, except for given files."""
+def prepare(folder: Path) -> None:
+    """Empty the folder."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    for name, text in subject.given.items():
-        (folder / name).write_text(text)
 
 
 def in_child(
-    run: Callable[[Path], object], folder: Path, trouble: Trouble | None = None, known: list[str] | None = None
+    run: Callable[[Path], object], folder: Path, trouble: Trouble = ("", 0.0), known: Sequence[str] = ()
 ) -> list[str]:
-    """Run something in a forked child, with trouble or without, and return the child's events if it ends by itself.
+    """Run something in a forked child, in trouble at one of the events that are known, and return its own events.
 
-    Args:
-        run: What the child runs.
-        folder: Its folder.
-        trouble: That it gets into.
-        known: Events of a run without trouble.
+    A child that is killed returns none.
     """
-    at = int(trouble.share * len(known)) if trouble and known else 0
-    if trouble and trouble.kind == "cut" and known and known[at] != "open":
-        trouble = trouble._replace(kind="killed")
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
-        be_child(run, folder, trouble, at, writing)
+        be_child(run, folder, trouble[0], int(trouble[1] * len(known)), writing)
     os.close(writing)
-    deadline, ended, status = time.monotonic() + LONGEST, 0, 0
-    while not ended:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if not ended and time.monotonic() > deadline:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-            raise AssertionError(f"it does not come to an end within {LONGEST:g} s")
-        time.sleep(0.002)
     with open(reading, encoding="utf-8") as file:
         report = file.read()
-    if report:
-        events, error = json.loads(report)
-        assert not error, error
-        return events
-    assert trouble and trouble.kind in ("killed", "cut"), f"it died with the status {status}"
-    assert os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGXFSZ)
-    return []
+    _, status = os.waitpid(child, 0)
+    if not report:
+        assert trouble[0] == "killed" and os.WTERMSIG(status) == signal.SIGKILL, f"it died with the status {status}"
+        return []
+    events, error = json.loads(report)
+    assert not error, error
+    return events
 
 
-def be_child(run: Callable[[Path], object], folder: Path, trouble: Trouble | None, at: int, report: int) -> None:
+def be_child(run: Callable[[Path], object], folder: Path, kind: str, at: int, report: int) -> None:
     """Run something as a child, report its events and its error, and end this process."""
     events, words = list[str](), ""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.signal(signal.SIGXFSZ, signal.SIG_DFL if trouble and trouble.kind == "cut" else signal.SIG_IGN)
+    signal.alarm(LONGEST)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
     def watch(event: str, arguments: tuple[Any, ...]) -> None:
         if not changes(event, arguments, str(folder)):
             return
         events.append(event)
-        if trouble is None or len(events) <= at:
+        if kind == "" or len(events) <= at:
             return
-        if trouble.kind == "read-only":
+        if kind == "read-only":
             raise OSError(errno.EROFS, os.strerror(errno.EROFS), arguments[0])
-        if len(events) == at + 1:
-            strike(trouble)
+        if kind == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # the system refuses all further writes
 
     try:
         sys.addaudithook(watch)
         run(folder)
     except BaseException as error:
-        no_disk = trouble is not None and trouble.kind in ("full", "read-only")
-        refused = no_disk and isinstance(error, OSError | ValueError) and str(folder) in str(error)
+        refused = (
+            kind in ("full", "read-only") and isinstance(error, OSError | ValueError) and str(folder) in str(error)
+        )
         words = "" if refused else f"{type(error).__name__}: {error}"
     os.write(report, json.dumps([events, words[:1000]]).encode())
     os._exit(0)
-
-
-def strike(trouble: Trouble) -> None:
-    """Get this process into trouble."""
-    if trouble.kind == "killed":
-        os.kill(os.getpid(), signal.SIGKILL)
-    elif trouble.kind == "clock":
-        now, calls = time.time, iter(range(sys.maxsize))
-        time.time = lambda: now() + (DAY if next(calls) % 2 else -DAY)
-    else:  # the system lets a file grow that far; then it kills a run that is to be cut, and refuses writes of others
-        most = trouble.size or 1 if trouble.kind == "cut" else 0
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
 
 def changes(event: str, arguments: tuple[Any, ...], folder: str) -> bool:
