@@ -120,7 +120,7 @@ def _afresh(make: Callable[[], Controller], known: Session) -> str:
     starts = np.concatenate([known.starts[half:, ::-1], known.starts[:half]])
     starts[0] = True
     said = _same(replayed(make(), observations, starts)[half:], known.actions[:half])
-    mixed = Session(*(values.copy() for values in known))
+    mixed = Session(*(values.copy() for values in known))  # pyright: ignore[reportArgumentType]
     for values in mixed:
         values[half:, 1] = values[:half, 1]
     _same(replayed(make(), mixed.observations, mixed.starts), mixed.actions)

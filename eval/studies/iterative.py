@@ -160,7 +160,7 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
 
 
 _COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
-_LINES = dict(zip(OTHERS, (":", "--", "-."), strict=True))
+_LINES: dict[str, str] = dict(zip(OTHERS, (":", "--", "-."), strict=True))
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
