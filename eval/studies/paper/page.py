@@ -1,7 +1,11 @@
-"""Pictures: time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, damping, alternatives, random moves, drives."""
+"""What the page names and counts, and its pictures, from the data alone.
+
+Time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, damping, alternatives, random moves, drives.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,9 +16,9 @@ from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, mark_one_two_five
-from eval.report.text import degrees
+from eval.report.text import degrees, poles_text
 from eval.studies._drawing import below, damping_lines
-from eval.studies._effects import heading
+from eval.studies._effects import ALL, IDEAL, heading
 from eval.studies._frame import Pictures
 from eval.studies.paper.linear import (
     MARKED_ARMS,
@@ -25,7 +29,17 @@ from eval.studies.paper.linear import (
     locus,
     poles,
 )
-from eval.studies.paper.runs import AS_ANALYSED, FRICTION, PHASES, SIGNALS, STANDARD, TO_0
+from eval.studies.paper.runs import (
+    ANSWERS,
+    AS_ANALYSED,
+    BOTH_ARMS,
+    FRICTION,
+    MAIN,
+    PHASES,
+    SIGNALS,
+    STANDARD,
+    TO_0,
+)
 
 Data = dict[str, Any]
 _COLOURS = (ORANGE, BLUE)  # of K4 = 0 and of the gain given
@@ -43,6 +57,56 @@ _LABELS = {
 }
 _RATIO = "ringing with K4 = {k4:g} over that with 0"
 _K4_SHOWN = 0.5  # largest K_4 in root loci and map [N m s/rad]
+
+
+def tables(data: Data) -> Data:
+    """Scenes by conditions and place, alternatives by their label, answers and their number."""
+    scenes: dict[str, Data] = {}
+    for scene in data["scenes"]:
+        scenes.setdefault(scene["view"], {})[scene["place"]] = scene
+    standard = {row["view"]: row for row in data["drives"] if row["place"] == STANDARD}
+    return {
+        "counts": {view: counts(data, view) for view in MAIN},
+        "scene": scenes,
+        "tried": {row["label"]: row["views"] for row in data["alternatives"]},
+        "chosen": {row["assumption"]: row["chosen"] for row in data["alternatives"]},
+        "answers": ANSWERS,
+        "phases": PHASES,
+        "main": tuple(MAIN),
+        "both_arms": tuple(BOTH_ARMS),
+        "effect": heading,
+        "pole_pairs": pole_pairs,
+        "verdicts": [_verdict(standard[view]) for view in (AS_ANALYSED, FRICTION)],
+    }
+
+
+def pole_pairs(pairs: list[list[float]]) -> str:
+    """Poles of the data as text."""
+    return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
+
+
+def counts(data: Data, view: str) -> Counter[str]:
+    """Number of alternatives with each answer, of those that change anything."""
+    views = [row["views"][view] for row in data["alternatives"]]
+    return Counter(row["answer"] for row in views if not row["same"])
+
+
+def _verdict(row: Data) -> Data:
+    """Whether K4 still suppresses the vibration of the standard move with all effects together."""
+    by_name = {drive["drive"]: drive for drive in row["drives"]}
+    ideal, driven = by_name[IDEAL], by_name[ALL]
+    answers = {answer: driven["answers"].get(answer, 0) for answer in ANSWERS[:3]}
+    draws, usual = sum(ideal["answers"].values()), max(ideal["answers"], key=ideal["answers"].get)
+    reduced = answers["yes"] + answers["in part"]
+    as_good = {"yes": answers["yes"], "in part": reduced}.get(usual)
+    if as_good is None:
+        survives = "nothing"
+    elif 2 * as_good > draws:
+        survives = "yes" if as_good == draws else "mostly"
+    else:
+        survives = "in part" if 2 * reduced > draws else "no"
+    found = {"usual": usual, "answers": answers, "reduced": reduced, "survives": survives}
+    return {"view": row["view"], "ideal": ideal, "driven": driven, **found}
 
 
 def pictures(data: Data) -> Pictures:
