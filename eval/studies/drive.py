@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from agents.policy.bundle import read_spec
 from beltarm_env.arm import params_columns
@@ -28,6 +26,7 @@ from eval.comparison.rollouts import shipped_controller, shipped_methods, side_b
 from eval.comparison.statistics import average, estimates
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
 from eval.studies._arms import drawn
+from eval.studies._drawing import below, panels
 from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
@@ -205,33 +204,20 @@ def _styles(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
 
 def _draw(data: dict[str, Any], metric: str) -> Figure:
     levels, sizes = _Levels(data), data["sizes"]
-    rows = -(-(len(levels.effects) + 1) // _COLUMNS)
-    figure, grid = plt.subplots(rows, _COLUMNS, figsize=(11, 3.05 * rows), sharey=True, squeeze=False)
-    styles = _styles(levels.controllers)
-    for axis, (name, effect) in zip(grid.flat, levels.effects.items(), strict=False):
+    figure, axes = panels(len(levels.effects), _COLUMNS, (3.7, 3.05), sharey=True)
+    for axis, (name, effect) in zip(axes, levels.effects.items(), strict=True):
         axis.axvspan(_UPPER_END, 1.03 * sizes[-1], color="#F0F0F0", zorder=0, linewidth=0)
-        for controller, (colour, line, marker) in styles.items():
+        for controller, (colour, line, marker) in _styles(levels.controllers).items():
             values = levels.rows[controller, name][metric]
-            axis.plot(sizes, values, line, color=colour, marker=marker, markersize=4, lw=1.6)
+            axis.plot(sizes, values, line, color=colour, marker=marker, markersize=4, lw=1.6, label=controller)
         axis.set_title(effect["title"], fontsize=11)
         ticks = np.linspace(0, sizes[-1], 5)
         axis.set_xticks(ticks, [f"{tick * effect['end']:.4g}" for tick in ticks])
         axis.set_xlim(-0.03 * sizes[-1], 1.03 * sizes[-1])
         axis.set_xlabel(effect["unit"], labelpad=1)
         axis.grid(color="0.9", lw=0.6)
-    grid[0, 0].set_yscale("log")
-    mark_one_two_five(grid[0, 0].yaxis)
-    for row in grid:
-        row[0].set_ylabel(metric_heading(metric))
-    for axis in list(grid.flat)[len(levels.effects) :]:
-        axis.axis("off")
-    handles = [
-        Line2D([], [], color=colour, ls=line, marker=marker, markersize=5, lw=1.8)
-        for colour, line, marker in styles.values()
-    ]
-    columns = 2 if len(styles) > 5 else 1
-    grid.flat[len(levels.effects)].legend(
-        handles, list(styles), loc="center left", ncols=columns, frameon=False, fontsize=11
-    )
-    figure.tight_layout(h_pad=1.0, w_pad=0.6)
+    axes[0].set_yscale("log")
+    mark_one_two_five(axes[0].yaxis)
+    figure.supylabel(metric_heading(metric), fontsize=11)
+    below(figure, axes[0], 6)
     return figure

@@ -160,7 +160,7 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
 
 
 _COLOURS = {TORQUE: BLUE, ARM: ORANGE, MOTOR: VERMILION}
-_LABEL_HEIGHT = 0.05  # least distance of two labels, of the axes' height
+_LINES: dict[str, str] = dict(zip(OTHERS, (":", "--", "-."), strict=True))
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
@@ -173,49 +173,30 @@ def _draw(data: dict[str, Any]) -> Figure:
     kinds = data["kinds"]
     size = (5 * len(kinds), 7.4)
     figure, grid = plt.subplots(2, len(kinds), figsize=size, sharey="row", squeeze=False, layout="constrained")
-    labels = {}
     for (relative, whole), (kind, description) in zip(grid.T, kinds.items(), strict=True):
         relative.set_title(f"{kind}\n{description}", fontsize=10)
-        labels[relative] = _curves(relative, data, kind, (TORQUE, ARM, "adaptive", "privileged"), relative=True)
+        _curves(relative, data, kind, (TORQUE, ARM, "adaptive", "privileged"), relative=True)
         whole.set_yscale("log")
-        labels[whole] = _curves(whole, data, kind, (TORQUE, MOTOR, "paper", "adaptive"), relative=False)
+        _curves(whole, data, kind, (TORQUE, MOTOR, "paper", "adaptive"), relative=False)
         mark_one_two_five(whole.yaxis)
         whole.set_xlabel("repetition")
     grid[0, 0].set_ylabel("cost of an episode (% of that arm's first)")
     grid[1, 0].set_ylabel("cost of an episode")
-    figure.draw_without_rendering()  # sets the limits of the axes
-    for axes, ends in labels.items():
-        _label(axes, ends)
     figure.suptitle("Interquartile means over arms; bands: the middle half of the arms", fontsize=10)
     return figure
 
 
-def _curves(
-    axes: Axes, data: dict[str, Any], kind: str, names: tuple[str, ...], relative: bool
-) -> list[tuple[float, str, str]]:
-    """Draw curves; return value at the end, name and colour of each."""
-    labels = []
+def _curves(axes: Axes, data: dict[str, Any], kind: str, names: tuple[str, ...], relative: bool) -> None:
     for name in names:
         rows = [row for row in data["rows"] if (row["kind"], row["controller"]) == (kind, name)]
         levels = [row["relative"] if relative else [row["cost"]["iqm"], *row["quartiles"]] for row in rows]
         means, low, high = zip(*levels, strict=True)
-        colour = _COLOURS.get(name, "#444444")
-        labels.append((means[-1], name, colour))
-        if name not in LEARNERS:
-            axes.axhline(means[0], color=colour, linewidth=1, linestyle="--")
-            continue
-        numbers = np.arange(1, len(rows) + 1)
-        axes.fill_between(numbers, low, high, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(numbers, means, color=colour, marker="o", markersize=3)
+        if name in LEARNERS:
+            numbers = range(1, len(rows) + 1)
+            axes.fill_between(numbers, low, high, color=_COLOURS[name], alpha=0.15, linewidth=0)
+            axes.plot(numbers, means, color=_COLOURS[name], marker="o", markersize=3, label=name)
+        else:
+            axes.axhline(means[0], color="0.3", linewidth=1, linestyle=_LINES[name], label=name)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.margins(x=0.02)
-    return labels
-
-
-def _label(axes: Axes, labels: list[tuple[float, str, str]]) -> None:
-    """Write names beside the ends of their curves, one above the other; once the axes have their final limits."""
-    lowest = -1.0
-    for level, name, colour in sorted(labels):
-        height = float(axes.transAxes.inverted().transform(axes.transData.transform((1, level)))[1])
-        lowest = max(height, lowest + _LABEL_HEIGHT)
-        axes.text(1.01, lowest, name, color=colour, transform=axes.transAxes, va="center", fontsize=9)
+    axes.legend(fontsize=9, frameon=False)

@@ -27,6 +27,7 @@ from eval.comparison.methods import chosen
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.report.style import BLUE, GREEN, ORANGE
+from eval.studies._drawing import below, name_rows
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
@@ -224,9 +225,7 @@ def _draw(data: dict[str, Any]) -> Figure:
         places = np.arange(len(splits)) + 0.26 * (k - 1)
         bars = axis.barh(places, [errors[split, name] for split in splits], 0.24, color=colour, label=name)
         axis.bar_label(bars, fmt="%.2f", padding=4, fontsize=8)
-    axis.set_yticks(range(len(splits)), splits)
-    axis.invert_yaxis()
+    name_rows(axis, splits)
     axis.set_xlabel(f"error of the torsion under {acting}, RMS (mrad)")
-    axis.spines[["top", "right"]].set_visible(False)
-    figure.legend(frameon=False, fontsize=9, loc="outside upper center", ncols=len(data["watchers"]))
+    below(figure, axis, len(data["watchers"]))
     return figure

@@ -26,6 +26,7 @@ from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import CROSSCHECK
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
 from eval.report.style import COLOURS
+from eval.studies._drawing import below
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 1, "samples": 40}
@@ -261,12 +262,11 @@ def _distances(rows: list[dict[str, Any]], steps: list[int]) -> Figure:
                 axis.plot(steps, values, style, color=colour, label=row["setting"], ms=4)
         axis.axhline(0.1, color="0.5", lw=0.8, ls=":")
         axis.set_xscale("log", base=2)
-        axis.set_yscale("log")
         axis.set_xticks(steps, [str(count) for count in steps])
+        axis.set(yscale="log", xlabel="MuJoCo steps per sample of 1.5 ms")
         axis.set_title(f"{regime}: {title}", fontsize=10)
-        axis.set_xlabel("MuJoCo steps per sample of 1.5 ms")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("largest distance of the tips (mm)")
     axes[0].text(1.05, 0.13, "0.1 mm", color="0.4", fontsize=8)
-    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    below(figure, axes[1], 3)
     return figure

@@ -26,6 +26,7 @@ from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.comparison.statistics import average, paired
 from eval.report.style import BLUE, GREEN, ORANGE
+from eval.studies._drawing import below, name_rows
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}
@@ -139,24 +140,17 @@ def _draw(data: dict[str, Any]) -> Figure:
     """Draw the cost on every split: without the accelerometer a ring, with it a disc."""
     splits, levels = data["splits"], _rows(data)
     figure, axis = plt.subplots(figsize=(8.5, 0.8 * len(splits) + 1.9), layout="constrained")
-    for place, split in enumerate(splits):
-        for k, name in enumerate(NAMES):
-            before, after = (levels[name, split, tier]["cost"] for tier in TIERS)
-            height = place + 0.26 * (k - 1)
-            axis.plot([before, after], [height, height], color=_COLOURS[name], lw=2.2, alpha=0.45, zorder=1)
-            axis.plot(before, height, "o", mfc="white", mec=_COLOURS[name], ms=7)
-            axis.plot(after, height, "o", color=_COLOURS[name], ms=7)
+    for k, (name, colour) in enumerate(_COLOURS.items()):
+        heights = np.arange(len(splits)) + 0.26 * (k - 1)
+        before, after = ([levels[name, split, tier]["cost"] for split in splits] for tier in TIERS)
+        axis.hlines(heights, before, after, color=colour, lw=2.2, alpha=0.45, zorder=1)
+        axis.plot(before, heights, "o", mfc="white", mec=colour, ms=7, label=f"{name}, encoder")
+        axis.plot(after, heights, "o", color=colour, ms=7, label=f"{name}, with the accelerometer")
+        for place, height, cost in zip(np.minimum(before, after), heights, after, strict=True):
             beside = {"xytext": (-8, 0), "textcoords": "offset points", "ha": "right", "va": "center"}
-            axis.annotate(f"{after:.0f}", (min(before, after), height), **beside)
-    for name in NAMES:
-        axis.plot([], [], "o-", color=_COLOURS[name], mfc="white", label=f"{name}, encoder")
-        axis.plot([], [], "o-", color=_COLOURS[name], label=f"{name}, with the accelerometer")
-    axis.set_yticks(range(len(splits)), splits)
-    axis.set_ylim(len(splits) - 0.5, -0.5)
+            axis.annotate(f"{cost:.0f}", (place, height), **beside)
+    name_rows(axis, splits)
     axis.set_xlim(left=0)
     axis.set_xlabel("cost, interquartile mean")
-    axis.grid(axis="x", color="0.9", lw=0.6)
-    axis.set_axisbelow(True)
-    axis.spines[["top", "right"]].set_visible(False)
-    figure.legend(frameon=False, fontsize=9, loc="outside upper center", ncols=len(NAMES))
+    below(figure, axis, len(NAMES), fontsize=9)
     return figure

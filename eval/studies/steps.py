@@ -22,8 +22,8 @@ from beltarm_env.task.seeds import LOOPS
 from eval.comparison.methods import PRIVILEGED
 from eval.comparison.statistics import average, worst_mean
 from eval.report.style import BLUE, GREEN, VERMILION
-from eval.report.text import markdown_table, rounded
 from eval.studies._arms import believing, identifying_nothing, privileged
+from eval.studies._drawing import name_rows
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)
@@ -100,14 +100,8 @@ def measure(options: Options) -> dict[str, Any]:
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """The table, a row for each step."""
-    rows = []
-    for row in data["rows"]:
-        cost, *others = (rounded(name, row[name]) for name in SHOWN)
-        tail = [f"{row['mean']:.0f}", f"{row['worst']:.0f}", str(row["left"])]
-        rows.append([row["title"], f"`{row['controller']}`", cost, *tail, *others])
-    head = ["step", "controller", "cost", "mean", "worst 5 %", "left", *map(heading, SHOWN[1:])]
-    return {"table": markdown_table(head, rows, "ll" + "r" * (len(head) - 2))}
+    """Metrics of the table, without the cost."""
+    return {"shown": SHOWN[1:]}
 
 
 def pictures(data: dict[str, Any]) -> Pictures:
@@ -118,7 +112,7 @@ def pictures(data: dict[str, Any]) -> Pictures:
 def _waterfall(rows: list[dict[str, Any]]) -> Figure:
     """Draw what each step takes off the cost, or adds."""
     levels = [row["cost"] for row in rows]
-    figure, axis = plt.subplots(figsize=(9, 4.6))
+    figure, axis = plt.subplots(figsize=(9, 4.6), layout="constrained")
     for k, level in enumerate(levels):
         before = levels[k - 1] if k else 0.0
         oracle = k == len(levels) - 1
@@ -128,12 +122,7 @@ def _waterfall(rows: list[dict[str, Any]]) -> Figure:
         axis.text(high + 15, k, f"{level:.0f}", va="center", fontsize=10)
         if k and not oracle:
             axis.plot([before, before], [k - 0.69, k - 0.31], color="0.5", lw=0.8)
-    axis.set_yticks(range(len(levels)), [row["title"] for row in rows], fontsize=9.5)
-    axis.invert_yaxis()
+    name_rows(axis, [row["title"] for row in rows])
     axis.set_xlim(0, 1.1 * max(levels))
-    axis.set_xlabel("cost, interquartile mean")
-    axis.grid(axis="x", color="0.9", lw=0.6)
-    axis.set_axisbelow(True)
-    axis.spines[["top", "right", "left"]].set_visible(False)
-    figure.tight_layout()
+    axis.set_xlabel(f"{heading('cost')}, interquartile mean")
     return figure

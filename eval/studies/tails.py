@@ -37,6 +37,7 @@ from eval.comparison.splits import EPISODES, SPLITS, Split
 from eval.comparison.statistics import CONFIDENCE, holm, interquartile_mean
 from eval.report.style import COLOURS, mark_one_two_five
 from eval.report.text import rounded
+from eval.studies._drawing import below
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 Floats = NDArray[np.float64]
@@ -297,10 +298,8 @@ def _draw(methods: Mapping[str, Any]) -> Figure:
         mark_one_two_five(axis.xaxis)
         axis.yaxis.set_major_formatter("{x:g}")
         axis.grid(color="0.9", lw=0.6)
-        axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("share of scenarios that reach it (%)")
     at = {"xycoords": ("axes fraction", "data"), "xytext": (4, 3), "textcoords": "offset points", "fontsize": 9}
     axes[0].annotate(f"one in {EPISODES}", (0.0, 100 / EPISODES), color="0.35", **at)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, frameon=False, loc="outside lower center", ncols=len(labels))
+    below(figure, axes[0], len(methods))
     return figure

@@ -31,6 +31,7 @@ from eval.studies.paper.linear import (
     poles,
     sampled_poles,
 )
+from eval.studies.paper.page import counts, tables
 from eval.studies.paper.runs import (
     ANALYSED,
     AS_ANALYSED,
@@ -53,7 +54,6 @@ from eval.studies.paper.runs import (
     summary,
     suppression,
 )
-from eval.studies.paper.tables import counts, tables
 
 USUAL_MOVE = PLACES[STANDARD]
 DEG_90 = math.pi / 2

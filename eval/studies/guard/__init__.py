@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -26,7 +25,7 @@ from eval.comparison.rollouts import Recorder, shipped_controller, shipped_metho
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES
 from eval.report.style import BLUE, GREEN, VERMILION, mark_one_two_five
-from eval.report.text import markdown_table, number
+from eval.studies._drawing import below, name_rows, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 from eval.studies.guard.faults import EARLIEST, FAULTS, LATEST, BrokenPolicy, FaultyArms
 
@@ -167,9 +166,8 @@ _DIGITS = {"peak": 1, "left": 0, "energy": 1}
 
 
 def tables(data: dict[str, Any]) -> dict[str, Any]:
-    """A table of faults for each controller, and the comparisons in which the base alone is better."""
+    """Measures, and the comparisons in which the base alone is better."""
     return {
-        "faults": [_faults_table(data, name) for name in data["bases"]],
         "comparisons": len(data["rows"]) * len(MEASURES),
         "worse": [(row, measure) for row in data["rows"] for measure in worse_measures(row)],
         "titles": MEASURES,
@@ -188,22 +186,6 @@ def _learned(data: dict[str, Any]) -> list[str]:
     return [name for name, base in data["bases"].items() if name != base]
 
 
-def _faults_table(data: dict[str, Any], name: str) -> str:
-    """All faults of one controller."""
-    kinds = {"base": f"`{data['bases'][name]}` alone", "without": "without", "guarded": "with the guard"}
-    if name not in _learned(data):
-        del kinds["base"]
-    rows = []
-    for row in data["rows"]:
-        if row["controller"] == name:
-            cells, worse = [], worse_measures(row)
-            for measure, digits in _DIGITS.items():
-                *others, last = (number(row[kind][measure], digits) for kind in kinds)
-                cells.append(" → ".join([*others, f"**{last}**" if measure in worse else last]))
-            rows.append([row["fault"], *cells, number(row["guarded"]["passive"], 0)])
-    return markdown_table([f"`{name}`: {' → '.join(kinds.values())}", *MEASURES.values(), "made passive (%)"], rows)
-
-
 def pictures(data: dict[str, Any]) -> Pictures:
     """Peak tip error under every fault."""
     return {"peak.png": lambda: _draw(data)}
@@ -212,27 +194,21 @@ def pictures(data: dict[str, Any]) -> Pictures:
 def _draw(data: dict[str, Any]) -> Figure:
     """Draw a panel for each learned method; for each controller if there is none."""
     names = _learned(data) or list(data["bases"])
-    figure, grid = plt.subplots(1, len(names), figsize=(11, 4.2), sharex=True, sharey=True, squeeze=False)
+    figure, axes = panels(len(names), len(names), (11 / len(names), 4.2), sharex=True, sharey=True)
     kinds = {
         "base": ("base alone", BLUE, "s"),
         "without": ("without the guard", VERMILION, "o"),
         "guarded": ("with the guard", GREEN, "D"),
     }
-    for axis, name in zip(grid[0], names, strict=True):
+    for axis, name in zip(axes, names, strict=True):
         rows = [row for row in data["rows"] if row["controller"] == name]
+        name_rows(axis, [row["fault"] for row in rows])
         for k, (kind, (label, colour, marker)) in enumerate(kinds.items()):
             heights = [place + 0.22 * (k - 1) for place in range(len(rows))]
             axis.plot([row[kind]["peak"] for row in rows], heights, marker, color=colour, ms=6, label=label)
-        axis.set_yticks(range(len(rows)), [row["fault"] for row in rows])
         axis.set_title(f"{name} on {data['bases'][name]}", fontsize=10)
         axis.set_xscale("log")
         mark_one_two_five(axis.xaxis)
         axis.set_xlabel("peak tip error, mean (mm)")
-        axis.grid(axis="x", color="0.9", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
-    grid[0, 0].invert_yaxis()
-    marks = grid[0, 0].get_legend_handles_labels()
-    figure.legend(*marks, frameon=False, fontsize=9, loc="lower center", ncols=len(kinds))
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    below(figure, axes[0], len(kinds))
     return figure

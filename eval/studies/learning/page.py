@@ -5,13 +5,13 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eval.report.curves import Curve, curves_figure
 from eval.report.style import COLOURS, mark_one_two_five
+from eval.studies._drawing import panels
 from eval.studies._frame import Pictures
 from eval.studies.learning.runs import DEFAULT, FACTORS
 
@@ -86,20 +86,15 @@ def pictures(data: Data) -> Pictures:
 def _ablations(data: Data) -> Figure:
     """Draw the curves of every factor, on common axes."""
     factors = by_factor(data) or {"": data["variants"][:1]}
-    across = min(4, len(factors))
-    down = -(-len(factors) // across)
-    size = (3.4 * across + 0.8, 3.1 * down + 0.5)
-    figure, grid = plt.subplots(down, across, figsize=size, layout="constrained", sharey=True, squeeze=False)
+    figure, axes = panels(len(factors), 4, (3.6, 3.3), sharey=True)
     best, default = data["best_classical"], data["variants"][0]["runs"][0]
     levels = {default["base"]: default["validation_of_base"], best["name"]: best["validated"]}
     lowest = min(point[2] for variant in data["variants"] for run in variant["runs"] for point in run["curve"])
-    for axis, (factor, variants) in zip(grid.flat, factors.items(), strict=False):
+    for axis, (factor, variants) in zip(axes, factors.items(), strict=True):
         _panel(axis, levels, factor, variants)
         bottom, top = 0.7 * min(lowest, best["validated"]), _TOP * default["validation_of_base"]
         axis.set(yscale="log", xlim=(0, None), ylim=(bottom, top))
         mark_one_two_five(axis.yaxis)
-    for axis in list(grid.flat)[len(factors) :]:
-        axis.set_visible(False)
     figure.supxlabel("simulated samples (millions)", fontsize=10)
     figure.supylabel("mean episode cost, validation arms", fontsize=10)
     return figure

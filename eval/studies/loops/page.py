@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import product
 from math import isfinite
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from baselines.models.linear import ANGLES
 from beltarm_env.arrays import Floats
 from beltarm_env.metrics import TORQUES
 from eval.report.style import BLUE, VERMILION
+from eval.studies._drawing import damping_lines, panels
 from eval.studies._frame import Pictures, shown
 from eval.studies.loops.costs import IDENTIFYING, SHOWN_METRICS, WORSE
 
@@ -23,12 +23,12 @@ _MARGINS |= {"modulus": "modulus"}
 """Title of each margin."""
 _DIGITS = {"phase": 0, "delay": 1, "modulus": 2}
 _PANELS = (
-    (("gain_up", "gain_down"), "gain (dB)", (-45.0, 45.0)),
-    (("phase",), "phase (°)", (0.0, 115.0)),
-    (("delay",), "delay (samples)", (0.5, 200.0)),
-    (("modulus",), "modulus", (0.0, 1.05)),
+    (("gain_up", "gain_down"), "gain (dB)", (-45.0, 45.0), (-30, 0, 30), (6.0, -6.0)),
+    (("phase",), "phase (°)", (0.0, 115.0), (0, 50, 100), (30.0,)),
+    (("delay",), "delay (samples)", (0.5, 200.0), (1, 10, 100), ()),
+    (("modulus",), "modulus", (0.0, 1.05), (0, 0.5, 1), ()),
 )
-"""Margins, title and limits of the axis."""
+"""Margins, title, limits and marks of the axis, and levels beside those that are asked for."""
 
 
 def tables(data: Data) -> Data:
@@ -86,28 +86,23 @@ def pictures(data: Data) -> Pictures:
 
 def _margins(scans: Data, asked: dict[str, float]) -> Figure:
     """One row for each controller, one column for each margin, axes shared down the columns."""
-    levels = ((6.0, -6.0), (30.0,), (asked["delay"],), (asked["modulus"],))
-    size, grid = (9.0, 0.95 * len(scans) + 0.9), (len(scans), len(_PANELS))
-    figure, axes = plt.subplots(*grid, figsize=size, sharex=True, sharey="col", squeeze=False)
-    for row, (name, scan) in zip(axes, scans.items(), strict=True):
-        for axis, (margins, _, limits), least in zip(row, _PANELS, levels, strict=True):
-            for margin in margins:
-                axis.plot(np.degrees(ANGLES), _drawn(margin, scan["over_arms"][margin]), color=VERMILION, lw=1.6)
-                axis.plot(np.degrees(ANGLES), _drawn(margin, scan["design"][margin]), color=BLUE, lw=1.8)
-            axis.hlines(least, 0, 90, color="0.55", lw=0.9, ls="--", zorder=1)
-            axis.grid(color="0.92", lw=0.6)
-            axis.tick_params(labelsize=9.5)
-            axis.set(ylim=limits, xlim=(0, 90), xticks=(0, 30, 60, 90))
-        row[0].set_ylabel(name, rotation=0, ha="right", va="center", labelpad=8, fontsize=11)
-    for axis, bottom, (_, title, _) in zip(axes[0], axes[-1], _PANELS, strict=True):
-        axis.set_title(title, fontsize=11)
-        bottom.set_xlabel("joint angle (°)", fontsize=10)
-    axes[0, 0].set_yticks((-30, 0, 30))
-    axes[0, 2].set_yscale("log")
-    axes[0, 2].set_yticks((1, 10, 100))
-    axes[0, 2].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes[0, 3].set_yticks((0, 0.5, 1))
-    figure.tight_layout(h_pad=0.3, w_pad=0.8)
+    figure, axes = panels(len(scans) * len(_PANELS), len(_PANELS), (2.25, 0.95), sharex=True, sharey="col")
+    for axis, ((name, scan), (margins, title, limits, marks, levels)) in zip(
+        axes, product(scans.items(), _PANELS), strict=True
+    ):
+        for margin in margins:
+            axis.plot(np.degrees(ANGLES), _drawn(margin, scan["over_arms"][margin]), color=VERMILION, lw=1.6)
+            axis.plot(np.degrees(ANGLES), _drawn(margin, scan["design"][margin]), color=BLUE, lw=1.8)
+        axis.hlines(levels or asked[margins[0]], 0, 90, color="0.55", lw=0.9, ls="--", zorder=1)
+        axis.grid(color="0.92", lw=0.6)
+        axis.tick_params(labelsize=9.5)
+        axis.set(yscale="log" if "delay" in margins else "linear", xlim=(0, 90), xticks=(0, 30, 60, 90), ylim=limits)
+        axis.set_yticks(marks, [f"{mark:g}" for mark in marks])
+        if axis in axes[: len(_PANELS)]:
+            axis.set_title(title, fontsize=11)
+        if axis in axes[:: len(_PANELS)]:
+            axis.set_ylabel(name, rotation=0, ha="right", va="center", labelpad=8, fontsize=11)
+    figure.supxlabel("joint angle (°)", fontsize=11)
     return figure
 
 
@@ -119,27 +114,19 @@ def _drawn(margin: str, known: list[float | None]) -> Floats:
 
 def _poles(scans: Data) -> Figure:
     """Closed-loop poles in the upper half plane, coloured by the angle of the arm."""
-    rows, columns, shown = -(-len(scans) // 4), 4, None
-    size = (9.0, 2.3 * rows)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=size, layout="constrained", sharex=True, sharey=True, squeeze=False
-    )
-    for axis, (name, scan) in zip(axes.flat, scans.items(), strict=False):
-        for degrees, poles in zip(np.degrees(ANGLES), scan["poles"], strict=True):
-            real, imaginary = np.array(poles).reshape(-1, 2).T
-            colour = np.full(len(real), degrees)
-            shown = axis.scatter(real, imaginary, c=colour, vmin=0, vmax=90, cmap="viridis", s=7, zorder=3)
-        for ratio in (0.1, 0.3):
-            axis.plot([0, -100 * ratio], [0, 100 * np.sqrt(1 - ratio**2)], color="0.75", lw=0.8, ls="--", zorder=1)
-        axis.axvline(0, color="0.4", lw=0.9)
+    figure, axes = panels(len(scans), 4, (2.25, 2.3), sharex=True, sharey=True)
+    shown_poles = None
+    for axis, (name, scan) in zip(axes, scans.items(), strict=True):
+        angles = np.repeat(np.degrees(ANGLES), [len(poles) for poles in scan["poles"]])
+        real, imaginary = np.concatenate([np.reshape(poles, (-1, 2)) for poles in scan["poles"]]).T
+        shown_poles = axis.scatter(real, imaginary, c=angles, vmin=0, vmax=90, cmap="viridis", s=7, zorder=3)
+        damping_lines(axis, 0.1, 0.3)
         axis.set(xlim=(-62, 4), ylim=(-2, 72))
         axis.set_title(name, fontsize=11)
         axis.tick_params(labelsize=9.5)
         axis.grid(color="0.94", lw=0.6)
-    for axis in list(axes.flat)[len(scans) :]:
-        axis.set_visible(False)
     figure.supxlabel("real part (1/s)", fontsize=11)
     figure.supylabel("imaginary part (1/s)", fontsize=11)
-    if shown is not None:
-        figure.colorbar(shown, ax=axes, label="joint angle (°)", shrink=0.6, ticks=(0, 30, 60, 90))
+    if shown_poles is not None:
+        figure.colorbar(shown_poles, ax=axes, label="joint angle (°)", shrink=0.6, ticks=(0, 30, 60, 90))
     return figure

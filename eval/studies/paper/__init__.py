@@ -30,7 +30,7 @@ from eval.studies._arms import drawn
 from eval.studies._effects import EFFECTS, IDEAL, with_effect
 from eval.studies._frame import Bounds, StudyOptions
 from eval.studies.paper.linear import TABLE_2, linear_numbers
-from eval.studies.paper.pictures import pictures
+from eval.studies.paper.page import pictures, tables
 from eval.studies.paper.runs import (
     BOTH_ARMS,
     END_WINDOW,
@@ -51,7 +51,6 @@ from eval.studies.paper.runs import (
     summary,
     suppression,
 )
-from eval.studies.paper.tables import tables
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
 QUICK = {"draws": 1, "moves": 8}

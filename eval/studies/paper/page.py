@@ -1,32 +1,45 @@
-"""Pictures: time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, damping, alternatives, random moves, drives."""
+"""What the page names and counts, and its pictures, from the data alone.
+
+Time responses, Figs. 4(b) and 8(b), root loci, Fig. 6, damping, alternatives, random moves, drives.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
 from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, mark_one_two_five
-from eval.report.text import degrees
-from eval.studies._effects import heading
+from eval.report.text import degrees, poles_text
+from eval.studies._drawing import below, damping_lines
+from eval.studies._effects import ALL, IDEAL, heading
 from eval.studies._frame import Pictures
 from eval.studies.paper.linear import (
     MARKED_ARMS,
     PAPER_ARM,
-    Poles,
     ServoGains,
     closed_loop,
     damping_map,
     locus,
     poles,
 )
-from eval.studies.paper.runs import AS_ANALYSED, FRICTION, PHASES, SIGNALS, STANDARD, TO_0
+from eval.studies.paper.runs import (
+    ANSWERS,
+    AS_ANALYSED,
+    BOTH_ARMS,
+    FRICTION,
+    MAIN,
+    PHASES,
+    SIGNALS,
+    STANDARD,
+    TO_0,
+)
 
 Data = dict[str, Any]
 _COLOURS = (ORANGE, BLUE)  # of K4 = 0 and of the gain given
@@ -44,7 +57,56 @@ _LABELS = {
 }
 _RATIO = "ringing with K4 = {k4:g} over that with 0"
 _K4_SHOWN = 0.5  # largest K_4 in root loci and map [N m s/rad]
-_BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False}  # the legend of a figure
+
+
+def tables(data: Data) -> Data:
+    """Scenes by conditions and place, alternatives by their label, answers and their number."""
+    scenes: dict[str, Data] = {}
+    for scene in data["scenes"]:
+        scenes.setdefault(scene["view"], {})[scene["place"]] = scene
+    standard = {row["view"]: row for row in data["drives"] if row["place"] == STANDARD}
+    return {
+        "counts": {view: counts(data, view) for view in MAIN},
+        "scene": scenes,
+        "tried": {row["label"]: row["views"] for row in data["alternatives"]},
+        "chosen": {row["assumption"]: row["chosen"] for row in data["alternatives"]},
+        "answers": ANSWERS,
+        "phases": PHASES,
+        "main": tuple(MAIN),
+        "both_arms": tuple(BOTH_ARMS),
+        "effect": heading,
+        "pole_pairs": pole_pairs,
+        "verdicts": [_verdict(standard[view]) for view in (AS_ANALYSED, FRICTION)],
+    }
+
+
+def pole_pairs(pairs: list[list[float]]) -> str:
+    """Poles of the data as text."""
+    return poles_text(np.array([complex(*pair) for pair in pairs]), 2)
+
+
+def counts(data: Data, view: str) -> Counter[str]:
+    """Number of alternatives with each answer, of those that change anything."""
+    views = [row["views"][view] for row in data["alternatives"]]
+    return Counter(row["answer"] for row in views if not row["same"])
+
+
+def _verdict(row: Data) -> Data:
+    """Whether K4 still suppresses the vibration of the standard move with all effects together."""
+    by_name = {drive["drive"]: drive for drive in row["drives"]}
+    ideal, driven = by_name[IDEAL], by_name[ALL]
+    answers = {answer: driven["answers"].get(answer, 0) for answer in ANSWERS[:3]}
+    draws, usual = sum(ideal["answers"].values()), max(ideal["answers"], key=ideal["answers"].get)
+    reduced = answers["yes"] + answers["in part"]
+    as_good = {"yes": answers["yes"], "in part": reduced}.get(usual)
+    if as_good is None:
+        survives = "nothing"
+    elif 2 * as_good > draws:
+        survives = "yes" if as_good == draws else "mostly"
+    else:
+        survives = "in part" if 2 * reduced > draws else "no"
+    found = {"usual": usual, "answers": answers, "reduced": reduced, "survives": survives}
+    return {"view": row["view"], "ideal": ideal, "driven": driven, **found}
 
 
 def pictures(data: Data) -> Pictures:
@@ -88,8 +150,7 @@ def _responses(data: Data, place: str, view: str) -> Figure:
         axis.set_ylabel(_LABELS[name])
     figure.suptitle(f"{degrees(move['start'])} to {degrees(move['goal'])}, {view} (grey: the move)", fontsize=12)
     figure.align_ylabels()
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, **_BELOW)
+    below(figure, axes[0, 0], 1)
     return figure
 
 
@@ -140,7 +201,7 @@ def _ratios(data: Data, names: list[str], ratios: Data, lines: list[int], height
         axis.xaxis.set_minor_locator(NullLocator())
     axes[0].set_yticks(range(len(names)), names, fontsize=9)
     axes[0].set_ylim(len(names) - 0.4, -0.6)
-    figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, **_BELOW)
+    below(figure, axes[0], 2)
     return figure
 
 
@@ -160,7 +221,7 @@ def _moves(data: Data) -> Figure:
     axis.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
     axis.set_title(f"{data['random_moves']['size']} random moves", fontsize=11)
     axis.grid(alpha=0.3)
-    figure.legend(*axis.get_legend_handles_labels(), fontsize=9, ncols=2, **_BELOW)
+    below(figure, axis, 2, fontsize=9)
     return figure
 
 
@@ -181,43 +242,17 @@ def _root_loci(gains: ServoGains, angle_deg: float) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(9, 5.6 if angle_deg < 45 else 3.8), layout="constrained", sharey=True)
     for axis, each, (values, label), title in zip(axes, loci, parameters.values(), titles, strict=True):
         axis.set(xlim=(-60, 8), ylim=(-0.06 * top, top), xlabel="real part (1/s)", aspect="equal")
-        _damping_grid(axis)
-        colour = np.repeat(values[:, None], each.shape[1], axis=1)
-        shown = _scatter(axis, each, c=colour[_upper(each)], s=9, cmap="viridis", zorder=3)
-        _scatter(axis, each[0], marker="x", color="black", s=55, zorder=5, label="smallest value", clip_on=False)
-        _scatter(
-            axis, chosen, marker="s", facecolor="none", edgecolor=VERMILION, s=75, lw=2, zorder=6, label="gains given"
-        )
+        damping_lines(axis, 0.1, 0.3, 0.6)
+        colour = np.repeat(values, each.shape[1])
+        shown = axis.scatter(each.real, each.imag, c=colour, s=9, cmap="viridis", zorder=3)
+        axis.plot(each[0].real, each[0].imag, "x", color="black", ms=7, zorder=5, label="smallest value")
+        axis.plot(chosen.real, chosen.imag, "s", mfc="none", mec=VERMILION, ms=9, mew=2, zorder=6, label="gains given")
         figure.colorbar(shown, ax=axis, label=label, location="bottom", shrink=0.9, pad=0.02, aspect=30)
         axis.set_title(title, fontsize=11)
     axes[0].set_ylabel("imaginary part (1/s)")
     figure.suptitle(f"Root loci at $\\theta_1$ = {angle_deg:.0f}° (upper half plane)", fontsize=12)
-    figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, **_BELOW)
+    below(figure, axes[0], 2)
     return figure
-
-
-def _upper(values: Poles) -> Any:
-    return values.imag > -1e-6
-
-
-def _scatter(axis: Axes, values: Poles, **style: Any) -> Any:
-    """Mark poles of the upper half plane."""
-    upper = values[_upper(values)]
-    return axis.scatter(upper.real, upper.imag, **style)
-
-
-def _damping_grid(axis: Axes) -> None:
-    """Draw lines of equal damping ratio, labelled where they leave the picture."""
-    left, top = axis.get_xlim()[0], axis.get_ylim()[1]
-    backing = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-    for ratio in (0.1, 0.3, 0.6):
-        slope = -np.sqrt(1 - ratio**2) / ratio
-        x = max(left, top / slope)
-        axis.plot([0, x], [0, slope * x], color="0.75", lw=0.8, ls="--", zorder=1)
-        place = (0.94 * x, slope * 0.94 * x)
-        axis.text(*place, f"{ratio:g}", color="0.4", fontsize=8.5, ha="center", va="center", zorder=2, bbox=backing)
-    axis.axvline(0, color="0.4", lw=0.8)
-    axis.axhline(0, color="0.4", lw=0.8)
 
 
 def _damping(gains: ServoGains) -> Figure:
@@ -239,5 +274,5 @@ def _damping(gains: ServoGains) -> Figure:
     names = [name.replace(", ", ",\n").replace("payload ", "payload\n") for name in MARKED_ARMS]
     axis.secondary_yaxis("right").set_yticks(list(MARKED_ARMS.values()), names)
     figure.colorbar(shown, ax=axis, label="smallest damping ratio of any pole")
-    figure.legend(*axis.get_legend_handles_labels(), ncols=2, **_BELOW)
+    below(figure, axis, 2)
     return figure
