@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,13 +21,14 @@ from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.observation import index
+from beltarm_env.observation import index, size
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
 from eval.comparison import cache, custom, failures
 from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept, run_parts
 from eval.comparison.failures import Failure
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
+from eval.comparison.perturbation import PERTURBATION, Perturbed, sensitive
 from eval.comparison.run import choose_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
@@ -428,3 +430,28 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(cache, "write_arrays", full)
     arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
     assert "No space left on device" in mistake(compare.main, arguments, tmp_path)
+
+
+# Sensitive episodes
+
+
+def test_only_the_first_torque_differs_and_stays_within_the_limits():
+    for torque, sign in ((1.0, -1), (0.5, -1), (0.0, 1), (-1.0, 1)):
+        known = SimpleNamespace(predict=lambda seen, memory, *_, t=torque: (np.full((len(seen), 1), t, np.float32), 1))
+        controller = Perturbed(known)
+        first, memory = controller.predict(np.zeros((2, size()), np.float32))
+        assert (0.3 * (first - torque)).ravel() == pytest.approx(sign * PERTURBATION, rel=1e-6)
+        second, _ = controller.predict(np.zeros((2, size()), np.float32), memory)
+        assert second.ravel().tolist() == [torque, torque]
+
+
+def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path):
+    """A part that was kept without it is run again."""
+    costs = np.array([100.0, 100.0, 100.0, 300.0])
+    assert sensitive(costs, np.array([100.9, 101.1, 98.9, 300.0])).tolist() == [0, 1, 1, 0]
+    plain, perturbed = measure(part()), replace(part(), perturbed=True)
+    cache.keep(part(), tmp_path, plain)
+    assert read_kept(perturbed, tmp_path) is None
+    more = measure(perturbed)
+    assert more.pop(cache.SENSITIVE).tolist() == [[0.0] * 4]
+    assert all(np.array_equal(more[name], plain[name]) for name in plain)
