@@ -30,7 +30,7 @@ from eval.exports.source import Loop
 from eval.report.text import markdown_table
 from eval.studies._frame import Pictures, StudyOptions
 
-QUICK = {"controllers": ("adaptive",), "splits": ("nominal",), "episodes": 1}
+QUICK = {"controllers": ("smooth",), "splits": ("nominal",), "episodes": 1}
 PLAN_SAMPLES = 8
 """Samples over which plans are spread."""
 _LEARNED = tuple(f"{method}/seed0" for method in ("ppo", "student"))

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from commands import mistake
+from studies import hurry, try_study
 
 from agents.learners.registry import ALGORITHMS
 from baselines import PaperController
@@ -26,9 +27,15 @@ BY_NAME = {variant.name: variant for variant in VARIANTS}
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
-    """A quick run, and its result."""
-    run = Run(DEFAULT, 0, 5_000, tmp_path_factory.mktemp("runs"), quick=True)
-    return run, run.finish(4)
+    """The run of a first try of the study, and its result."""
+    folder = tmp_path_factory.mktemp("learning")
+    with pytest.MonkeyPatch.context() as patch:
+        hurry(patch)
+        try_study("learning", folder)
+    run = Run(DEFAULT, 0, 5_000, folder / learning.QUICK["runs"], quick=True)
+    result = run.finished(4)
+    assert result is not None
+    return run, result
 
 
 def test_variants_are_the_default_with_one_thing_changed():
