@@ -16,12 +16,11 @@ from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
-from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.reference import MoveShape
+from beltarm_env.rollout import rollout
 from eval import study
 from eval.studies import _frame
 from eval.studies._effects import ALL, IDEAL
-from eval.studies.paper import Options
+from eval.studies.paper import Options, vary
 from eval.studies.paper.linear import (
     PAPER_ARM,
     ServoGains,
@@ -56,7 +55,7 @@ from eval.studies.paper.runs import (
     suppression,
 )
 from eval.studies.paper.tables import counts, tables
-from eval.studies.paper.variations import DRIVES, USUAL_MOVE, compare, list_alternatives, run_drives, try_alternatives
+from eval.studies.paper.variations import DRIVES, USUAL_MOVE, compare, list_alternatives, run_drives
 
 TABLE_2 = ServoGains()
 DEG_90 = math.pi / 2
@@ -68,9 +67,16 @@ class TestLoop:
         found = np.sort_complex(poles(closed_loop(PAPER_ARM, 0.0, TABLE_2)))
         np.testing.assert_allclose(found, np.sort_complex(np.array(expected)), atol=0.05)
 
-    @pytest.mark.parametrize(("angle", "damping"), [(0.0, 0.225), (DEG_90, 0.237)])
-    def test_damping_with_table_2(self, angle: float, damping: float):
-        assert dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2))) == pytest.approx(damping, abs=5e-4)
+    @pytest.mark.parametrize(
+        ("model", "angle", "damping"),
+        [
+            *(("lumped", 0.0, 0.225), ("lumped", DEG_90, 0.237)),
+            *(("lagrangian", 0.0, -0.079), ("lagrangian", math.pi / 4, 0.156), ("lagrangian", DEG_90, 0.325)),
+        ],
+    )
+    def test_damping_with_table_2(self, model: Any, angle: float, damping: float):
+        found = dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2, model=model)))
+        assert found == pytest.approx(damping, abs=5e-4)
 
     def test_sign_printed_in_6e_makes_the_loop_unstable(self):
         found = poles(closed_loop(PAPER_ARM, 0.0, TABLE_2, as_printed=True))
@@ -113,8 +119,7 @@ class TestLoop:
             belt = np.array([0.07, 0, 33])
             expected = np.polyadd(np.polymul(servo, belt), np.polymul([0.15, 33 / 88], [0.07 / 88, 0, 0]))
             np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(np.roots(expected)), rtol=1e-6)
-        assert (np.diff(dominant_damping(loci)) < 0).all()
-        assert 0 < dominant_damping(loci)[-1] < 0.05
+        assert (np.diff(dominant_damping(loci)) < 0).all() and 0 < dominant_damping(loci)[-1] < 0.05
 
     def test_sampling_is_the_continuous_loop_for_slow_poles_and_barely_moves_the_others(self):
         for angle in (0.0, DEG_90):
@@ -123,76 +128,59 @@ class TestLoop:
             assert sampled[0] == pytest.approx(continuous[0], rel=1e-3)
             np.testing.assert_allclose(sampled, continuous, rtol=0.05)
 
-    @pytest.mark.parametrize(("angle", "m2"), [(0.0, 0.01), (DEG_90, 0.07)])
-    def test_simulated_torsion_adds_the_undamped_mode_of_the_belt_behind_a_held_motor(self, angle: float, m2: float):
-        found = digital_poles(PAPER_ARM, angle, TABLE_2)
-        mode = 1j * math.sqrt(33 / m2)
-        assert np.abs(found - mode).min() < 1e-6
-        others = found[np.abs(np.abs(found) - abs(mode)) > 1e-6]
-        assert dominant_damping(others) == pytest.approx(0.235, abs=0.01)
-        assert dominant_damping(digital_poles(ArmParams(), DEG_90, TABLE_2)) == pytest.approx(0.01, abs=1e-4)
-
-    @pytest.mark.parametrize(("angle", "damping"), [(0.0, -0.079), (math.pi / 4, 0.156), (DEG_90, 0.325)])
-    def test_measured_torsion_on_the_full_arm(self, angle: float, damping: float):
-        found = dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2, model="lagrangian")))
-        assert found == pytest.approx(damping, abs=5e-4)
-
-    @pytest.mark.parametrize(("angle", "pole"), [(0.0, -0.03 + 28.8j), (DEG_90, -0.61 + 28.9j)])
-    def test_simulated_torsion_leaves_the_full_arms_mode_hardly_damped(self, angle: float, pole: complex):
-        found = digital_poles(PAPER_ARM, angle, TABLE_2, model="lagrangian")
-        assert np.abs(found - pole).min() < 0.05
+    @pytest.mark.parametrize(
+        ("model", "angle", "pole"),
+        [
+            *(("lumped", 0.0, 1j * math.sqrt(33 / 0.01)), ("lumped", DEG_90, 1j * math.sqrt(33 / 0.07))),
+            *(("lagrangian", 0.0, -0.03 + 28.8j), ("lagrangian", DEG_90, -0.61 + 28.9j)),
+        ],
+    )
+    def test_simulated_torsion_leaves_the_mode_of_the_belt_behind_a_held_motor(
+        self, model: Any, angle: float, pole: complex
+    ):
+        found = digital_poles(PAPER_ARM, angle, TABLE_2, model=model)
+        assert np.abs(found - pole).min() < (1e-6 if model == "lumped" else 0.05)
         assert dominant_damping(found) < 0.03
 
 
-class TestRinging:
-    def test_of_a_sinusoid(self):
-        time = (1 + np.arange(1200)) * CONTROL_PERIOD
-        speed = np.zeros((1200, 2, 2))
-        speed[:, 0, 0] = 0.3 * np.sin(20 * time)  # acceleration of amplitude 6 along x
-        speed[:, 0, 1] = 0.4 * np.sin(20 * time)  # and 8 along y
-        speed[:, 1, 1] = 0.1 * time  # a drift: constant acceleration
-        found = ringing(speed, np.array([0.8, 0.8]), np.array([0.1, 0.1]))
-        for phase in found:
-            np.testing.assert_allclose(phase, [10 / math.sqrt(2), 0.1], rtol=0.06)
-
-    def test_phases_do_not_see_each_other(self):
-        time = (1 + np.arange(1200)) * CONTROL_PERIOD
-        speed = np.zeros((1200, 1, 2))
-        speed[:, 0, 0] = np.where((time > 0.8) & (time < 1.3), np.sin(20 * time), np.sin(20 * 0.8))
-        found = ringing(speed, np.array([0.8]), np.array([0.1]))
-        assert found[0] == 0 and found[2] == 0 and found[1] > 1
-
-    def test_no_cruise(self):
-        found = ringing(np.zeros((1200, 1, 2)), np.array([0.8]), np.array([0.4]))
-        assert np.isnan(found[0]) and found[1] == 0
-
-    @pytest.mark.parametrize(
-        ("before", "after", "expected", "ratio"),
-        [
-            (2.0, 0.1, "yes", 0.05),
-            (2.0, 1.0, "in part", 0.5),
-            (2.0, 1.8, "no", 0.9),
-            (2.0, math.inf, "no", math.inf),
-            (math.inf, 2.0, "not comparable", math.nan),
-            (math.nan, math.nan, "not comparable", math.nan),
-        ],
-    )
-    def test_answers(self, before: float, after: float, expected: str, ratio: float):
-        (found,) = ratios(np.array([[before], [after]]))
-        assert answer(found) == expected and found == pytest.approx(ratio, nan_ok=True)
+def test_ringing_of_a_sinusoid():
+    """Phases do not see each other, and without a cruise there is none in it."""
+    time = (1 + np.arange(1200)) * CONTROL_PERIOD
+    speed = np.zeros((1200, 3, 2))
+    speed[:, 0, 0] = 0.3 * np.sin(20 * time)  # acceleration of amplitude 6 along x
+    speed[:, 0, 1] = 0.4 * np.sin(20 * time)  # and 8 along y
+    speed[:, 1, 1] = 0.1 * time  # a drift: constant acceleration
+    speed[:, 2, 0] = np.where((time > 0.8) & (time < 1.3), np.sin(20 * time), np.sin(20 * 0.8))
+    found = ringing(speed, np.full(3, 0.8), np.full(3, 0.1))
+    for phase in found:
+        np.testing.assert_allclose(phase[:2], [10 / math.sqrt(2), 0.1], rtol=0.06)
+    assert found[0, 2] == 0 and found[2, 2] == 0 and found[1, 2] > 1
+    assert np.isnan(ringing(speed, np.full(3, 0.8), np.full(3, 0.4))[0]).all()
 
 
-def rung(conditions: Conditions, k4: float, move: MoveShape = USUAL_MOVE) -> Floats:
+@pytest.mark.parametrize(
+    ("before", "after", "expected", "ratio"),
+    [
+        *((2.0, 0.1, "yes", 0.05), (2.0, 1.0, "in part", 0.5), (2.0, 1.8, "no", 0.9), (2.0, math.inf, "no", math.inf)),
+        *((math.inf, 2.0, "not comparable", math.nan), (math.nan, math.nan, "not comparable", math.nan)),
+    ],
+)
+def test_answers(before: float, after: float, expected: str, ratio: float):
+    (found,) = ratios(np.array([[before], [after]]))
+    assert answer(found) == expected and found == pytest.approx(ratio, nan_ok=True)
+
+
+def rung(conditions: Conditions, k4: float) -> Floats:
     """Ringing in the cruise, after the stop and at the end."""
-    return ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [move]))[:, 0]
+    return ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [USUAL_MOVE]))[:, 0]
 
 
 class TestRuns:
     def test_default_assumptions_are_the_papers_controller(self):
         run = run_moves(Conditions(), TABLE_2, [USUAL_MOVE])
-        move = dict(zip(MoveShape._fields, USUAL_MOVE, strict=True))
-        direct = rollout(PaperController(), 1, seed=0, options={"move": move})
+        direct = rollout(PaperController(), 1, seed=0, options={"move": USUAL_MOVE._asdict()})
         np.testing.assert_allclose(run.state, direct.state, atol=1e-4)
+        assert Options().move == USUAL_MOVE and Options().gains == TABLE_2
 
     def test_true_torsion_and_measured_sign(self):
         env = BeltArmVectorEnv(3, sensors="full")
@@ -223,24 +211,19 @@ class TestRuns:
         assert travelled == pytest.approx(0.5 * math.cos(math.pi / 4), rel=1e-3)
 
     def test_every_assumption_is_tried_at_other_values(self):
+        """Side by side as alone; the full arm folds differently."""
         alternatives = list_alternatives(USUAL_MOVE)
         assert len({tried.label for tried in alternatives}) == len(alternatives)
         assert len({tried.move for tried in alternatives}) == 13, "the standard one, and no other twice"
         for tried in alternatives:
-            differs = [(tried.under(base), tried.move) != (base, USUAL_MOVE) for base in (SIMULATED, ANALYSED)]
-            assert any(differs), tried.label
-
-    def test_alternatives_run_side_by_side_are_those_run_alone(self):
-        names = ("how the arm folds", "where the move leads")
-        alternatives = [tried for tried in list_alternatives(USUAL_MOVE) if tried.assumption in names]
-        together = try_alternatives(alternatives, ANALYSED, TABLE_2)
-        for tried in alternatives:
-            alone = suppression(tried.under(ANALYSED), TABLE_2, [tried.move])[:, :, 0]
-            np.testing.assert_allclose(together[tried.label], alone, rtol=1e-6)
-
-    def test_the_full_arm_folds_differently(self):
-        full = Conditions(model="lagrangian")
-        assert (rung(full, 0.15) / rung(full, 0.0))[1] == pytest.approx(0.41, abs=0.01)
+            assert any((tried.under(base), tried.move) != (base, USUAL_MOVE) for base in MAIN.values()), tried.label
+        chosen = {tried.label: tried for tried in alternatives if tried.assumption == "where the move leads"}
+        folded = next(tried for tried in alternatives if tried.assumption == "how the arm folds")
+        rows = vary([*chosen.values(), folded], TABLE_2, {view: [{"": 1.0}] * 2 for view in MAIN})
+        for row in rows[:-1]:
+            alone = suppression(ANALYSED, TABLE_2, [chosen[row["label"]].move])[:, :, 0]
+            assert row["views"][AS_ANALYSED]["ratios"]["end"] == pytest.approx(ratios(alone)[2], rel=1e-6)
+        assert rows[-1]["views"][FRICTION]["ratios"]["stop"] == pytest.approx(0.41, abs=0.01)
 
     def test_an_arm_that_left_its_workspace_is_not_measured(self):
         run = run_moves(Conditions(arm=ArmParams(payload_mass=0.2)), replace(TABLE_2, k4=1.0), [USUAL_MOVE])
@@ -249,35 +232,26 @@ class TestRuns:
         assert np.isnan(shown["radial_speed"][-1]) and np.isfinite(summary(shown)["peak_torque"])
 
 
-MOVES = (USUAL_MOVE, USUAL_MOVE._replace(start=math.pi / 4, goal=0.0))
-
-
-@pytest.fixture(scope="module")
-def runs() -> dict[str, list[Recording]]:
-    return {view: run_drives(TABLE_2, list(MOVES), base, 2) for view, base in MAIN.items()}
+MOVES = [USUAL_MOVE, USUAL_MOVE._replace(start=math.pi / 4, goal=0.0)]
 
 
 @pytest.mark.parametrize("view", MAIN)
-def test_on_the_ideal_drive_the_ringing_is_that_of_the_other_tables(runs: dict[str, list[Recording]], view: str):
-    expected, rows = suppression(MAIN[view], TABLE_2, list(MOVES)), compare(runs[view], 2)
+def test_every_effect_of_a_drive_changes_the_motion(view: str):
+    """But for those of Coulomb friction where there is none. The ideal drive's ringing is that of the other tables."""
+    runs = run_drives(TABLE_2, MOVES, MAIN[view], 2)
+    expected, rows = suppression(MAIN[view], TABLE_2, MOVES), compare(runs, 2)
     for k in range(len(MOVES)):
         row, (_, stop, end) = rows[k][0], ratios(expected[:, :, k])
         assert row["drive"] == IDEAL
         np.testing.assert_array_equal(row["ringing"], expected[:, 1, k])
         np.testing.assert_array_equal([row["ratios"]["stop"], row["ratios"]["end"]], [[stop] * 2, [end] * 2])
-
-
-def test_every_effect_changes_the_motion(runs: dict[str, list[Recording]]):
-    """But for those of Coulomb friction where there is none: there, only by rounding."""
-    without_friction = {"static_friction_excess", "friction_variation"}
-    for view, (_, suppressed) in runs.items():
-        errors = suppressed.tip_velocity_error[:, :, 0].reshape(-1, len(MOVES), len(DRIVES), 2)
-        for k, drive in enumerate(DRIVES):
-            same = np.abs(errors[:, :, k] - errors[:, :, 0]).max(axis=(0, 2)) < 1e-5
-            expected = drive == IDEAL or (view == AS_ANALYSED and drive in without_friction)
-            assert (same == expected).all(), (view, drive)
-        drawn = errors[:, 0, DRIVES.index(ALL)]
-        assert not np.array_equal(drawn[:, 0], drawn[:, 1])
+    errors = runs[1].tip_velocity_error[:, :, 0].reshape(-1, len(MOVES), len(DRIVES), 2)
+    of_friction = {"static_friction_excess", "friction_variation"}
+    for k, drive in enumerate(DRIVES):
+        same = np.abs(errors[:, :, k] - errors[:, :, 0]).max(axis=(0, 2)) < 1e-5
+        assert (same == (drive == IDEAL or (view == AS_ANALYSED and drive in of_friction))).all(), drive
+    drawn = errors[:, 0, DRIVES.index(ALL)]
+    assert not np.array_equal(drawn[:, 0], drawn[:, 1])
 
 
 def test_the_servo_takes_given_arms_for_that_of_the_conditions():
@@ -293,21 +267,20 @@ def test_the_servo_takes_given_arms_for_that_of_the_conditions():
 def test_words_of_the_page_are_those_of_its_numbers():
     """Sentences of the template that state no number."""
     data = _frame.read_data(_frame.RESULTS / "paper")
-    assert data["usual"]
     scenes, linear = tables(data)["scene"], data["linear"]
+    assert data["usual"] and max(linear["damping"]["printed"]) < 0, "unstable as printed"
     assert 0.8 * REMOVED < scenes[AS_ANALYSED][STANDARD]["ratios"]["end"] < REMOVED, "close to the bound"
     assert scenes[MEASURED][TO_0]["ratios"]["end"] < 1e-3
     assert scenes[AS_ANALYSED][STANDARD]["motions"][1]["stuck_share"] == 0, "as analysed it never sticks"
     for assumption, least in (("duration of the move", 1.0), ("how the arm folds", 1.0), ("M2(90°)", 0.5)):
         views = [row["views"][AS_ANALYSED] for row in data["alternatives"] if row["assumption"] == assumption]
         assert np.mean([row["answer"] != "yes" for row in views]) >= least
-    labels = {row["label"]: row["views"] for row in data["alternatives"]}
-    named = ("ramps of 0.25 s", "ramps of 0.3 s", "move of 1.2 s")
     assert counts(data, AS_ANALYSED)["no"] == counts(data, FRICTION)["yes"] == 1 and counts(data, FRICTION)["no"] == 3
+    labels = {row["label"]: row["views"] for row in data["alternatives"]}
     assert labels["M2(90°) 0.09, taken for 0.07"][AS_ANALYSED]["answer"] == "no"
     assert labels["no Coulomb friction"][FRICTION]["answer"] == "yes"
-    assert all(labels[name][FRICTION]["answer"] == "no" for name in named)
-    assert max(linear["damping"]["printed"]) < 0, "unstable as printed"
+    for name in ("ramps of 0.25 s", "ramps of 0.3 s", "move of 1.2 s"):
+        assert labels[name][FRICTION]["answer"] == "no"
     assert all(row["dampings"][2] < row["dampings"][0] + 5e-4 and len(row["pairs"]) == 4 for row in linear["full"])
 
 
@@ -318,7 +291,3 @@ def test_words_of_the_page_are_those_of_its_numbers():
 def test_bad_options(words: tuple[str, ...], tmp_path: Path):
     line = mistake(study.main, ("paper", *words), tmp_path)
     assert words[0].strip("-").split("-")[0] in line and words[1] in line
-
-
-def test_default_options_are_the_usual_move_and_table_2():
-    assert Options().move == USUAL_MOVE and Options().gains == TABLE_2
