@@ -236,20 +236,6 @@ def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width
     assert all(address.startswith(("file:", "data:")) for address in page.requests)
 
 
-def test_without_javascript_all_but_animation_and_sorting_is_there(report: Path, page: Page):
-    shown = "[...document.querySelectorAll('h2')].filter((e) => e.checkVisibility()).map((e) => e.id)"
-    page.open(report)
-    with_script = page.run(shown)
-    page.call("Emulation.setScriptExecutionDisabled", value=True)
-    try:
-        page.open(report)
-        without = page.run(shown)
-        assert page.run("getComputedStyle(document.querySelector('thead button'), '::after').content") == "none"
-    finally:
-        page.call("Emulation.setScriptExecutionDisabled", value=False)
-    assert [name for name in with_script if name not in without] == ["animation"] and "tables" in without
-
-
 def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
     page.open(report)
     column = "[...document.querySelectorAll('table')[0].tBodies[0].rows].map((row) => row.cells[2].dataset.value)"

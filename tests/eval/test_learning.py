@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -124,24 +124,3 @@ def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
 def test_bad_options(words: tuple[str, str], tmp_path: Path):
     line = mistake(study.main, ("learning", *words), tmp_path)
     assert words[0] in line and words[1] in line
-
-
-def test_tables_compare_the_variants_of_a_factor_with_their_default():
-    def run(cost: float, seed: int) -> dict[str, Any]:
-        own = {"seed": seed, "command": f"python train/student.py --seed {seed}", "minutes": 1.0, "base": "paper"}
-        known = {"commit": "1234567", "digest": None, "validation_of_base": 2000.0, "curve": [[0, 0.0, 2000.0]]}
-        return {**own, **known, "scores": dict.fromkeys(page.COLUMNS, cost + 10 * seed)}
-
-    costs = {variant.name: 300.0 + 50 * k for k, variant in enumerate(VARIANTS)}
-    variants = [{**asdict(v), "runs": [run(costs[v.name], seed) for seed in range(2)]} for v in VARIANTS]
-    references = {"paper": dict.fromkeys(page.COLUMNS, 2000.0)}
-    data = {"variants": variants, "references": references, "best_classical": {"name": "adaptive", "validated": 210.0}}
-    shown = page.tables(data)["factors"]
-    for name, factor in FACTORS.items():
-        first, *others = [line.split(" | ") for line in shown[factor.question].splitlines()[2:]]
-        own = [variant for variant in VARIANTS if variant.factor == name]
-        assert "(default)" in first[0] and first[8] == "1.00"
-        for variant, cells in zip(own, others, strict=True):
-            cost = costs[variant.name]
-            assert cells[2] == f"{cost + 5:.0f} [{cost:.0f}, {cost + 10:.0f}]"
-            assert cells[8] == f"{(cost + 5) / (costs[factor.against] + 5):.2f}"

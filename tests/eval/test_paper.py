@@ -14,11 +14,9 @@ from commands import mistake
 
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
-from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from eval import study
-from eval.studies import _frame
 from eval.studies._effects import ALL, IDEAL
 from eval.studies.paper import Options, vary
 from eval.studies.paper.linear import (
@@ -38,14 +36,9 @@ from eval.studies.paper.runs import (
     AS_ANALYSED,
     FRICTION,
     MAIN,
-    MEASURED,
-    REMOVED,
     SIMULATED,
-    STANDARD,
-    TO_0,
     AssumedServo,
     Conditions,
-    answer,
     ratios,
     ringing,
     ringing_of,
@@ -54,7 +47,6 @@ from eval.studies.paper.runs import (
     summary,
     suppression,
 )
-from eval.studies.paper.tables import counts, tables
 from eval.studies.paper.variations import DRIVES, USUAL_MOVE, compare, list_alternatives, run_drives
 
 TABLE_2 = ServoGains()
@@ -158,18 +150,6 @@ def test_ringing_of_a_sinusoid():
     assert np.isnan(ringing(speed, np.full(3, 0.8), np.full(3, 0.4))[0]).all()
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "expected", "ratio"),
-    [
-        *((2.0, 0.1, "yes", 0.05), (2.0, 1.0, "in part", 0.5), (2.0, 1.8, "no", 0.9), (2.0, math.inf, "no", math.inf)),
-        *((math.inf, 2.0, "not comparable", math.nan), (math.nan, math.nan, "not comparable", math.nan)),
-    ],
-)
-def test_answers(before: float, after: float, expected: str, ratio: float):
-    (found,) = ratios(np.array([[before], [after]]))
-    assert answer(found) == expected and found == pytest.approx(ratio, nan_ok=True)
-
-
 def rung(conditions: Conditions, k4: float) -> Floats:
     """Ringing in the cruise, after the stop and at the end."""
     return ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [USUAL_MOVE]))[:, 0]
@@ -252,36 +232,6 @@ def test_every_effect_of_a_drive_changes_the_motion(view: str):
         assert (same == (drive == IDEAL or (view == AS_ANALYSED and drive in of_friction))).all(), drive
     drawn = errors[:, 0, DRIVES.index(ALL)]
     assert not np.array_equal(drawn[:, 0], drawn[:, 1])
-
-
-def test_the_servo_takes_given_arms_for_that_of_the_conditions():
-    rows = np.tile(SIMULATED.arm.row(), (2, 1))
-    rows[1, COLUMN.torque_constant_error] = 0.1
-    run = run_moves(SIMULATED, TABLE_2, [USUAL_MOVE] * 2, rows)
-    alone = run_moves(SIMULATED, TABLE_2, [USUAL_MOVE])
-    np.testing.assert_array_equal(run.torque[:, 0], alone.torque[:, 0])
-    assert not np.array_equal(run.torque[:, 1], alone.torque[:, 0])
-    np.testing.assert_array_equal(run.params, rows)
-
-
-def test_words_of_the_page_are_those_of_its_numbers():
-    """Sentences of the template that state no number."""
-    data = _frame.read_data(_frame.RESULTS / "paper")
-    scenes, linear = tables(data)["scene"], data["linear"]
-    assert data["usual"] and max(linear["damping"]["printed"]) < 0, "unstable as printed"
-    assert 0.8 * REMOVED < scenes[AS_ANALYSED][STANDARD]["ratios"]["end"] < REMOVED, "close to the bound"
-    assert scenes[MEASURED][TO_0]["ratios"]["end"] < 1e-3
-    assert scenes[AS_ANALYSED][STANDARD]["motions"][1]["stuck_share"] == 0, "as analysed it never sticks"
-    for assumption, least in (("duration of the move", 1.0), ("how the arm folds", 1.0), ("M2(90°)", 0.5)):
-        views = [row["views"][AS_ANALYSED] for row in data["alternatives"] if row["assumption"] == assumption]
-        assert np.mean([row["answer"] != "yes" for row in views]) >= least
-    assert counts(data, AS_ANALYSED)["no"] == counts(data, FRICTION)["yes"] == 1 and counts(data, FRICTION)["no"] == 3
-    labels = {row["label"]: row["views"] for row in data["alternatives"]}
-    assert labels["M2(90°) 0.09, taken for 0.07"][AS_ANALYSED]["answer"] == "no"
-    assert labels["no Coulomb friction"][FRICTION]["answer"] == "yes"
-    for name in ("ramps of 0.25 s", "ramps of 0.3 s", "move of 1.2 s"):
-        assert labels[name][FRICTION]["answer"] == "no"
-    assert all(row["dampings"][2] < row["dampings"][0] + 5e-4 and len(row["pairs"]) == 4 for row in linear["full"])
 
 
 @pytest.mark.parametrize(

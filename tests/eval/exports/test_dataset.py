@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import runpy
 import sys
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,9 @@ import numpy as np
 import pytest
 from commands import mistake, stopped
 
-from beltarm_env import EPISODE_STEPS
-from beltarm_env.task.seeds import DATASETS, dataset_arms
+from beltarm_env.task.seeds import dataset_arms
 from eval import export
 from eval.exports import dataset as written
-from eval.exports.episodes import LARGEST, draw_disturbance
 
 minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
@@ -125,15 +122,6 @@ def test_an_episode_is_the_same_in_any_piece(tmp_path: Path, monkeypatch: pytest
     for a, b in zip(whole, pieces, strict=True):
         assert a.actions.tobytes() == b.actions.tobytes() and a.rewards.tobytes() == b.rewards.tobytes()
         np.testing.assert_array_equal(a.observations, b.observations[:, : a.observations.shape[1]])
-
-
-def test_disturbances_are_drawn_as_asked():
-    drawn = [draw_disturbance(DATASETS.first + k, 0.5) for k in range(200)]
-    counts = Counter(each.kind for each in drawn)
-    assert 80 < counts["none"] < 120 and 35 < counts["noise"] < 65
-    assert all(0 <= each.size <= LARGEST[each.kind] and each.noise.shape == (EPISODE_STEPS,) for each in drawn)
-    spread = [np.std(each.noise) / each.size for each in drawn if each.kind == "noise"]
-    assert np.mean(spread) == pytest.approx(1, abs=0.1) and draw_disturbance(7, 0.0).kind == "none"
 
 
 @pytest.mark.parametrize(

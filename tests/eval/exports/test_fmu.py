@@ -170,25 +170,6 @@ def test_states_within_a_period_are_those_of_the_equations(unpacked: tuple[Path,
         assert np.abs(ended - true).max() < 1e-7 and np.abs(np.array(ended) - before).max() > 1e-6
 
 
-@pytest.mark.parametrize("params", DRIVEN[:2])
-def test_states_within_a_period_join_one_another(unpacked: tuple[Path, Any], params: ArmParams):
-    """Angles change as their speeds say, and the whole period ends where its last instants tend to."""
-    near, scale = 1e-5, np.array([1e-3, 0.1, 1e-4, 0.1])
-    with running(unpacked) as slave:
-        slave.begin(params)
-        for k in range(60):
-            seen = {0.0: np.array(slave.read(*STATES))}
-            for share in (near, 0.2, 0.2 + near, 1 - near):
-                kept = slave.fmu.getFMUState()
-                seen[share] = np.array(slave.step(k * CONTROL_PERIOD, push(k), share * CONTROL_PERIOD))
-                slave.fmu.setFMUState(kept)
-                slave.fmu.freeFMUState(kept)
-            ended = np.array(slave.step(k * CONTROL_PERIOD, push(k)))
-            assert (np.abs(seen[near] - seen[0.0]) < scale).all() and (np.abs(seen[1 - near] - ended) < scale).all()
-            slope = (seen[0.2 + near] - seen[0.2])[[0, 2]] / (near * CONTROL_PERIOD)
-            np.testing.assert_allclose(slope, seen[0.2][[1, 3]], rtol=1e-3, atol=0.05)
-
-
 def test_a_state_within_a_period_can_be_kept_and_reset(unpacked: tuple[Path, Any]):
     """Capabilities canGetAndSetFMUstate and canSerializeFMUstate, and two instances that do not know each other."""
     with running(unpacked) as slave, running(unpacked) as other:

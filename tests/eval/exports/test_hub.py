@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from commands import mistake, stopped
 
-import agents.policy.bundle
 from agents.policy.actor import Actor
 from agents.policy.bundle import (
     CARD,
@@ -271,20 +270,6 @@ def test_nothing_beside_a_policy_is_read_run_or_offered(
     share(str(hostile), "--out", "../out", folder=hostile)
     offered = {path.name for path in (hostile.parent / "out").iterdir()}
     assert offered == {MANIFEST, weights, CARD, CONFIG, ".gitattributes"}
-    assert not (hostile.parent / "executed").exists()
-
-
-@pytest.mark.parametrize("name", ["../elsewhere/weights-x.safetensors", "/etc/passwd", "policy.pkl", "policy.py"])
-def test_a_manifest_that_names_another_file(name: str, hostile: Path, watched: list[tuple[str, str]]):
-    content = json.loads((hostile / MANIFEST).read_text())
-    content["weights"] = {"file": name, "sha256": "0" * 64}
-    content["content_hash"] = agents.policy.bundle.content_hash(content)
-    (hostile / MANIFEST).write_text(json.dumps(content))
-    watched.clear()
-    code, errors = example(str(hostile), folder=hostile)
-    assert code == 2 and "weights-XXXX.safetensors" in errors
-    opened = {path for event, path in watched if event == "open"}
-    assert str(hostile / MANIFEST) in opened and not {path for path in opened if path.endswith(name)}
     assert not (hostile.parent / "executed").exists()
 
 
