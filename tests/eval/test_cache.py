@@ -296,16 +296,6 @@ def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
         assert read_results(tmp_path / "out" / "results.json")["provenance"]["pairs_kept_before"] == kept
 
 
-def test_recipes_do_not_lead_onto_the_test_set():
-    """Commands of the documentation that compare a method of one's own: only a submission names the test set."""
-    pages = [ROOT / "README.md", *(path for kind in ("*.md", "*.py") for path in (ROOT / "docs").rglob(kind))]
-    command = r"^[# ]*`?((?:make compare|\S*python eval/compare\.py)\b.*--(?:add|policy) .*)"
-    texts = [page.read_text(encoding="utf-8").replace("\\\n", "") for page in pages]
-    recipes = [line for text in texts for line in re.findall(command, text, re.M)]
-    others = [line for line in recipes if "--scenarios development" not in line]
-    assert len(recipes) >= 9 and len(others) == 1 and "--scenarios test" in others[0]
-
-
 # Mistakes
 
 

@@ -162,12 +162,6 @@ def own(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_controller_of_a_file_lives_in_its_folder_and_one_of_a_package_in_the_whole_package(own: Path):
-    assert custom.home(f"{own}/mine.py:Mine") == own
-    assert custom.home("baselines.servo.paper:PaperController") == ROOT / "baselines"
-    assert custom.home(f"{ROOT}/baselines/servo/paper.py:PaperController") == ROOT / "baselines"
-
-
 def test_identity_changes_with_every_file_of_the_folder_but_hidden_ones_caches_and_results(own: Path):
     """Also with a renamed file, and with one below a linked folder."""
     linked = own.parent / "elsewhere"

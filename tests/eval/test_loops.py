@@ -14,8 +14,8 @@ from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.rollout import rollout
 from beltarm_env.task.ranges import TRAIN_RANGES
 from beltarm_env.task.seeds import LOOPS
-from eval.studies.loops import NONE_LEFT, costs, gains, scan
-from eval.studies.loops.costs import CHANGES, LIMITS, blind, built_arms, price, run_arms, worth
+from eval.studies.loops import NONE_LEFT, costs, scan
+from eval.studies.loops.costs import CHANGES, LIMITS, blind, built_arms, price, run_arms
 
 
 def test_the_worst_margins_are_those_of_the_condition():
@@ -58,13 +58,3 @@ def test_prices_are_of_the_same_law_and_search(tmp_path: Path, monkeypatch: pyte
     write_entry("zv", tuned("zv", TUNABLE["zv"].gains), {**same, "budget": same["budget"] + 1}, file)
     assert price("zv", kept) is None, "of another budget"
     assert price("ei", kept) is None and price("paper", kept) is None
-
-
-def test_identification_is_beside_the_best_that_does_not():
-    by_name = {"ei": np.full(4, 100.0), "zv": np.full(4, 300.0), "adaptive": np.array([100.0, 119.0, 121.0, 90.0])}
-    same, best = worth(by_name)
-    assert (best["title"], best["worse"], best["worst"]) == ("`ei`", 1, 1.21)
-    assert same["own"] == best["own"] and same["other"] > 0
-    assert worth({"ei": np.ones(4)}) == []
-    assert gains("zv")["tuning"]["commit"] == read_file()["zv"]["provenance"]["commit"]
-    assert gains("paper")["tuning"] is None

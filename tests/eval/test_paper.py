@@ -18,36 +18,10 @@ from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from eval import study
 from eval.studies._effects import ALL, IDEAL
-from eval.studies.paper import Options, vary
-from eval.studies.paper.linear import (
-    PAPER_ARM,
-    ServoGains,
-    best_gain,
-    closed_loop,
-    damping_map,
-    digital_poles,
-    dominant_damping,
-    locus,
-    poles,
-    sampled_poles,
-)
-from eval.studies.paper.runs import (
-    ANALYSED,
-    AS_ANALYSED,
-    FRICTION,
-    MAIN,
-    SIMULATED,
-    AssumedServo,
-    Conditions,
-    ratios,
-    ringing,
-    ringing_of,
-    run_moves,
-    signals_of,
-    summary,
-    suppression,
-)
-from eval.studies.paper.variations import DRIVES, USUAL_MOVE, compare, list_alternatives, run_drives
+from eval.studies.paper import Options, linear, runs, variations, vary
+from eval.studies.paper.linear import PAPER_ARM, ServoGains, digital_poles, dominant_damping, locus, poles
+from eval.studies.paper.runs import ANALYSED, AS_ANALYSED, FRICTION, MAIN, SIMULATED, Conditions, ringing, run_moves
+from eval.studies.paper.variations import DRIVES, USUAL_MOVE
 
 TABLE_2 = ServoGains()
 DEG_90 = math.pi / 2
@@ -56,7 +30,7 @@ DEG_90 = math.pi / 2
 class TestLoop:
     def test_poles_at_0_degrees(self):
         expected = [-1.34, -21.9, -11.9 - 51.7j, -11.9 + 51.7j]
-        found = np.sort_complex(poles(closed_loop(PAPER_ARM, 0.0, TABLE_2)))
+        found = np.sort_complex(poles(linear.closed_loop(PAPER_ARM, 0.0, TABLE_2)))
         np.testing.assert_allclose(found, np.sort_complex(np.array(expected)), atol=0.05)
 
     @pytest.mark.parametrize(
@@ -67,24 +41,24 @@ class TestLoop:
         ],
     )
     def test_damping_with_table_2(self, model: Any, angle: float, damping: float):
-        found = dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2, model=model)))
+        found = dominant_damping(poles(linear.closed_loop(PAPER_ARM, angle, TABLE_2, model=model)))
         assert found == pytest.approx(damping, abs=5e-4)
 
     def test_sign_printed_in_6e_makes_the_loop_unstable(self):
-        found = poles(closed_loop(PAPER_ARM, 0.0, TABLE_2, as_printed=True))
+        found = poles(linear.closed_loop(PAPER_ARM, 0.0, TABLE_2, as_printed=True))
         assert found[found.imag.argmax()] == pytest.approx(13 + 58j, abs=0.5)
         assert dominant_damping(found) < 0
 
     @pytest.mark.parametrize(("m2", "gain"), [(0.07, 0.17), (0.01, 0.42)])
     def test_best_k4(self, m2: float, gain: float):
-        found, damping = best_gain(TABLE_2, m2)
+        found, damping = linear.best_gain(TABLE_2, m2)
         assert found == pytest.approx(gain, abs=0.006)
-        around = damping_map(TABLE_2, np.array([found - 0.02, found + 0.02]), np.array([m2]))
+        around = linear.damping_map(TABLE_2, np.array([found - 0.02, found + 0.02]), np.array([m2]))
         assert (around < damping).all()
 
     def test_damping_map_is_that_of_the_eigenvalues(self):
         k4, m2 = np.array([0.0, 0.1, 0.4]), np.array([0.01, 0.07, 0.12])
-        found = damping_map(TABLE_2, k4, m2)
+        found = linear.damping_map(TABLE_2, k4, m2)
         for i, inertia in enumerate(m2):
             a, b, _ = state_space(ArmParams(belt_damping_ratio=0, arm_inertia=inertia, arm_inertia_swing=0), 0.0)
             for j, gain in enumerate(k4):
@@ -95,7 +69,7 @@ class TestLoop:
 
     def test_k4_locus_is_that_of_python_control(self):
         gains = np.array([0.0, 0.15, 0.5])
-        a, (_, b, _) = closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)
+        a, (_, b, _) = linear.closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)
         torsion_speed = control.StateSpace(a, b, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
         expected: Any = control.root_locus_map(torsion_speed, gains=gains)
         found = np.sort_complex(locus(DEG_90, TABLE_2, "k4", gains))
@@ -115,8 +89,8 @@ class TestLoop:
 
     def test_sampling_is_the_continuous_loop_for_slow_poles_and_barely_moves_the_others(self):
         for angle in (0.0, DEG_90):
-            continuous = poles(closed_loop(PAPER_ARM, angle, TABLE_2))
-            sampled = sampled_poles(PAPER_ARM, angle, TABLE_2)
+            continuous = poles(linear.closed_loop(PAPER_ARM, angle, TABLE_2))
+            sampled = linear.sampled_poles(PAPER_ARM, angle, TABLE_2)
             assert sampled[0] == pytest.approx(continuous[0], rel=1e-3)
             np.testing.assert_allclose(sampled, continuous, rtol=0.05)
 
@@ -152,7 +126,7 @@ def test_ringing_of_a_sinusoid():
 
 def rung(conditions: Conditions, k4: float) -> Floats:
     """Ringing in the cruise, after the stop and at the end."""
-    return ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [USUAL_MOVE]))[:, 0]
+    return runs.ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [USUAL_MOVE]))[:, 0]
 
 
 class TestRuns:
@@ -169,7 +143,7 @@ class TestRuns:
             seen, *_ = env.step(np.array([[0.5], [-0.4], [0.2]]))
         told = observation.decode(seen, "full")
         conditions = Conditions(friction_sign="measured", true_torsion=True)
-        action, _ = AssumedServo(conditions, TABLE_2.feedback).predict(seen)
+        action, _ = runs.AssumedServo(conditions, TABLE_2.feedback).predict(seen)
         u_1 = 88 * told["reference_acceleration"] + 20 * told["motor_speed_error"] + 25 * told["motor_angle_error"]
         torque = 6.3e-5 * u_1 + 3.5e-4 * told["motor_speed"] + 0.032 * np.sign(told["motor_speed"])
         torque -= 0.15 * told["torsion_speed"]
@@ -181,8 +155,8 @@ class TestRuns:
         assert 0.25 < end_with_friction < 0.5
 
     def test_motor_follows_its_trapezoid_while_the_tip_rings(self):
-        shown = signals_of(run_moves(Conditions(), replace(TABLE_2, k4=0.0), [USUAL_MOVE]))
-        numbers, cruise = summary(shown), 88 * (math.pi / 4) / (0.8 - 0.12)
+        shown = runs.signals_of(run_moves(Conditions(), replace(TABLE_2, k4=0.0), [USUAL_MOVE]))
+        numbers, cruise = runs.summary(shown), 88 * (math.pi / 4) / (0.8 - 0.12)
         assert shown["motor_speed_reference"].max() == numbers["cruising_speed"] == pytest.approx(cruise)
         assert numbers["motor_speed_error"] < 0.05 * cruise and numbers["stuck_share"] > 0.9
         assert np.ptp(shown["radial_speed"][shown["time"] > 1.0]) > 0.5
@@ -192,7 +166,7 @@ class TestRuns:
 
     def test_every_assumption_is_tried_at_other_values(self):
         """Side by side as alone; the full arm folds differently."""
-        alternatives = list_alternatives(USUAL_MOVE)
+        alternatives = variations.list_alternatives(USUAL_MOVE)
         assert len({tried.label for tried in alternatives}) == len(alternatives)
         assert len({tried.move for tried in alternatives}) == 13, "the standard one, and no other twice"
         for tried in alternatives:
@@ -201,15 +175,15 @@ class TestRuns:
         folded = next(tried for tried in alternatives if tried.assumption == "how the arm folds")
         rows = vary([*chosen.values(), folded], TABLE_2, {view: [{"": 1.0}] * 2 for view in MAIN})
         for row in rows[:-1]:
-            alone = suppression(ANALYSED, TABLE_2, [chosen[row["label"]].move])[:, :, 0]
-            assert row["views"][AS_ANALYSED]["ratios"]["end"] == pytest.approx(ratios(alone)[2], rel=1e-6)
+            alone = runs.suppression(ANALYSED, TABLE_2, [chosen[row["label"]].move])[:, :, 0]
+            assert row["views"][AS_ANALYSED]["ratios"]["end"] == pytest.approx(runs.ratios(alone)[2], rel=1e-6)
         assert rows[-1]["views"][FRICTION]["ratios"]["stop"] == pytest.approx(0.41, abs=0.01)
 
     def test_an_arm_that_left_its_workspace_is_not_measured(self):
         run = run_moves(Conditions(arm=ArmParams(payload_mass=0.2)), replace(TABLE_2, k4=1.0), [USUAL_MOVE])
-        shown = signals_of(run)
-        assert np.isinf(ringing_of(run)).all() and np.isfinite(shown["radial_speed"][0])
-        assert np.isnan(shown["radial_speed"][-1]) and np.isfinite(summary(shown)["peak_torque"])
+        shown = runs.signals_of(run)
+        assert np.isinf(runs.ringing_of(run)).all() and np.isfinite(shown["radial_speed"][0])
+        assert np.isnan(shown["radial_speed"][-1]) and np.isfinite(runs.summary(shown)["peak_torque"])
 
 
 MOVES = [USUAL_MOVE, USUAL_MOVE._replace(start=math.pi / 4, goal=0.0)]
@@ -218,14 +192,14 @@ MOVES = [USUAL_MOVE, USUAL_MOVE._replace(start=math.pi / 4, goal=0.0)]
 @pytest.mark.parametrize("view", MAIN)
 def test_every_effect_of_a_drive_changes_the_motion(view: str):
     """But for those of Coulomb friction where there is none. The ideal drive's ringing is that of the other tables."""
-    runs = run_drives(TABLE_2, MOVES, MAIN[view], 2)
-    expected, rows = suppression(MAIN[view], TABLE_2, MOVES), compare(runs, 2)
+    recorded = variations.run_drives(TABLE_2, MOVES, MAIN[view], 2)
+    expected, rows = runs.suppression(MAIN[view], TABLE_2, MOVES), variations.compare(recorded, 2)
     for k in range(len(MOVES)):
-        row, (_, stop, end) = rows[k][0], ratios(expected[:, :, k])
+        row, (_, stop, end) = rows[k][0], runs.ratios(expected[:, :, k])
         assert row["drive"] == IDEAL
         np.testing.assert_array_equal(row["ringing"], expected[:, 1, k])
         np.testing.assert_array_equal([row["ratios"]["stop"], row["ratios"]["end"]], [[stop] * 2, [end] * 2])
-    errors = runs[1].tip_velocity_error[:, :, 0].reshape(-1, len(MOVES), len(DRIVES), 2)
+    errors = recorded[1].tip_velocity_error[:, :, 0].reshape(-1, len(MOVES), len(DRIVES), 2)
     of_friction = {"static_friction_excess", "friction_variation"}
     for k, drive in enumerate(DRIVES):
         same = np.abs(errors[:, :, k] - errors[:, :, 0]).max(axis=(0, 2)) < 1e-5

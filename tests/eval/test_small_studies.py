@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import mistake
 
 from agents.observer.files import SHIPPED, load_observer
 from agents.observer.network import Estimate
@@ -26,7 +25,6 @@ from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
 from beltarm_env.rollout import record, rollout
 from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.seeds import VALIDATION
-from eval import study
 from eval.comparison.rollouts import shipped_methods
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
@@ -76,11 +74,6 @@ def test_training_is_read_from_the_policies_and_told_apart(config: dict[str, Any
     data = _frame.read_data(_frame.RESULTS / "drive")
     none, told = (_frame.page("drive", drive, data | {"trained": known}) for known in ({}, trained))
     assert none != told
-
-
-@pytest.mark.parametrize(("option", "wrong"), [("--controllers", "adaptve"), ("--effects", "torque_riple")])
-def test_unknown_names_are_mistakes(option: str, wrong: str, tmp_path: Path):
-    assert f"'{wrong}'" in mistake(study.main, ("drive", option, wrong), tmp_path)
 
 
 # Guard

@@ -35,7 +35,7 @@ from eval import export
 from eval.comparison.scenarios import choose_set
 from eval.exports import hub
 from eval.exports.hub import CONFIG, EXCERPT, FILM, MODEL, PUBLISHED, bibtex
-from eval.exports.scores import SHOWN, Scores, eval_results, losses, markdown
+from eval.exports.scores import losses
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
 
@@ -132,23 +132,6 @@ def test_a_policy_of_ones_own(own: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert card.data.eval_results[1].metric_value == row["metrics"]["cost"]["iqm"]
     assert "`my-ppo`" in card.text and "no classical controller" in card.text
     assert (tmp_path / "out" / EXCERPT).exists() and not (tmp_path / "out" / "left.txt").exists()
-
-
-@pytest.mark.parametrize("method", ["ppo", "student"])
-def test_scores_are_those_of_the_results(method: str):
-    scores = Scores(published(), "0" * 64, method, np.array([-1.0, -2.0]))
-    (_, *results), text = eval_results(scores), markdown(scores)
-    rows = {row["split"]: row for row in scores.results["rows"] if row["method"] == method}
-    assert len(rows) == 9 and scores.results["provenance"]["commit"] in text
-    for split, row in rows.items():
-        metrics = {each.metric_type: each for each in results if each.dataset_config == split}
-        assert list(metrics) == [name for name in SHOWN if name in row["metrics"]]
-        for name, metric in metrics.items():
-            assert {"iqm": metric.metric_value, **(metric.metric_args or {})} == row["metrics"][name]
-            assert metric.dataset_split == "test" and "5 training seeds" in (metric.metric_name or "")
-        cost = row["metrics"]["cost"]
-        assert f"| {split} | {cost['iqm']:.0f} [{cost['low']:.0f}, {cost['high']:.0f}] |" in text
-    assert losses(method, scores.against_best()) in text
 
 
 def test_a_card_says_where_its_policy_loses():

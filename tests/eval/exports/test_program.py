@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,11 +34,6 @@ SPLITS = list(development_set().splits)
 SOURCES = [*(name for name in CONTROLLERS if name != "mpc"), PPO, STUDENT]
 EXACT = {"sqrt", "floor", "ceil", "fmod", "fabs"}
 """Functions of the maths library that are exact, or correctly rounded, everywhere."""
-EMULATED = {
-    "aarch64": ("aarch64-linux-gnu-gcc", "aarch64-linux-musl", ()),
-    "arm": ("arm-linux-gnueabihf-gcc", "arm-linux-musleabihf", ("-mcpu=cortex_a7",)),
-}
-"""Cross compiler, target of zig and its flags, by the machine that qemu emulates."""
 
 
 def identity(source: object) -> str | None:
@@ -73,17 +67,6 @@ def test_the_program_of_another_compiler_and_with_sanitizers(exports: Any, sourc
     for path in [Path(path) for name in ("gcc", "clang") if (path := shutil.which(name))]:
         if path.resolve() != Path(exports.toolchain.compiler[0]).resolve():
             exports.of(source).assert_equal("randomized", Toolchain((str(path),)))
-
-
-@pytest.mark.parametrize("machine", EMULATED)
-def test_the_program_on_another_machine(exports: Any, machine: str):
-    cross, target, flags = EMULATED[machine]
-    runner = shutil.which(f"qemu-{machine}") or shutil.which(f"qemu-{machine}-static")
-    zig = (sys.executable, "-m", "ziglang", "cc", "-target", target, *flags) if find_spec("ziglang") else None
-    compiler = (cross,) if shutil.which(cross) else zig
-    if runner is None or compiler is None:
-        pytest.skip(f"no compiler and emulator for {machine}")
-    exports.of("ei").assert_equal("randomized", Toolchain((*compiler, "-static"), (runner,)))
 
 
 @pytest.mark.parametrize("source", ["adaptive", STUDENT], ids=identity)
