@@ -21,9 +21,8 @@ from baselines import CONTROLLERS
 from baselines.models.modes import held_mode
 from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
-from beltarm_env.metrics import NOT_ARRIVED
 from beltarm_env.rollout import Recording, rollout
-from eval.comparison.cache import LEFT, Part, measure
+from eval.comparison.cache import Part, measure
 from eval.comparison.failures import Failure
 from eval.comparison.methods import classical_methods
 from eval.comparison.results import MethodOutcome
@@ -61,20 +60,6 @@ def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
     assert labels == [["net", "flat", "pid"], ["lqg", "net", "flat"]]
     markdown = to_markdown(Results(content).across_splits("cost"))
     assert [line.split("|")[1].strip(" *") for line in markdown.splitlines()[2:]] == order
-
-
-def test_mean_tail_and_failures_stand_beside_the_interquartile_mean():
-    costs = np.full((1, 40), 100.0)
-    costs[0, 3:5] = 1300.0
-    pid = outcome("pid", "classical", costs / np.linspace(0.9, 1.1, 40))
-    pid.metrics["failure_share"][0, 3:8] = pid.metrics[LEFT][0, 3] = pid.metrics[NOT_ARRIVED][0, 3:5] = 1.0
-    pid = outcome_of(pid.method, "nominal", pid.metrics, (40.0, 50.0))
-    results = Results(content_of(made(pid, outcome("calm", "classical", np.full(40, 90.0)))))
-    cell = {row.method: row.cells for row in results.across_splits("cost").ranked}["pid"][0]
-    assert (cell.text, cell.interval) == ("100", "[100, 100]")
-    assert cell.details == ("160 / 1300", "12% fail, 1 left, 5% not arrived")
-    (row,) = [row for row in results.main_table().ranked if row.method == "pid"]
-    assert [cell.text for cell in row.cells[:6]] == ["100", "160", "1300", "12%", "1", "5%"]
 
 
 # Tables
@@ -217,11 +202,3 @@ def test_an_episode_that_is_another_one_in_its_batch_is_drawn_as_it_was_measured
     assert not failures
     assert [scene.motions["paper"].cost[0] for scene in scenes] == list(outcome.metrics["cost"][0, :count])
     assert SPLITS_SHOWN["nominal"].run(Trembles(), 0).cost[0] != outcome.metrics["cost"][0, 0]
-
-
-def test_the_seed_of_median_cost_stands_for_a_learned_method():
-    costs = np.array([[300.0], [100.0], [200.0], [900.0], [50.0]])
-    results = Results(content_of(made(outcome("pid", "classical", 100.0), outcome("net", "learned", costs, seeds=5))))
-    assert results.records["net", "nominal"]["median_seed"] == 2
-    assert "net by seed 2 of 0 to 4" in results.seed_note(["pid", "net"])
-    assert results.seed_note(["pid"]) == ""

@@ -7,7 +7,6 @@ import pytest
 from commands import mistake, stopped
 
 from eval import bench
-from eval.speed import bench as study
 from eval.speed import sizes
 from eval.speed.timing import speed, times_in_turns
 from eval.studies import _frame
@@ -35,8 +34,3 @@ def test_a_first_try_shows_every_peer_that_is_installed(tmp_path: Path, monkeypa
     assert all(row["measured"] > 0 for row in data["rows"]) and len(data["rows"]) > 6
     assert (tmp_path / "out/sizes.png").read_bytes().startswith(b"\x89PNG")
     assert "--repetitions" in mistake(bench.main, ("--repetitions", "0"), tmp_path)
-
-
-def test_the_committed_page_comes_from_the_committed_data():
-    folder = _frame.RESULTS / "bench"
-    assert (folder / "page.md").read_text(encoding="utf-8") == _frame.page("bench", study, _frame.read_data(folder))

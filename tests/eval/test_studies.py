@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import shutil
 from pathlib import Path
@@ -12,6 +13,7 @@ from studies import hurry, try_study
 
 from eval import pages, study
 from eval.comparison import provenance
+from eval.report.readme import blocks, updated
 from eval.studies import _frame, _pages
 
 NAMES = _frame.names()
@@ -36,11 +38,15 @@ def test_a_number_out_of_bounds_is_a_mistake(name: str, tmp_path: Path):
         assert words[1] in line and str(least - 1) in line
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_committed_page_comes_from_the_committed_data(name: str):
-    folder = _frame.RESULTS / name
-    data = _frame.read_data(folder)
-    assert (folder / "page.md").read_text(encoding="utf-8") == _frame.page(name, _frame.load(name), data)
+@pytest.mark.parametrize("page", _pages.pages(), ids=lambda page: page.name)
+def test_the_committed_page_comes_from_the_committed_data(page: _pages.Page):
+    """And so do those parts of the README that are the comparison's."""
+    data = _frame.read_data(page.committed, page.data)
+    written = (page.committed / "page.md").read_text(encoding="utf-8")
+    assert written == _frame.page(page.name, importlib.import_module(page.module), data)
+    if page.name == "comparison":
+        readme = _pages.README.read_text(encoding="utf-8")
+        assert readme == updated(readme, blocks(data))
 
 
 def test_an_unknown_study_is_a_mistake(tmp_path: Path):
