@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from beltarm_env import BeltArmVectorEnv
 from beltarm_env.observation import index, size
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
-from eval.comparison import cache
+from eval.comparison import cache, provenance
 from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept, run_parts
 from eval.comparison.failures import Failure
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
@@ -39,7 +40,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pictures and no report, where a test looks at neither: drawing takes longer than a few episodes."""
+    """No pictures, report and digest, where a test looks at none of them: they take longer than a few episodes."""
+    monkeypatch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)
     monkeypatch.setattr(publish, "plots", lambda *_: {})
     monkeypatch.setattr(publish, "write_report", lambda *_: None)
 
@@ -353,7 +355,9 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_only_the_first_torque_differs_and_stays_within_the_limits():
     for torque, sign in ((1.0, -1), (0.5, -1), (0.0, 1), (-1.0, 1)):
-        known = SimpleNamespace(predict=lambda seen, memory, *_, t=torque: (np.full((len(seen), 1), t, np.float32), 1))
+        known: Any = SimpleNamespace(
+            predict=lambda seen, memory, *_, t=torque: (np.full((len(seen), 1), t, np.float32), 1)
+        )
         controller = Perturbed(known)
         first, memory = controller.predict(np.zeros((2, size()), np.float32))
         assert (0.3 * (first - torque)).ravel() == pytest.approx(sign * PERTURBATION, rel=1e-6)

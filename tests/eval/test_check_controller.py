@@ -26,9 +26,9 @@ class Proportional:
     def __init__(self) -> None:
         self.calls = 0
 
-    def predict(self, observation: Any, state: Any = None, starts: Any = None, deterministic: bool = True) -> Any:
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic=True) -> Any:
         self.calls += 1
-        begins = np.ones(len(observation), np.bool_) if state is None else starts
+        begins = np.ones(len(observation), np.bool_) if state is None else episode_start
         before = np.zeros(len(observation)) if state is None else np.where(begins, 0.0, state)
         error = 0.5 * before + 0.5 * observation[:, 0]
         return self.changed((0.3 * error)[:, None].astype(np.float32), observation), error
@@ -47,10 +47,10 @@ class Leaks(Proportional):
 class RemembersItself(Proportional):
     """Keeps its memory in itself, and empties it as a batch begins."""
 
-    def predict(self, observation: Any, state: Any = None, starts: Any = None, deterministic: bool = True) -> Any:
-        if starts.any():
-            self.kept = getattr(self, "kept", None) if not starts.all() else None
-        action, self.kept = super().predict(observation, getattr(self, "kept", None), starts)
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic=True) -> Any:
+        if episode_start.any():
+            self.kept = getattr(self, "kept", None) if not episode_start.all() else None
+        action, self.kept = super().predict(observation, getattr(self, "kept", None), episode_start)
         return action, None
 
 

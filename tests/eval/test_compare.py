@@ -19,6 +19,7 @@ from jsonschema import Draft202012Validator
 
 from beltarm_env.metrics import TORQUES
 from eval import compare
+from eval.comparison import provenance
 from eval.comparison.methods import shipped_policies
 from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, read_results
@@ -104,6 +105,11 @@ def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: di
 
 
 # Verification
+
+
+@pytest.fixture(autouse=True)
+def without_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)  # which takes seconds
 
 
 def verified(folder: Path) -> tuple[int, str]:

@@ -78,7 +78,7 @@ def test_a_window_is_shown_until_it_is_stopped(tmp_path: Path):
         (("--out", "/dev/null/motion.gif"), "/dev/null"),
         (("--controller", "paper") * 5, "got 5"),
         ((), "--out"),
-        (("--controller", "bad.py:Bad", "--out", "a.gif"), "(bad.py:4)"),
+        pytest.param(("--controller", "bad.py:Bad", "--out", "a.gif"), "(bad.py:4)", marks=pytest.mark.slow),
     ],
 )
 def test_mistakes_are_one_line(arguments: tuple[str, ...], named: str, tmp_path: Path):
