@@ -38,6 +38,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and output of the command."""
     folder, output = tmp_path_factory.mktemp("compared"), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
+        patch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)  # which takes seconds
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
         assert stopped(compare.main, (*CHOSEN, "--splits", *BOTH, "--out", "out", "--jobs", "1"), folder)[0] == 0
     return folder / "out", output.getvalue()
@@ -109,7 +110,7 @@ def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: di
 
 @pytest.fixture(autouse=True)
 def without_digest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)  # which takes seconds
+    monkeypatch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)
 
 
 def verified(folder: Path) -> tuple[int, str]:
