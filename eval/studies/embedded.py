@@ -28,7 +28,7 @@ from eval.exports.program import controller_of, exportable, loop_of, write_progr
 from eval.exports.source import Loop
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
-QUICK = {"controllers": ("adaptive",), "splits": ("nominal",), "episodes": 1}
+QUICK = {"controllers": ("smooth",), "splits": ("nominal",), "episodes": 1}
 PLAN_SAMPLES = 8
 """Samples over which plans are spread."""
 _LEARNED = tuple(f"{method}/seed0" for method in ("ppo", "student"))

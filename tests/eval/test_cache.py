@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from commands import mistake, stopped
-from safetensors.numpy import save_file
 
 from agents.policy.actor import Actor
 from agents.policy.bundle import POLICIES, BundleSpec, save_bundle
@@ -26,15 +21,14 @@ from agents.residual.controller import ResidualSettings
 from baselines import CONTROLLERS, DOMINATED
 from baselines.servo.paper import PaperController
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.observation import index
+from beltarm_env.observation import index, size
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
-from eval.comparison import cache, custom, failures
+from eval.comparison import cache, provenance
 from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept, run_parts
 from eval.comparison.failures import Failure
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
-from eval.comparison.results import Comparison
-from eval.comparison.rollouts import calls_side_by_side
+from eval.comparison.perturbation import PERTURBATION, Perturbed, sensitive
 from eval.comparison.run import choose_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set
@@ -46,7 +40,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pictures and no report, where a test looks at neither: drawing takes longer than a few episodes."""
+    """No pictures, report and digest, where a test looks at none of them: they take longer than a few episodes."""
+    monkeypatch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)
     monkeypatch.setattr(publish, "plots", lambda *_: {})
     monkeypatch.setattr(publish, "render", lambda *_: "")
 
@@ -75,12 +70,11 @@ def test_splits_and_training_seeds_together_are_each_by_itself_bit_for_bit(metho
 
 def test_parts_of_many_scenarios_are_the_batch_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     whole = part(episodes=11)
-    together = measure(whole)
     monkeypatch.setattr(cache, "EPISODES", 4)
     cut = parts_of(whole.method, whole.split, 11)
     assert [(each.first, each.count) for each in cut] == [(0, 4), (4, 4), (8, 3)]
     results = [result for result in run_parts(cut, tmp_path, 1) if isinstance(result, dict)]
-    for name, table in together.items():
+    for name, table in measure(whole).items():
         assert np.array_equal(np.concatenate([result[name] for result in results], 1), table)
     assert cache.kept_count(cut, tmp_path) == 3
 
@@ -117,31 +111,21 @@ def test_a_controller_that_fails_on_a_split_does_so_there_alone(tmp_path: Path, 
 def test_keys_depend_on_everything_that_the_numbers_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     same = part("zvd")
     others = [
-        part("zv"),
-        part("zvd", 5),
-        part("zvd", split="payload"),
-        replace(same, split=replace(same.split, digest="other")),
-        replace(same, split=replace(same.split, of="test")),
+        *(part("zv"), part("zvd", 5), part("zvd", split="payload")),
+        *(replace(same, split=replace(same.split, **change)) for change in ({"digest": "other"}, {"of": "test"})),
         replace(same, method=replace(same.method, identity="other gains")),
     ]
     files = {each.file(tmp_path) for each in [same, part("zvd"), *others]}
     assert len(files) == 1 + len(others)
-    others_of_code = {"sources_digest": lambda *_: "other code", "version": lambda _: "other version"}
-    for name, value in {**others_of_code, "sha256_of": lambda _: "other kept gains"}.items():
+    for name in ("sources_digest", "version", "sha256_of"):  # code, packages, kept gains
         with monkeypatch.context() as patched:
             cache._code.cache_clear()
-            patched.setattr(cache, name, value)
+            patched.setattr(cache, name, lambda *_: "other")
             files.add(same.file(tmp_path))
     cache._code.cache_clear()
     assert len(files) == 4 + len(others)
     monkeypatch.setattr("eval.comparison.methods.read_file", lambda: {"zvd": {"gains": {"angle": 1.0}}})
     assert part("zvd").method.identity != same.method.identity
-
-
-def test_parts_of_a_method_of_unknown_identity_are_not_kept(tmp_path: Path):
-    unknown = replace(part(), method=replace(part().method, identity=None))
-    assert isinstance(run_parts([unknown], tmp_path, 1)[0], dict)
-    assert read_kept(unknown, tmp_path) is None and list(tmp_path.iterdir()) == []
 
 
 def test_damaged_parts_are_run_again(tmp_path: Path):
@@ -151,26 +135,23 @@ def test_damaged_parts_are_run_again(tmp_path: Path):
     sound = path.read_bytes()
     directory = sound.index(b"PK\1\2")  # where the reader of archives raises what it likes
     damaged = [b"", b"half", sound[:-200]]
-    for place in (*range(directory, len(sound), 7), *range(0, directory, 997)):
-        changed = bytearray(sound)
-        changed[place] ^= 1 << place % 8
-        damaged.append(bytes(changed))
+    for place in (*range(directory, len(sound), 29), *range(0, directory, 1997)):
+        damaged.append(sound[:place] + bytes([sound[place] ^ 1 << place % 8]) + sound[place + 1 :])
     for data in damaged:
         path.write_bytes(data)
         assert read_kept(part(), tmp_path) is None and not path.exists()
     assert isinstance(measured[0], dict)
     np.savez(path, allow_pickle=False, **{**measured[0], "cost": 0.5 * measured[0]["cost"]})
-    assert read_kept(part(), tmp_path) is None
     assert_same(run_parts([part()], tmp_path, 1), measured)
 
 
-def test_outdated_parts_are_taken_away(tmp_path: Path):
-    old = replace(part(), method=replace(part().method, identity="before"))
+def test_outdated_parts_are_taken_away_and_none_of_unknown_identity_is_kept(tmp_path: Path):
+    old, unknown = (replace(part(), method=replace(part().method, identity=name)) for name in ("before", None))
     fresh = replace(part(), split=fresh_set(0).splits["nominal"])
-    for each in (old, part(episodes=5), fresh, part()):
-        run_parts([each], tmp_path, 1)
-    names = sorted(path.name for path in (tmp_path / "parts").iterdir())
-    assert names == sorted(each.file(tmp_path).name for each in (part(), part(episodes=5), fresh))
+    for each in (old, part(episodes=5), fresh, part(), unknown):
+        assert isinstance(run_parts([each], tmp_path, 1)[0], dict)
+    names = {path.name for path in (tmp_path / "parts").iterdir()}
+    assert names == {each.file(tmp_path).name for each in (part(), part(episodes=5), fresh)}
 
 
 def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -190,108 +171,24 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert len(ran) == len(set(ran)) == 2 and cache.kept_count(several, tmp_path) == 3
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_run_that_is_stopped_keeps_its_parts_and_goes_on(number: signal.Signals, tmp_path: Path):
-    methods, splits = ("paper", "rigid", "zvd", "ei"), ("nominal", "payload", "friction", "structural")
-    arguments = ("--methods", *methods, "--splits", *splits, "--episodes", "30", "--out", "out")
-    command = [sys.executable, str(ROOT / "eval/compare.py"), *arguments, "--jobs", "2"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 300
-    while not list(tmp_path.glob("out/parts/[!.]*")) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(number)
-    _, errors = process.communicate(timeout=300)
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/parts/[!.]*")}
-    assert 1 <= len(kept) < 16
-    if number == signal.SIGINT:
-        assert process.returncode == 130, errors
-        assert f"interrupted: {len(kept)} of 16 parts are kept in out; the same" in errors.splitlines()[-1]
-    assert stopped(compare.main, (*arguments, "--jobs", "1"), tmp_path)[0] == 0
-    assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    assert len(list(tmp_path.glob("out/parts/[!.]*"))) == 16
-
-
-MINE = """
-import numpy as np
-from pathlib import Path
-from safetensors.numpy import load_file
-class Mine:
-    def __init__(self):
-        self.weight = load_file(Path(__file__).with_name("weights.safetensors"))["weight"]
-    def predict(self, observation, *_, **__):
-        return np.full((len(observation), 1), self.weight, np.float32), None
-"""
-
-
-@pytest.mark.slow
-def test_new_weights_and_fresh_runs_are_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    """Weights that are opened outside Python count as well, and results beside the controller do not."""
-    (tmp_path / "mine.py").write_text(MINE)
-    chosen = ("--add", "mine.py:Mine", "--methods", "paper", "Mine", "--splits", "nominal", "--episodes", "4")
-    made: list[Comparison] = []
-    monkeypatch.setattr(compare, "publish", lambda comparison, *_: made.append(comparison) or ({}, []))
-    monkeypatch.setattr(compare, "page", lambda *_: "")
-    monkeypatch.setattr(compare, "print_results", lambda *_, **__: None)
-
-    def compared(weight: float, *options: str) -> tuple[float, int, str]:
-        """Cost of the controller, how many parts were not run, and what was printed."""
-        save_file({"weight": np.array(weight)}, tmp_path / "weights.safetensors")
-        code, errors = stopped(compare.main, (*chosen, "--jobs", "1", "--out", "out", *options), tmp_path)
-        assert code == 0, errors
-        cost = made[-1].outcomes[1].metrics["cost"].mean()
-        return cost, made[-1].provenance["pairs_kept_before"], capsys.readouterr().out
-
-    first, kept, output = compared(0.0)
-    assert kept == 0 and "will not be used again" not in output
-    assert compared(0.0)[:2] == (first, 2)
-    assert compared(0.0, "--fresh")[:2] == (first, 0)
-    other, kept, _ = compared(0.01)
-    assert other != first and kept == 1
-    monkeypatch.setattr(custom, "MOST_FILES", 1)
-    for _ in range(2):
-        cost, kept, output = compared(0.0)
-        assert (cost, kept) == (first, 1)
-        assert f"Results of Mine will not be used again: {tmp_path} is too large" in output
-
-
 # What goes wrong
 
 
 FAILING = """
-import os, sys
 import numpy as np
-if __name__ == "controller_in_import_ends":
-    os._exit(0)
 
 class Sound:
     def fail(self):
         pass
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         state = 0 if state is None else state + 1
-        if len(observation) in (7, 100):
+        if len(observation) == 7:
             self.fail()
         return np.zeros((len(observation), 1), np.float32), state
 
 class Raises(Sound):
     def fail(self):
         raise RuntimeError("no such\\nnumber of arms")
-
-class Exits(Sound):
-    def fail(self):
-        sys.exit(0)
-
-class AtOnce(Sound):
-    def predict(self, *rest, **options):
-        os._exit(0)
-
-class Nan(Sound):
-    def predict(self, observation, *rest, **options):
-        action, state = super().predict(observation, *rest, **options)
-        return action + np.float32(np.nan if len(observation) == 7 else 0), state
 
 class Shown(Sound):
     def predict(self, observation, *rest, **options):
@@ -300,103 +197,42 @@ class Shown(Sound):
             raise IndexError("only\\nto be drawn")
         return action, state
 """
-ENDED = "its process ended with exit status 0 before it was done"
-CAUSES = {
-    "Raises": r"RuntimeError: no such number of arms \(mine.py:18\)",
-    "Exits": r"SystemExit: 0 \(mine.py:22\)",
-    "AtOnce": ENDED,
-    "Imported": ENDED,
-    "Nan": "ValueError",
-    "Shown": r"on scenario \d: IndexError: only to be drawn \(mine\.py:\d+\)",
-}
-"""Controllers that pass the checks of the protocol or not, and the failures that are reported."""
 
 
 @pytest.fixture
 def failing(tmp_path: Path) -> Path:
     (tmp_path / "mine.py").write_text(FAILING)
-    (tmp_path / "import_ends.py").write_text(FAILING.replace("Sound", "Imported"))
     return tmp_path
-
-
-def compared_with(failing: Path, names: Sequence[str], *options: str) -> list[str]:
-    """Failures that a comparison reports, which goes on with its other methods."""
-    files = {"Imported": "import_ends.py"}
-    added = [word for name in names for word in ("--add", f"{files.get(name, 'mine.py')}:{name}")]
-    fixed = ("--methods", "paper", "--splits", "nominal", "--jobs", "1", "--out", "out")
-    code, errors = stopped(compare.main, (*added, *fixed, *options), failing)
-    assert code == 1, errors
-    return errors.splitlines()
 
 
 @pytest.mark.slow
 def test_failures_of_controllers_do_not_stop_the_others(failing: Path):
-    """An exception, a torque that is none, or the end of the process: as it is imported, checked, run, or drawn."""
-    lines = compared_with(failing, ("Sound", *CAUSES), "--episodes", "7")
-    for name, line in zip(CAUSES, sorted(lines, key=lambda line: list(CAUSES).index(line.split()[1])), strict=True):
-        assert re.match(rf"eval/compare.py: {name} failed on nominal: {CAUSES[name]}", line), line
+    """Where it is run, or drawn; ends of its process are in `test_isolated.py`, and in `make stress`."""
+    added = [word for name in ("Sound", "Raises", "Shown") for word in ("--add", f"mine.py:{name}")]
+    options = ("--methods", "paper", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--out", "out")
+    code, errors = stopped(compare.main, (*added, *options), failing)
+    raises, shown = sorted(errors.splitlines())
+    assert code == 1
+    assert raises == "eval/compare.py: Raises failed on nominal: RuntimeError: no such number of arms (mine.py:15)"
+    assert re.match(r"eval/compare.py: Shown failed on nominal: on scenario \d: IndexError: only to be drawn", shown)
     results = read_results(failing / "out" / "results.json")
     assert [row["method"] for row in results["rows"]] == ["paper", "Sound", "Shown"]
-    assert {failure["method"] for failure in results["failures"]} == {*CAUSES}
-    assert {*results["failures"][0]} == {"method", "split", "message"}
+    assert [failure["method"] for failure in results["failures"]] == ["Raises", "Shown"]
     assert "- Raises on nominal: RuntimeError" in (failing / "out" / "page.md").read_text()
     assert "<b>Shown</b> on nominal: on scenario" in (failing / "out" / "report.html").read_text()
     assert not list(failing.glob("out/parts/*Raises*"))  # tried again next time
 
 
-def test_many_scenarios_are_run_without_the_controllers_that_fail(failing: Path):
-    """600 scenarios are parts of 500 and 100."""
-    lines = compared_with(failing, ("Exits", "AtOnce"), "--episodes", "600", "--scenario-seed", "1")
-    assert [re.findall(r"compare.py: (\w+) failed on nominal", line) for line in lines] == [["Exits"], ["AtOnce"]]
-
-
-def hang() -> None:
-    time.sleep(600)
-
-
-@pytest.mark.slow
-def test_an_added_controller_has_a_limit_of_time(failing: Path):
-    (usual,) = choose_methods(("Sound",), added=(f"{failing}/mine.py:Sound",))
-    (mine,) = choose_methods(("Sound",), added=(f"{failing}/mine.py:Sound",), time_limit=1.5)
-    assert usual.time_limit == custom.TIME_LIMIT and mine.identity == usual.identity
-    expected = Failure("Sound", "nominal", "it took longer than 1.5 s, and was ended")
-    assert failures.run_controller(mine, "nominal", hang) == expected
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_a_failure_can_be_shown_with_its_whole_traceback(failing: Path):
-    """Also where it is the only method's, and nothing is left to compare."""
-    options = ("--add", "mine.py:Raises", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--traceback")
-    for methods, status in ((("paper", "Raises"), 1), (("Raises",), 2)):
-        code, errors = stopped(compare.main, ("--methods", *methods, *options, "--out", methods[0]), failing)
-        assert code == status
-        assert "Traceback (most recent call last):" in errors
-        assert f'File "{failing}/mine.py", line 18, in fail\n    raise RuntimeError' in errors
+    """Where it is the only method's, and nothing is left to compare."""
+    options = ("--methods", "Raises", "--splits", "nominal", "--episodes", "7", "--jobs", "1", "--traceback")
+    code, errors = stopped(compare.main, ("--add", "mine.py:Raises", *options, "--out", "out"), failing)
+    assert code == 2 and "Traceback (most recent call last):" in errors
+    assert f'File "{failing}/mine.py", line 15, in fail\n    raise RuntimeError' in errors
     assert errors.splitlines()[-1].startswith("eval/compare.py: no method could be run: Raises on nominal")
 
 
-def end_process() -> None:
-    os._exit(3)
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_calls_side_by_side_keep_their_order_and_fail_as_a_whole(jobs: int):
-    made = calls_side_by_side("calls", {"b": partial(int, "2"), "a": partial(int, "1")}, jobs)
-    assert list(made.items()) == [("b", 2), ("a", 1)]
-    with pytest.raises(ValueError, match="invalid literal"):
-        calls_side_by_side("calls", {"a": partial(int, "1"), "b": partial(int, "one")}, jobs)
-
-
-@pytest.mark.slow
-def test_a_process_that_ends_is_explained():
-    with pytest.raises(OSError, match=r"broke off.*--jobs 1"):
-        calls_side_by_side("calls", {"a": partial(int, "1"), "b": end_process}, 2)
-
-
 # Which methods
-
-
-TWO = ("--splits", "nominal", "ideal")
 
 
 def test_dominated_methods_run_where_they_are_named():
@@ -405,6 +241,12 @@ def test_dominated_methods_run_where_they_are_named():
         assert [method.name for method in choose_methods((name, "paper"))] == ["paper", name]
     default = [method.name for method in choose_methods(())]
     assert default[:2] == ["paper", "rigid"] and not {*DOMINATED} & {*default}
+
+
+def bundle(folder: Path, base: str = "paper") -> Path:
+    spec = BundleSpec("ppo", base, ResidualSettings(), (4,), provenance={"run": {"steps": 5}})
+    save_bundle(folder, spec, Actor(spec.shape()).weights())
+    return folder
 
 
 def test_what_was_asked_for_runs_whatever_else_is_named(failing: Path):
@@ -416,12 +258,6 @@ def test_what_was_asked_for_runs_whatever_else_is_named(failing: Path):
     assert [method.name for method in choose_methods(("lqg",), policies, guard=True)] == [
         *("lqg", "lqg+guard", "my-ppo", "my-ppo+guard")
     ]
-
-
-def bundle(folder: Path, base: str = "paper", sensors: str = "encoder") -> Path:
-    spec = BundleSpec("ppo", base, ResidualSettings(), (4,), sensors=sensors, provenance={"run": {"steps": 5}})
-    save_bundle(folder, spec, Actor(spec.shape()).weights())
-    return folder
 
 
 def test_policies_are_grouped_by_method(tmp_path: Path):
@@ -438,46 +274,28 @@ def test_policies_are_grouped_by_method(tmp_path: Path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_narrower_run_does_not_replace_what_is_there(tmp_path: Path):
-    fixed = ("--jobs", "1", "--out", "out")
-    assert stopped(compare.main, ("--methods", "paper", "zvd", *TWO, "--episodes", "6", *fixed), tmp_path)[0] == 0
+    def words(methods: str, splits: str, episodes: int, *more: str) -> tuple[str, ...]:
+        chosen = ("--methods", *methods.split(), "--splits", *splits.split(), "--episodes", str(episodes))
+        return (*chosen, "--jobs", "1", "--out", "out", *more)
+
+    fresh = ("--scenario-seed", "3")
+    assert stopped(compare.main, words("paper zvd", "nominal ideal", 6, *fresh), tmp_path) == (0, "")
+    results, scenarios = read_results(tmp_path / "out" / "results.json"), fresh_set(3)
+    assert results["scenario_set"] == scenarios.label._asdict() and scenarios.label.name == "seed 3"
+    assert results["provenance"]["split_seeds"]["nominal"] == scenarios.splits["nominal"].seed
+    assert {path.name[:9] for path in (tmp_path / "out" / "parts").iterdir()} == {"seed-3.no", "seed-3.id"}
     before = {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")}
     for narrower, lost in (
-        (("--methods", "paper", *TWO, "--episodes", "6"), "zvd"),
-        (("--methods", "paper", "zvd", "--splits", "ideal", "--episodes", "6"), "nominal"),
-        (("--methods", "paper", "zvd", *TWO, "--episodes", "4"), "6 scenarios per split"),
+        (words("paper", "nominal ideal", 6, *fresh), "(zvd)"),
+        (words("paper zvd", "ideal", 6, *fresh), "(nominal)"),
+        (words("paper zvd", "nominal ideal", 4, *fresh), "(6 scenarios per split)"),
+        (words("paper zvd", "nominal ideal", 6), f"'seed 3' ({scenarios.label.sha256[:12]}), this run is of"),
     ):
-        line = mistake(compare.main, (*narrower, *fixed), tmp_path)
-        assert f"({lost})" in line and "--out" in line
+        assert lost in mistake(compare.main, narrower, tmp_path)
     assert {path: path.read_bytes() for path in (tmp_path / "out").glob("*.*")} == before
-    wider = ("--methods", "paper", "zvd", "rigid", *TWO, "--episodes", "6")
-    assert stopped(compare.main, (*wider, *fixed), tmp_path)[0] == 0
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_fresh_set_is_run_and_called_so(tmp_path: Path):
-    arguments = ("--methods", "paper", "zvd", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
-    code, errors = stopped(compare.main, (*arguments, "--scenario-seed", "3"), tmp_path)
-    assert code == 0, errors
-    results = read_results(tmp_path / "out" / "results.json")
-    label = fresh_set(3).label
-    assert results["scenario_set"] == label._asdict() and label.name == "seed 3"
-    assert results["provenance"]["split_seeds"] == {"nominal": fresh_set(3).splits["nominal"].seed}
-    assert f"results of the scenarios 'seed 3' ({label.sha256[:12]}), this run is of" in mistake(
-        compare.main, arguments, tmp_path
-    )
-    assert all(path.name.startswith("seed-3.nominal.") for path in (tmp_path / "out" / "parts").iterdir())
-
-
-def test_recipes_do_not_lead_onto_the_test_set():
-    """Commands of the documentation that compare a method of one's own: only a submission names the test set."""
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    pages += [*(ROOT / "docs").glob("tutorials/*.py"), *(ROOT / "docs").glob("examples/*.py")]
-    texts = [page.read_text(encoding="utf-8").replace("\\\n", "") for page in pages]
-    command = r"^[# ]*`?((?:make compare|\S*python eval/compare\.py)\b.*--(?:add|policy) .*)"
-    recipes = [line for text in texts for line in re.findall(command, text, re.M)]
-    assert len(recipes) >= 9
-    assert all("--scenarios development" in line or "--scenarios test" in line for line in recipes)
-    assert len([line for line in recipes if "--scenarios test" in line]) == 1
+    for more, kept in (((), 4), (("--fresh",), 0)):
+        assert stopped(compare.main, words("paper zvd rigid", "nominal ideal", 6, *fresh, *more), tmp_path) == (0, "")
+        assert read_results(tmp_path / "out" / "results.json")["provenance"]["pairs_kept_before"] == kept
 
 
 # Mistakes
@@ -504,7 +322,6 @@ def test_recipes_do_not_lead_onto_the_test_set():
         (("--scenario-seed", "1", "--scenarios", "development"), "--scenarios development"),
         (("--out", "old", "--methods", "paper"), f"version {VERSION + 1}"),
         (("--out", "first", "--methods", "paper"), "edition 1"),
-        (("--out", "fresh", "--methods", "paper"), "'seed 1'"),
         (("--out", "unlike", "--methods", "paper"), "'development'"),
         (("--out", "damaged", "--methods", "paper"), "damaged/results.json"),
     ],
@@ -512,16 +329,15 @@ def test_recipes_do_not_lead_onto_the_test_set():
 def test_mistakes_are_one_line(arguments: tuple[str, ...], named: str, tmp_path: Path):
     shutil.copytree(POLICIES / "student" / "seed0", tmp_path / "mine")
     (tmp_path / "paper.py").write_text("class paper:\n    def predict(self, *_, **__):\n        return 1, None\n")
-    now = {"edition": EDITION, "version": VERSION}
-    contents = {
+    label = {"name": "development", "sha256": "0000"}
+    for name, content in {
         "old": {"edition": EDITION, "version": VERSION + 1},
         "first": {"version": 1},
-        "fresh": {**now, "scenario_set": {"name": "seed 1", "sha256": "0000"}},
-        "unlike": {**now, "scenario_set": {"name": "development", "sha256": "0000"}},
-    }
-    for name, text in {**{name: json.dumps(content) for name, content in contents.items()}, "damaged": "{"}.items():
+        "unlike": {"edition": EDITION, "version": VERSION, "scenario_set": label},
+        "damaged": "{",
+    }.items():
         (tmp_path / name).mkdir()
-        (tmp_path / name / "results.json").write_text(text)
+        (tmp_path / name / "results.json").write_text(content if isinstance(content, str) else json.dumps(content))
     assert named in mistake(compare.main, arguments, tmp_path)
 
 
@@ -532,3 +348,30 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(cache, "write_arrays", full)
     arguments = ("--methods", "paper", "--splits", "nominal", "--episodes", "4", "--jobs", "1", "--out", "out")
     assert "No space left on device" in mistake(compare.main, arguments, tmp_path)
+
+
+# Sensitive episodes
+
+
+def test_only_the_first_torque_differs_and_stays_within_the_limits():
+    for torque, sign in ((1.0, -1), (0.5, -1), (0.0, 1), (-1.0, 1)):
+        known: Any = SimpleNamespace(
+            predict=lambda seen, memory, *_, t=torque: (np.full((len(seen), 1), t, np.float32), 1)
+        )
+        controller = Perturbed(known)
+        first, memory = controller.predict(np.zeros((2, size()), np.float32))
+        assert (0.3 * (first - torque)).ravel() == pytest.approx(sign * PERTURBATION, rel=1e-6)
+        second, _ = controller.predict(np.zeros((2, size()), np.float32), memory)
+        assert second.ravel().tolist() == [torque, torque]
+
+
+def test_an_episode_is_sensitive_from_a_hundredth_of_its_cost_on(tmp_path: Path):
+    """A part that was kept without it is run again."""
+    costs = np.array([100.0, 100.0, 100.0, 300.0])
+    assert sensitive(costs, np.array([100.9, 101.1, 98.9, 300.0])).tolist() == [0, 1, 1, 0]
+    plain, perturbed = measure(part()), replace(part(), perturbed=True)
+    cache.keep(part(), tmp_path, plain)
+    assert read_kept(perturbed, tmp_path) is None
+    more = measure(perturbed)
+    assert more.pop(cache.SENSITIVE).tolist() == [[0.0] * 4]
+    assert all(np.array_equal(more[name], plain[name]) for name in plain)

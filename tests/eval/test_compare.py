@@ -7,7 +7,6 @@ import csv
 import io
 import json
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,19 +19,18 @@ from jsonschema import Draft202012Validator
 
 from beltarm_env.metrics import TORQUES
 from eval import compare
+from eval.comparison import provenance
 from eval.comparison.methods import shipped_policies
 from eval.comparison.scenarios import choose_set
-from eval.comparison.schema import SCHEMA, check, read_results
+from eval.comparison.schema import SCHEMA, read_results
 from eval.comparison.splits import EDITION, SPLITS, VERSION
 from eval.report.page import LARGEST
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = f"{ROOT}/docs/examples/my_controller.py:MyController"
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])
-EPISODES = 20
-METHODS = ["paper", "zvd", "ppo", "MyController", "privileged"]
-CHOSEN = ("--splits", "nominal", "sensing", "--methods", *METHODS[:3], "privileged", "--add", EXAMPLE)
-FEW = (*CHOSEN, "--episodes", str(EPISODES))
+EPISODES, BOTH = 20, ("nominal", "sensing")
+METHODS = ["paper", "zvd", "ppo", "privileged"]
+CHOSEN = ("--methods", *METHODS, "--episodes", str(EPISODES))
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +38,9 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and output of the command."""
     folder, output = tmp_path_factory.mktemp("compared"), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
+        patch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)  # which takes seconds
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
-        assert stopped(compare.main, (*FEW, "--out", "out", "--jobs", "1"), folder)[0] == 0
+        assert stopped(compare.main, (*CHOSEN, "--splits", *BOTH, "--out", "out", "--jobs", "1"), folder)[0] == 0
     return folder / "out", output.getvalue()
 
 
@@ -63,16 +62,16 @@ def test_everything_is_written_and_names_the_scenarios(compared: tuple[Path, str
     texts = [output, *((folder / name).read_text(encoding="utf-8") for name in ("page.md", "report.html"))]
     assert all(label.note in " ".join(text.split()) for text in texts)
     headings = re.findall("^## (.*)$", texts[1], re.MULTILINE)
-    assert [name for name in headings if name in SPLITS] == ["nominal", "sensing"]
+    assert [name for name in headings if name in SPLITS] == [*BOTH]
 
 
 def test_rows_of_the_results(results: dict[str, Any]):
     kinds = {"paper": "classical", "zvd": "classical", "ppo": "learned", "privileged": "privileged"}
     assert [(row["method"], row["split"]) for row in results["rows"]] == [
-        (method, split) for split in ("nominal", "sensing") for method in METHODS
+        (method, split) for split in BOTH for method in METHODS
     ]
     for row in results["rows"]:
-        assert row["kind"] == kinds.get(row["method"], "added")
+        assert row["kind"] == kinds[row["method"]]
         assert (row["episodes"], row["seeds"]) == (EPISODES, SEEDS if row["method"] == "ppo" else 1)
         assert row["failures"]["runs"] == EPISODES * row["seeds"] >= row["failures"]["not_settled"]
         assert bool(row["training"]) == (row["method"] in ("zvd", "ppo"))
@@ -83,7 +82,7 @@ def test_rows_of_the_results(results: dict[str, Any]):
 
 def test_pairs_of_the_results(results: dict[str, Any], compared: tuple[Path, str]):
     """Of all methods but the privileged one, which is not ranked."""
-    best = {(name, "best classical") for name in ("paper", "ppo", "MyController")}
+    best = {(name, "best classical") for name in ("paper", "ppo")}
     pairs = [(pair["method"], pair["against"]) for pair in results["paired"] if pair["split"] == "nominal"]
     assert {*pairs} == {*best, ("ppo", "base")}
     for pair in results["paired"]:
@@ -98,7 +97,7 @@ def test_pairs_of_the_results(results: dict[str, Any], compared: tuple[Path, str
 def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: dict[str, Any]):
     with (compared[0] / "episodes.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == (4 + SEEDS) * 2 * EPISODES
+    assert len(rows) == (3 + SEEDS) * 2 * EPISODES
     assert {row["scenario_set"] for row in rows} == {choose_set().label.name}
     costs = sorted(float(row["cost"]) for row in rows if (row["method"], row["split"]) == ("paper", "nominal"))
     iqm = results["rows"][0]["metrics"]["cost"]["iqm"]
@@ -106,32 +105,18 @@ def test_episodes_agree_with_the_results(compared: tuple[Path, str], results: di
     assert results["rows"][0]["cost_mean"] == pytest.approx(np.mean(costs), rel=1e-5)
 
 
-# Many scenarios
-
-
-@pytest.mark.slow
-def test_many_scenarios_are_compared_in_the_same_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """In parts that go on from those of fewer scenarios, with the same numbers."""
-    chosen = ("--methods", "paper", "zvd", "--splits", "nominal", "--scenario-seed", "1", "--jobs", "1", "--out", "out")
-    monkeypatch.setattr("eval.report.publish.plots", lambda *_: {})
-    for episodes in ("500", "620"):
-        assert stopped(compare.main, (*chosen, "--episodes", episodes), tmp_path) == (0, "")
-        results = read_results(tmp_path / "out" / "results.json")
-        assert {row["episodes"] for row in results["rows"]} == {int(episodes)}
-        assert results["scenario_set"]["name"] == "seed 1"
-    assert results["provenance"]["pairs_kept_before"] == 2
-    assert {path.name.split(".")[3] for path in (tmp_path / "out/parts").iterdir()} == {"0-500", "500-120"}
-    with (tmp_path / "out/episodes.csv").open() as file:
-        assert len(file.readlines()) == 1 + 2 * 620
-
-
 # Verification
 
 
-def verified(folder: Path, *options: str) -> tuple[int, str]:
+@pytest.fixture(autouse=True)
+def without_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)
+
+
+def verified(folder: Path) -> tuple[int, str]:
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
-        code, errors = stopped(compare.main, ("--verify", str(folder), "--jobs", "1", *options), folder.parent)
+        code, errors = stopped(compare.main, ("--verify", str(folder), "--jobs", "1"), folder.parent)
     return code, output.getvalue() + errors
 
 
@@ -144,8 +129,8 @@ def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
         patch.setattr("eval.report.publish.plots", lambda *_: {})
-        command = "eval.comparison.run.command_line"
-        patch.setattr(command, lambda: "python eval/compare.py --add mine.py:Mine")
+        patch.setattr("eval.report.publish.write_report", lambda *_: None)
+        patch.setattr("eval.comparison.run.command_line", lambda: "python eval/compare.py --add mine.py:Mine")
         assert stopped(compare.main, ("--add", "mine.py:Mine", *words), folder) == (0, "")
     return folder / "out"
 
@@ -153,31 +138,29 @@ def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_results_are_verified(claim: Path):
     before = {path: path.read_bytes() for path in claim.iterdir() if path.is_file()}
     code, output = verified(claim)
+    assert [row["kind"] for row in read_results(claim / "results.json")["rows"]] == ["classical", "added"]
     assert code == 0 and len(output.strip().splitlines()) == 1
     assert {path: path.read_bytes() for path in claim.iterdir() if path.is_file()} == before
-
-
-def scaled(row: Any, factor: float) -> None:
-    row["metrics"]["cost"]["iqm"] *= factor
 
 
 @pytest.mark.parametrize(
     ("change", "code"),
     [
-        (lambda row: scaled(row, 1.002), 0),
-        (lambda row: scaled(row, 0.99), 1),
+        (lambda row: row["metrics"]["cost"].update(iqm=1.002 * row["metrics"]["cost"]["iqm"]), 0),
+        (lambda row: row["metrics"]["cost"].update(iqm=0.99 * row["metrics"]["cost"]["iqm"]), 1),
         (lambda row: row.update(cost_mean=0.99 * row["cost_mean"]), 1),
         (lambda row: row["failures"].update(not_settled=0), 1),
     ],
 )
 def test_the_first_number_that_differs_is_named(change: Callable[[Any], None], code: int, claim: Path, tmp_path: Path):
-    shutil.copytree(claim, tmp_path / "out")
-    shutil.copy(claim.parent / "mine.py", tmp_path)
-    content = read_results(tmp_path / "out" / "results.json")
-    change(next(row for row in content["rows"] if row["method"] == "Mine"))
+    content = read_results(claim / "results.json")
+    content["rows"] = [row for row in content["rows"] if row["method"] == "paper"]  # which runs in this process
+    change(content["rows"][0])
+    content["provenance"]["command"] = "python eval/compare.py"
+    (tmp_path / "out").mkdir()
     (tmp_path / "out" / "results.json").write_text(json.dumps(content))
     status, output = verified(tmp_path / "out")
-    assert status == code and (code == 0 or "Mine on nominal" in output)
+    assert status == code and (code == 0 or "paper on nominal" in output)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +191,6 @@ def test_claims_that_cannot_be_verified_are_refused(part: str, value: Any, named
         (lambda r: r["rows"][0]["metrics"].pop("tip_max_mm"), "tip_max_mm"),
         (lambda r: r["rows"][0]["marks"].update(cost="good"), "marks: cost"),
         (lambda r: r.update(version="1"), "version"),
-        (lambda r: r["scenario_set"].pop("sha256"), "scenario_set: sha256"),
         (lambda r: r.update(paired={}), "paired"),
         (lambda r: r["provenance"].update(seconds=float("inf")), "provenance: seconds"),
     ],
@@ -217,8 +199,6 @@ def test_a_spoilt_results_file_is_refused(spoil: Any, place: str, results: dict[
     Draft202012Validator.check_schema(SCHEMA)
     content = json.loads(json.dumps(results))
     spoil(content)
-    with pytest.raises(ValueError, match=place):
-        check(content, "results")
     (tmp_path / "results.json").write_text(json.dumps(content))
     with pytest.raises(ValueError, match=place):
         read_results(tmp_path / "results.json")
@@ -228,14 +208,14 @@ def test_a_spoilt_results_file_is_refused(spoil: Any, place: str, results: dict[
 
 
 @pytest.fixture(scope="module")
-def report(compared: tuple[Path, str]) -> Path:
-    return compared[0] / "report.html"
-
-
-@pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     with browser(tmp_path_factory.mktemp("browser")) as shown:
         yield shown
+
+
+@pytest.fixture(scope="module")
+def report(compared: tuple[Path, str]) -> Path:
+    return compared[0] / "report.html"
 
 
 def test_the_page_is_one_small_file_without_machine_paths(report: Path):
@@ -246,12 +226,10 @@ def test_the_page_is_one_small_file_without_machine_paths(report: Path):
     identifiers = re.findall(r'\bid="([^"]+)"', text)
     assert len(identifiers) == len(set(identifiers))
     assert text.count('role="img" aria-label="') == len(re.findall("<figure[ >]", text))
-    links = re.findall(r'href="#([^"]+)"', text.split("<main>")[0])
-    assert set(links) <= set(identifiers)
+    assert {*re.findall(r'href="#([^"]+)"', text.split("<main>")[0])} <= {*identifiers}
 
 
-@pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize(("width", "dark"), [(390, False), (1400, True)])
 def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width: int, dark: bool):
     page.complaints.clear()
     page.requests.clear()
@@ -265,21 +243,6 @@ def test_nothing_overflows_and_nothing_complains(report: Path, page: Page, width
     assert all(address.startswith(("file:", "data:")) for address in page.requests)
 
 
-def test_without_javascript_all_but_animation_and_sorting_is_there(report: Path, page: Page):
-    shown = "[...document.querySelectorAll('h2')].filter((e) => e.checkVisibility()).map((e) => e.id)"
-    page.open(report)
-    with_script = page.run(shown)
-    page.call("Emulation.setScriptExecutionDisabled", value=True)
-    try:
-        page.open(report)
-        without = page.run(shown)
-        assert page.run("getComputedStyle(document.querySelector('thead button'), '::after').content") == "none"
-    finally:
-        page.call("Emulation.setScriptExecutionDisabled", value=False)
-    assert [name for name in with_script if name not in without] == ["animation"]
-    assert {"words", "tables", "differences", "motions", "effort"} <= set(without)
-
-
 def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
     page.open(report)
     column = "[...document.querySelectorAll('table')[0].tBodies[0].rows].map((row) => row.cells[2].dataset.value)"
@@ -287,24 +250,24 @@ def test_tables_are_sorted_by_their_headings(report: Path, page: Page):
     for _ in range(2):
         page.run("document.querySelectorAll('table')[0].querySelectorAll('thead button')[2].click()")
         orders.append([float(value) for value in page.run(column)])
-    assert orders[0] == sorted(orders[0]) and len(orders[0]) == 4
-    assert orders[1] == sorted(orders[0], reverse=True)
-    states = "[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)"
-    assert page.run(states) == ["none", "none", "descending", *["none"] * 6]
+    assert orders[0] == sorted(orders[0]) == orders[1][::-1] and len(orders[0]) == 3
+    sorts = page.run("[...document.querySelectorAll('table')[0].querySelectorAll('thead th')].map((th) => th.ariaSort)")
+    assert sorts == ["none", "none", "descending", *["none"] * 6]
     last = "document.querySelector('table').rows[document.querySelector('table').rows.length - 1].innerText"
     assert "privileged" in page.run(last)
 
 
 def test_the_animation_plays_pauses_and_can_be_scrubbed(report: Path, page: Page):
     page.open(report)
-    shot = "document.querySelector('#stage canvas').toDataURL()"
-    place = "Number(document.getElementById('scrub').value)"
+    shot, place = (
+        "document.querySelector('#stage canvas').toDataURL()",
+        "Number(document.getElementById('scrub').value)",
+    )
     before = page.run(shot)
     page.run("document.getElementById('play').click()")
     page.run(f"new Promise((go) => {{ const wait = () => {place} > 5 ? go() : setTimeout(wait, 20); wait(); }})")
     page.run("document.getElementById('play').click()")
-    assert page.run("document.getElementById('play').textContent") == "Play"
-    assert page.run(shot) != before
+    assert page.run("document.getElementById('play').textContent") == "Play" and page.run(shot) != before
 
     def change(name: str, value: int, event: str) -> None:
         page.run(

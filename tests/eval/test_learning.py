@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import pytest
 from commands import mistake
+from studies import hurry, try_study
 
 from agents.learners.registry import ALGORITHMS
 from baselines import PaperController
@@ -18,7 +18,7 @@ from baselines.engines.parallel import StopRequest
 from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
-from eval.studies import _frame, learning
+from eval.studies import learning
 from eval.studies.learning import page, runs
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score, training_digest
 
@@ -27,27 +27,30 @@ BY_NAME = {variant.name: variant for variant in VARIANTS}
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, Any]]:
-    """A quick run, and its result."""
-    run = Run(DEFAULT, 0, 5_000, tmp_path_factory.mktemp("runs"), quick=True)
-    return run, run.finish(4)
+    """The run of a first try of the study, and its result."""
+    folder = tmp_path_factory.mktemp("learning")
+    with pytest.MonkeyPatch.context() as patch:
+        hurry(patch)
+        try_study("learning", folder)
+    run = Run(DEFAULT, 0, 5_000, folder / learning.QUICK["runs"], quick=True)
+    result = run.finished(4)
+    assert result is not None
+    return run, result
 
 
-def test_names_factors_and_folders_are_unique_and_known():
+def test_variants_are_the_default_with_one_thing_changed():
+    """Their options are the script's own, allowed, and none of them is what the default has anyway."""
     assert len({*BY_NAME, *FACTORS}) == len(VARIANTS) + len(FACTORS)
     assert set(FACTORS) == {variant.factor for variant in VARIANTS[1:]}
     assert VARIANTS[0] is DEFAULT and not DEFAULT.options
-
-
-@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
-def test_a_variant_is_the_default_with_one_thing_changed(variant: Variant):
-    """Its options are the script's own, allowed, and none of them is what the default has anyway."""
-    kind = ALGORITHMS[variant.script].config
-    config, default = parse(kind, arguments=list(variant.options)), parse(kind, arguments=[])
-    config.check()
-    changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
-    assert len(changed) == len([word for word in variant.options if word.startswith("--")])
-    assert len(changed) <= (2 if variant.factor == "base" else 1)
-    assert variant.script == "student" or variant.factor in ("learner", "sight")
+    for variant in VARIANTS:
+        kind = ALGORITHMS[variant.script].config
+        config, default = parse(kind, arguments=list(variant.options)), parse(kind, arguments=[])
+        config.check()
+        changed = {f.name for f in fields(config) if getattr(config, f.name) != getattr(default, f.name)}
+        assert len(changed) == len([word for word in variant.options if word.startswith("--")])
+        assert len(changed) <= (2 if variant.factor == "base" else 1), variant.name
+        assert variant.script == "student" or variant.factor in ("learner", "sight")
 
 
 def test_every_variant_has_its_seeds_and_its_first_before_any_second():
@@ -57,21 +60,18 @@ def test_every_variant_has_its_seeds_and_its_first_before_any_second():
         assert [seed for name, seed in plan if name == variant.name] == ([0] if variant.once else [0, 1, 2])
 
 
-@pytest.mark.parametrize("name", ["default", "rma", "ppo", "ppo-nothing", "sac", "gru-0"])
-def test_every_variant_simulates_as_many_samples(name: str, tmp_path: Path):
-    script, *options = Run(BY_NAME[name], 0, 2_000_000, tmp_path).words
-    config = parse(ALGORITHMS[Path(script).stem].config, arguments=options)
-    assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01)
+def test_every_variant_simulates_as_many_samples(tmp_path: Path):
+    for name in ("default", "rma", "ppo", "ppo-nothing", "sac", "gru-0"):
+        script, *options = Run(BY_NAME[name], 0, 2_000_000, tmp_path).words
+        config = parse(ALGORITHMS[Path(script).stem].config, arguments=options)
+        assert config.length * config.hold == pytest.approx(2_000_000, rel=0.01), name
+    command = Run(BY_NAME["gru-0"], 1, 96_000, tmp_path).command
+    assert command == "python train/student.py --arms 10 --rounds 8 --gru-width 0 --seed 1"
 
 
 def test_scores_are_the_same_again():
     scores = score(PaperController(), 4)
     assert scores == score(PaperController(), 4) and scores["left_percent"] == 0 and set(page.COLUMNS) <= set(scores)
-
-
-def test_the_command_is_one_that_a_reader_can_type(tmp_path: Path):
-    command = Run(BY_NAME["gru-0"], 1, 96_000, tmp_path).command
-    assert command == "python train/student.py --arms 10 --rounds 8 --gru-width 0 --seed 1"
 
 
 def test_finished_runs_are_read_and_interrupted_ones_go_on(
@@ -116,46 +116,11 @@ def test_a_study_that_is_asked_to_stop_says_how_to_go_on(tmp_path: Path):
     stop.made = True
     with pytest.raises(KeyboardInterrupt, match="same command"):
         learning.run_all(learning.planned(options), options, lambda _: None, stop)
-
-
-def test_a_training_that_fails_is_named(tmp_path: Path):
-    variant = Variant("bad", "limit", "bad", ("--residual-limit", "3"))
     with pytest.raises(ValueError, match=r"bad, seed 0: .*3.0"):
-        Run(variant, 0, 5_000, tmp_path, quick=True).finish(4)
+        Run(Variant("bad", "limit", "bad", ("--residual-limit", "3")), 0, 5_000, tmp_path, quick=True).finish(4)
 
 
 @pytest.mark.parametrize("words", [("--jobs", "0"), ("--only", "gru-O"), ("--storage", "there")])
 def test_bad_options(words: tuple[str, str], tmp_path: Path):
     line = mistake(study.main, ("learning", *words), tmp_path)
     assert words[0] in line and words[1] in line
-
-
-def test_tables_and_panels_compare_the_variants_of_a_factor_with_their_default():
-    def run(cost: float, seed: int) -> dict[str, Any]:
-        own = {"seed": seed, "command": f"python train/student.py --seed {seed}", "minutes": 1.0, "base": "paper"}
-        curve = [[0, 0.0, 2000.0], [1000, 1.0, cost]]
-        known = {"commit": "1234567", "digest": None, "validation_of_base": 2000.0, "curve": curve}
-        return {**own, **known, "scores": dict.fromkeys(page.COLUMNS, cost + 10 * seed)}
-
-    costs = {variant.name: 300.0 + 50 * k for k, variant in enumerate(VARIANTS)}
-    variants = [{**asdict(v), "runs": [run(costs[v.name], seed) for seed in range(2)]} for v in VARIANTS]
-    references = {"paper": dict.fromkeys(page.COLUMNS, 2000.0)}
-    data = {"variants": variants, "references": references, "best_classical": {"name": "adaptive", "validated": 210.0}}
-    shown = _frame.page("learning", learning, _frame.read_data(_frame.RESULTS / "learning") | data)
-    figure = page._ablations(data)
-    panels = [axis for axis in figure.axes if axis.get_visible()]
-    assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
-    for (name, factor), panel in zip(FACTORS.items(), panels, strict=True):
-        table = shown.partition(f"## {factor.question}\n\n")[2].partition("\n\n")[0]
-        first, *others = [line.split(" | ") for line in table.splitlines()[2:]]
-        own = [variant for variant in VARIANTS if variant.factor == name]
-        assert "(default)" in first[0] and first[8] == "1.00"
-        for variant, cells in zip(own, others, strict=True):
-            cost = costs[variant.name]
-            assert cells[2] == f"{cost + 5:.0f} [{cost:.0f}, {cost + 10:.0f}]"
-            assert cells[8] == f"{(cost + 5) / (costs[factor.against] + 5):.2f}"
-        legend = panel.get_legend()
-        assert panel.get_title("left") == factor.question
-        assert legend is not None and len(legend.get_texts()) == len(own) + 1
-        assert not legend.get_window_extent().overlaps(panel.get_window_extent()), "names are beside the curves"
-    plt.close(figure)

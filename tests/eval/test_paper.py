@@ -12,78 +12,50 @@ import pytest
 
 from baselines import PaperController
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation, state_space
-from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
-from beltarm_env.rollout import Recording, rollout
-from beltarm_env.task.reference import MoveShape
-from eval.studies import _frame
+from beltarm_env.rollout import rollout
+from eval.studies import paper
 from eval.studies._effects import ALL, IDEAL
-from eval.studies.paper import ALTERNATIVES, DRIVES, compare, run_drives, try_alternatives
-from eval.studies.paper.linear import (
-    PAPER_ARM,
-    TABLE_2,
-    best_gain,
-    closed_loop,
-    damping_map,
-    digital_poles,
-    dominant_damping,
-    locus,
-    poles,
-    sampled_poles,
-)
-from eval.studies.paper.page import counts, tables
-from eval.studies.paper.runs import (
-    ANALYSED,
-    AS_ANALYSED,
-    FRICTION,
-    MAIN,
-    MEASURED,
-    PLACES,
-    REMOVED,
-    SIMULATED,
-    STANDARD,
-    TO_0,
-    AssumedServo,
-    Conditions,
-    answer,
-    ratios,
-    ringing,
-    ringing_of,
-    run_moves,
-    signals_of,
-    summary,
-    suppression,
-)
+from eval.studies.paper import ALTERNATIVES, DRIVES, compare, linear, run_drives, runs, vary
+from eval.studies.paper.linear import PAPER_ARM, TABLE_2, digital_poles, dominant_damping, locus, poles
+from eval.studies.paper.runs import ANALYSED, AS_ANALYSED, FRICTION, MAIN, SIMULATED, Conditions, ringing, run_moves
 
-USUAL_MOVE = PLACES[STANDARD]
+USUAL_MOVE = runs.PLACES[runs.STANDARD]
 DEG_90 = math.pi / 2
 
 
 class TestLoop:
     def test_poles_at_0_degrees(self):
         expected = [-1.34, -21.9, -11.9 - 51.7j, -11.9 + 51.7j]
-        found = np.sort_complex(poles(closed_loop(PAPER_ARM, 0.0, TABLE_2)))
+        found = np.sort_complex(poles(linear.closed_loop(PAPER_ARM, 0.0, TABLE_2)))
         np.testing.assert_allclose(found, np.sort_complex(np.array(expected)), atol=0.05)
 
-    @pytest.mark.parametrize(("angle", "damping"), [(0.0, 0.225), (DEG_90, 0.237)])
-    def test_damping_with_table_2(self, angle: float, damping: float):
-        assert dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2))) == pytest.approx(damping, abs=5e-4)
+    @pytest.mark.parametrize(
+        ("model", "angle", "damping"),
+        [
+            *(("lumped", 0.0, 0.225), ("lumped", DEG_90, 0.237)),
+            *(("lagrangian", 0.0, -0.079), ("lagrangian", math.pi / 4, 0.156), ("lagrangian", DEG_90, 0.325)),
+        ],
+    )
+    def test_damping_with_table_2(self, model: Any, angle: float, damping: float):
+        found = dominant_damping(poles(linear.closed_loop(PAPER_ARM, angle, TABLE_2, model=model)))
+        assert found == pytest.approx(damping, abs=5e-4)
 
     def test_sign_printed_in_6e_makes_the_loop_unstable(self):
-        found = poles(closed_loop(PAPER_ARM, 0.0, TABLE_2, as_printed=True))
+        found = poles(linear.closed_loop(PAPER_ARM, 0.0, TABLE_2, as_printed=True))
         assert found[found.imag.argmax()] == pytest.approx(13 + 58j, abs=0.5)
         assert dominant_damping(found) < 0
 
     @pytest.mark.parametrize(("m2", "gain"), [(0.07, 0.17), (0.01, 0.42)])
     def test_best_k4(self, m2: float, gain: float):
-        found, damping = best_gain(TABLE_2, m2)
+        found, damping = linear.best_gain(TABLE_2, m2)
         assert found == pytest.approx(gain, abs=0.006)
-        around = damping_map(TABLE_2, np.array([found - 0.02, found + 0.02]), np.array([m2]))
+        around = linear.damping_map(TABLE_2, np.array([found - 0.02, found + 0.02]), np.array([m2]))
         assert (around < damping).all()
 
     def test_damping_map_is_that_of_the_eigenvalues(self):
         k4, m2 = np.array([0.0, 0.1, 0.4]), np.array([0.01, 0.07, 0.12])
-        found = damping_map(TABLE_2, k4, m2)
+        found = linear.damping_map(TABLE_2, k4, m2)
         for i, inertia in enumerate(m2):
             a, b, _ = state_space(ArmParams(belt_damping_ratio=0, arm_inertia=inertia, arm_inertia_swing=0), 0.0)
             for j, gain in enumerate(k4):
@@ -94,7 +66,7 @@ class TestLoop:
 
     def test_k4_locus_is_that_of_python_control(self):
         gains = np.array([0.0, 0.15, 0.5])
-        a, (_, b, _) = closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)
+        a, (_, b, _) = linear.closed_loop(PAPER_ARM, DEG_90, replace(TABLE_2, k4=0.0)), state_space(PAPER_ARM, DEG_90)
         torsion_speed = control.StateSpace(a, b, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
         expected: Any = control.root_locus_map(torsion_speed, gains=gains)
         found = np.sort_complex(locus(DEG_90, TABLE_2, "k4", gains))
@@ -110,85 +82,54 @@ class TestLoop:
             belt = np.array([0.07, 0, 33])
             expected = np.polyadd(np.polymul(servo, belt), np.polymul([0.15, 33 / 88], [0.07 / 88, 0, 0]))
             np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(np.roots(expected)), rtol=1e-6)
-        assert (np.diff(dominant_damping(loci)) < 0).all()
-        assert 0 < dominant_damping(loci)[-1] < 0.05
+        assert (np.diff(dominant_damping(loci)) < 0).all() and 0 < dominant_damping(loci)[-1] < 0.05
 
     def test_sampling_is_the_continuous_loop_for_slow_poles_and_barely_moves_the_others(self):
         for angle in (0.0, DEG_90):
-            continuous = poles(closed_loop(PAPER_ARM, angle, TABLE_2))
-            sampled = sampled_poles(PAPER_ARM, angle, TABLE_2)
+            continuous = poles(linear.closed_loop(PAPER_ARM, angle, TABLE_2))
+            sampled = linear.sampled_poles(PAPER_ARM, angle, TABLE_2)
             assert sampled[0] == pytest.approx(continuous[0], rel=1e-3)
             np.testing.assert_allclose(sampled, continuous, rtol=0.05)
 
-    @pytest.mark.parametrize(("angle", "m2"), [(0.0, 0.01), (DEG_90, 0.07)])
-    def test_simulated_torsion_adds_the_undamped_mode_of_the_belt_behind_a_held_motor(self, angle: float, m2: float):
-        found = digital_poles(PAPER_ARM, angle, TABLE_2)
-        mode = 1j * math.sqrt(33 / m2)
-        assert np.abs(found - mode).min() < 1e-6
-        others = found[np.abs(np.abs(found) - abs(mode)) > 1e-6]
-        assert dominant_damping(others) == pytest.approx(0.235, abs=0.01)
-        assert dominant_damping(digital_poles(ArmParams(), DEG_90, TABLE_2)) == pytest.approx(0.01, abs=1e-4)
-
-    @pytest.mark.parametrize(("angle", "damping"), [(0.0, -0.079), (math.pi / 4, 0.156), (DEG_90, 0.325)])
-    def test_measured_torsion_on_the_full_arm(self, angle: float, damping: float):
-        found = dominant_damping(poles(closed_loop(PAPER_ARM, angle, TABLE_2, model="lagrangian")))
-        assert found == pytest.approx(damping, abs=5e-4)
-
-    @pytest.mark.parametrize(("angle", "pole"), [(0.0, -0.03 + 28.8j), (DEG_90, -0.61 + 28.9j)])
-    def test_simulated_torsion_leaves_the_full_arms_mode_hardly_damped(self, angle: float, pole: complex):
-        found = digital_poles(PAPER_ARM, angle, TABLE_2, model="lagrangian")
-        assert np.abs(found - pole).min() < 0.05
+    @pytest.mark.parametrize(
+        ("model", "angle", "pole"),
+        [
+            *(("lumped", 0.0, 1j * math.sqrt(33 / 0.01)), ("lumped", DEG_90, 1j * math.sqrt(33 / 0.07))),
+            *(("lagrangian", 0.0, -0.03 + 28.8j), ("lagrangian", DEG_90, -0.61 + 28.9j)),
+        ],
+    )
+    def test_simulated_torsion_leaves_the_mode_of_the_belt_behind_a_held_motor(
+        self, model: Any, angle: float, pole: complex
+    ):
+        found = digital_poles(PAPER_ARM, angle, TABLE_2, model=model)
+        assert np.abs(found - pole).min() < (1e-6 if model == "lumped" else 0.05)
         assert dominant_damping(found) < 0.03
 
 
-class TestRinging:
-    def test_of_a_sinusoid(self):
-        time = (1 + np.arange(1200)) * CONTROL_PERIOD
-        speed = np.zeros((1200, 2, 2))
-        speed[:, 0, 0] = 0.3 * np.sin(20 * time)  # acceleration of amplitude 6 along x
-        speed[:, 0, 1] = 0.4 * np.sin(20 * time)  # and 8 along y
-        speed[:, 1, 1] = 0.1 * time  # a drift: constant acceleration
-        found = ringing(speed, np.array([0.8, 0.8]), np.array([0.1, 0.1]))
-        for phase in found:
-            np.testing.assert_allclose(phase, [10 / math.sqrt(2), 0.1], rtol=0.06)
-
-    def test_phases_do_not_see_each_other(self):
-        time = (1 + np.arange(1200)) * CONTROL_PERIOD
-        speed = np.zeros((1200, 1, 2))
-        speed[:, 0, 0] = np.where((time > 0.8) & (time < 1.3), np.sin(20 * time), np.sin(20 * 0.8))
-        found = ringing(speed, np.array([0.8]), np.array([0.1]))
-        assert found[0] == 0 and found[2] == 0 and found[1] > 1
-
-    def test_no_cruise(self):
-        found = ringing(np.zeros((1200, 1, 2)), np.array([0.8]), np.array([0.4]))
-        assert np.isnan(found[0]) and found[1] == 0
-
-    @pytest.mark.parametrize(
-        ("before", "after", "expected", "ratio"),
-        [
-            (2.0, 0.1, "yes", 0.05),
-            (2.0, 1.0, "in part", 0.5),
-            (2.0, 1.8, "no", 0.9),
-            (2.0, math.inf, "no", math.inf),
-            (math.inf, 2.0, "not comparable", math.nan),
-            (math.nan, math.nan, "not comparable", math.nan),
-        ],
-    )
-    def test_answers(self, before: float, after: float, expected: str, ratio: float):
-        (found,) = ratios(np.array([[before], [after]]))
-        assert answer(found) == expected and found == pytest.approx(ratio, nan_ok=True)
+def test_ringing_of_a_sinusoid():
+    """Phases do not see each other, and without a cruise there is none in it."""
+    time = (1 + np.arange(1200)) * CONTROL_PERIOD
+    speed = np.zeros((1200, 3, 2))
+    speed[:, 0, 0] = 0.3 * np.sin(20 * time)  # acceleration of amplitude 6 along x
+    speed[:, 0, 1] = 0.4 * np.sin(20 * time)  # and 8 along y
+    speed[:, 1, 1] = 0.1 * time  # a drift: constant acceleration
+    speed[:, 2, 0] = np.where((time > 0.8) & (time < 1.3), np.sin(20 * time), np.sin(20 * 0.8))
+    found = ringing(speed, np.full(3, 0.8), np.full(3, 0.1))
+    for phase in found:
+        np.testing.assert_allclose(phase[:2], [10 / math.sqrt(2), 0.1], rtol=0.06)
+    assert found[0, 2] == 0 and found[2, 2] == 0 and found[1, 2] > 1
+    assert np.isnan(ringing(speed, np.full(3, 0.8), np.full(3, 0.4))[0]).all()
 
 
-def rung(conditions: Conditions, k4: float, move: MoveShape = USUAL_MOVE) -> Floats:
+def rung(conditions: Conditions, k4: float) -> Floats:
     """Ringing in the cruise, after the stop and at the end."""
-    return ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [move]))[:, 0]
+    return runs.ringing_of(run_moves(conditions, replace(TABLE_2, k4=k4), [USUAL_MOVE]))[:, 0]
 
 
 class TestRuns:
     def test_default_assumptions_are_the_papers_controller(self):
         run = run_moves(Conditions(), TABLE_2, [USUAL_MOVE])
-        move = dict(zip(MoveShape._fields, USUAL_MOVE, strict=True))
-        direct = rollout(PaperController(), 1, seed=0, options={"move": move})
+        direct = rollout(PaperController(), 1, seed=0, options={"move": USUAL_MOVE._asdict()})
         np.testing.assert_allclose(run.state, direct.state, atol=1e-4)
 
     def test_true_torsion_and_measured_sign(self):
@@ -198,7 +139,7 @@ class TestRuns:
             seen, *_ = env.step(np.array([[0.5], [-0.4], [0.2]]))
         told = observation.decode(seen, "full")
         conditions = Conditions(friction_sign="measured", true_torsion=True)
-        action, _ = AssumedServo(conditions, TABLE_2.feedback).predict(seen)
+        action, _ = runs.AssumedServo(conditions, TABLE_2.feedback).predict(seen)
         u_1 = 88 * told["reference_acceleration"] + 20 * told["motor_speed_error"] + 25 * told["motor_angle_error"]
         torque = 6.3e-5 * u_1 + 3.5e-4 * told["motor_speed"] + 0.032 * np.sign(told["motor_speed"])
         torque -= 0.15 * told["torsion_speed"]
@@ -210,8 +151,8 @@ class TestRuns:
         assert 0.25 < end_with_friction < 0.5
 
     def test_motor_follows_its_trapezoid_while_the_tip_rings(self):
-        shown = signals_of(run_moves(Conditions(), replace(TABLE_2, k4=0.0), [USUAL_MOVE]))
-        numbers, cruise = summary(shown), 88 * (math.pi / 4) / (0.8 - 0.12)
+        shown = runs.signals_of(run_moves(Conditions(), replace(TABLE_2, k4=0.0), [USUAL_MOVE]))
+        numbers, cruise = runs.summary(shown), 88 * (math.pi / 4) / (0.8 - 0.12)
         assert shown["motor_speed_reference"].max() == numbers["cruising_speed"] == pytest.approx(cruise)
         assert numbers["motor_speed_error"] < 0.05 * cruise and numbers["stuck_share"] > 0.9
         assert np.ptp(shown["radial_speed"][shown["time"] > 1.0]) > 0.5
@@ -219,88 +160,45 @@ class TestRuns:
         travelled = shown["radial_speed_reference"].sum() * CONTROL_PERIOD
         assert travelled == pytest.approx(0.5 * math.cos(math.pi / 4), rel=1e-3)
 
-    def test_every_assumption_is_tried_at_other_values(self):
+    def test_every_assumption_is_tried_at_other_values(self, monkeypatch: pytest.MonkeyPatch):
+        """Side by side as alone; the full arm folds differently."""
         assert len({tried.label for tried in ALTERNATIVES}) == len(ALTERNATIVES)
         assert len({tried.move for tried in ALTERNATIVES}) == 13, "the standard one, and no other twice"
         for tried in ALTERNATIVES:
-            differs = [(tried.under(base), tried.move) != (base, USUAL_MOVE) for base in (SIMULATED, ANALYSED)]
-            assert any(differs), tried.label
-
-    def test_alternatives_run_side_by_side_are_those_run_alone(self):
-        names = ("how the arm folds", "where the move leads")
-        alternatives = [tried for tried in ALTERNATIVES if tried.assumption in names]
-        together = try_alternatives(alternatives, ANALYSED)
-        for tried in alternatives:
-            alone = suppression(tried.under(ANALYSED), [tried.move])[:, :, 0]
-            np.testing.assert_allclose(together[tried.label], alone, rtol=1e-6)
-
-    def test_the_full_arm_folds_differently(self):
-        full = Conditions(model="lagrangian")
-        assert (rung(full, 0.15) / rung(full, 0.0))[1] == pytest.approx(0.41, abs=0.01)
+            assert any((tried.under(base), tried.move) != (base, USUAL_MOVE) for base in MAIN.values()), tried.label
+        chosen = {tried.label: tried for tried in ALTERNATIVES if tried.assumption == "where the move leads"}
+        folded = next(tried for tried in ALTERNATIVES if tried.assumption == "how the arm folds")
+        monkeypatch.setattr(paper, "ALTERNATIVES", [*chosen.values(), folded])
+        rows = vary({view: [{"": 1.0}] * 2 for view in MAIN})
+        for row in rows[:-1]:
+            alone = runs.suppression(ANALYSED, [chosen[row["label"]].move])[:, :, 0]
+            assert row["views"][AS_ANALYSED]["ratios"]["end"] == pytest.approx(runs.ratios(alone)[2], rel=1e-6)
+        assert rows[-1]["views"][FRICTION]["ratios"]["stop"] == pytest.approx(0.41, abs=0.01)
 
     def test_an_arm_that_left_its_workspace_is_not_measured(self):
         run = run_moves(Conditions(arm=ArmParams(payload_mass=0.2)), replace(TABLE_2, k4=1.0), [USUAL_MOVE])
-        shown = signals_of(run)
-        assert np.isinf(ringing_of(run)).all() and np.isfinite(shown["radial_speed"][0])
-        assert np.isnan(shown["radial_speed"][-1]) and np.isfinite(summary(shown)["peak_torque"])
+        shown = runs.signals_of(run)
+        assert np.isinf(runs.ringing_of(run)).all() and np.isfinite(shown["radial_speed"][0])
+        assert np.isnan(shown["radial_speed"][-1]) and np.isfinite(runs.summary(shown)["peak_torque"])
 
 
-MOVES = tuple(PLACES.values())
-
-
-@pytest.fixture(scope="module")
-def runs() -> dict[str, list[Recording]]:
-    return {view: run_drives(list(MOVES), base, 2) for view, base in MAIN.items()}
+MOVES = list(runs.PLACES.values())
 
 
 @pytest.mark.parametrize("view", MAIN)
-def test_on_the_ideal_drive_the_ringing_is_that_of_the_other_tables(runs: dict[str, list[Recording]], view: str):
-    expected, rows = suppression(MAIN[view], list(MOVES)), compare(runs[view], 2)
+def test_every_effect_of_a_drive_changes_the_motion(view: str):
+    """But for those of Coulomb friction where there is none. The ideal drive's ringing is that of the other tables."""
+    recorded = run_drives(MOVES, MAIN[view], 2)
+    expected, rows = runs.suppression(MAIN[view], MOVES), compare(recorded, 2)
     for k in range(len(MOVES)):
-        row, (_, stop, end) = rows[k][0], ratios(expected[:, :, k])
+        row, (_, stop, end) = rows[k][0], runs.ratios(expected[:, :, k])
         assert row["drive"] == IDEAL
         np.testing.assert_array_equal(row["ringing"], expected[:, 1, k])
         np.testing.assert_array_equal([row["ratios"]["stop"], row["ratios"]["end"]], [[stop] * 2, [end] * 2])
-
-
-def test_every_effect_changes_the_motion(runs: dict[str, list[Recording]]):
-    """But for those of Coulomb friction where there is none: there, only by rounding."""
-    without_friction = {"static_friction_excess", "friction_variation"}
-    for view, (_, suppressed) in runs.items():
-        errors = suppressed.tip_velocity_error[:, :, 0].reshape(-1, len(MOVES), len(DRIVES), 2)
-        for k, drive in enumerate(DRIVES):
-            same = np.abs(errors[:, :, k] - errors[:, :, 0]).max(axis=(0, 2)) < 1e-5
-            expected = drive == IDEAL or (view == AS_ANALYSED and drive in without_friction)
-            assert (same == expected).all(), (view, drive)
-        drawn = errors[:, 0, DRIVES.index(ALL)]
-        assert not np.array_equal(drawn[:, 0], drawn[:, 1])
-
-
-def test_the_servo_takes_given_arms_for_that_of_the_conditions():
-    rows = np.tile(SIMULATED.arm.row(), (2, 1))
-    rows[1, COLUMN.torque_constant_error] = 0.1
-    run = run_moves(SIMULATED, TABLE_2, [USUAL_MOVE] * 2, rows)
-    alone = run_moves(SIMULATED, TABLE_2, [USUAL_MOVE])
-    np.testing.assert_array_equal(run.torque[:, 0], alone.torque[:, 0])
-    assert not np.array_equal(run.torque[:, 1], alone.torque[:, 0])
-    np.testing.assert_array_equal(run.params, rows)
-
-
-def test_words_of_the_page_are_those_of_its_numbers():
-    """Sentences of the template that state no number."""
-    data = _frame.read_data(_frame.RESULTS / "paper")
-    scenes, linear = tables(data)["scene"], data["linear"]
-    assert 0.8 * REMOVED < scenes[AS_ANALYSED][STANDARD]["ratios"]["end"] < REMOVED, "close to the bound"
-    assert scenes[MEASURED][TO_0]["ratios"]["end"] < 1e-3
-    assert scenes[AS_ANALYSED][STANDARD]["motions"][1]["stuck_share"] == 0, "as analysed it never sticks"
-    for assumption, least in (("duration of the move", 1.0), ("how the arm folds", 1.0), ("M2(90°)", 0.5)):
-        views = [row["views"][AS_ANALYSED] for row in data["alternatives"] if row["assumption"] == assumption]
-        assert np.mean([row["answer"] != "yes" for row in views]) >= least
-    labels = {row["label"]: row["views"] for row in data["alternatives"]}
-    named = ("ramps of 0.25 s", "ramps of 0.3 s", "move of 1.2 s")
-    assert counts(data, AS_ANALYSED)["no"] == counts(data, FRICTION)["yes"] == 1 and counts(data, FRICTION)["no"] == 3
-    assert labels["M2(90°) 0.09, taken for 0.07"][AS_ANALYSED]["answer"] == "no"
-    assert labels["no Coulomb friction"][FRICTION]["answer"] == "yes"
-    assert all(labels[name][FRICTION]["answer"] == "no" for name in named)
-    assert max(linear["damping"]["printed"]) < 0, "unstable as printed"
-    assert all(row["dampings"][2] < row["dampings"][0] + 5e-4 and len(row["pairs"]) == 4 for row in linear["full"])
+    errors = recorded[1].tip_velocity_error[:, :, 0].reshape(-1, len(MOVES), len(DRIVES), 2)
+    of_friction = {"static_friction_excess", "friction_variation"}
+    for k, drive in enumerate(DRIVES):
+        same = np.abs(errors[:, :, k] - errors[:, :, 0]).max(axis=(0, 2)) < 1e-5
+        assert (same == (drive == IDEAL or (view == AS_ANALYSED and drive in of_friction))).all(), drive
+    drawn = errors[:, 0, DRIVES.index(ALL)]
+    assert not np.array_equal(drawn[:, 0], drawn[:, 1])

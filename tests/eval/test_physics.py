@@ -38,24 +38,19 @@ def test_kernel_and_mujoco_agree_with_the_event_located_solution():
 
 
 def test_difference_shrinks_with_the_solver_settings():
+    """Also behind a drive; without friction it stays within a tenth of a millimetre."""
     (motion,) = motions("stick-slip", 1, 4_000_000)
     own, no_creep, quick = (distance(motion, 2, **setting) for setting in list(SETTINGS.values())[3:])
     best = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (1, 2, 4)]
     assert min(own, no_creep) > 2 * quick > 10 * best[0]
     assert best[0] > 2 * best[1] > 4 * best[2]
-
-
-def test_difference_shrinks_behind_a_drive_too():
     (motion,) = motions("drive", 1, 4_000_000)
     assert all(getattr(motion.params, name) == DRIVE_RANGES[name][1] for name in EXPRESSIBLE)
     distances = [distance(motion, steps, **SETTINGS["RK4"]) for steps in (2, 4, 8)]
     assert 2e-5 > distances[0] > 2 * distances[1] > 4 * distances[2]
-
-
-def test_smooth_motion_stays_within_a_tenth_of_a_millimetre():
-    for motion in motions("smooth", 3, 4_000_000):
-        assert distance(motion, 2, **SETTINGS["RK4"]) < 1e-7
-        assert distance(motion, 16, **SETTINGS["implicitfast"]) < 1e-4
+    (motion,) = motions("smooth", 1, 4_000_000)
+    assert distance(motion, 2, **SETTINGS["RK4"]) < 1e-7
+    assert distance(motion, 16, **SETTINGS["implicitfast"]) < 1e-4
 
 
 def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,8 +24,6 @@ from eval.report.publish import print_results
 from eval.report.table import Results, to_markdown
 from eval.report.verdict import PairwiseTest, pairwise_tests
 from eval.studies._frame import page
-
-PID = outcome("pid", "classical", 100.0)
 
 
 def verdict(comparison: Comparison) -> list[str]:
@@ -71,42 +70,23 @@ def test_the_protocol_says_who_is_compared():
     assert "net" in last and "lucky" in last and "44%" in last
 
 
-def test_an_added_controller_has_a_sentence_of_its_own():
-    known = outcome("pid", "classical", 100.0), outcome("net", "learned", 60.0)
-    last = verdict(made(*known, outcome("Mine", "added", 200.0)))[-1]
-    assert "Mine" in last and "2.0 times as much" in last
-
-
-def test_the_tests_are_in_the_results_and_on_the_page():
-    comparison = over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)})
-    rows = {(row["metric"], row["split"]): row for row in content_of(comparison)["primary"]}
+def test_the_tests_are_in_the_results():
+    content = content_of(over({"nominal": (100.0, 60.0), "payload": (100.0, 250.0)}))
+    rows = {(row["metric"], row["split"]): row for row in content["primary"]}
     assert {metric for metric, _ in rows} == set(PAIRED_METRICS) and len(rows) == 6
     row = rows["cost", "nominal"]
     assert (row["challenger"], row["classical"], row["result"]) == ("net", "pid", "better")
     assert row["iqm"] == pytest.approx(-40) and row["relative"] == pytest.approx(-0.4) and row["mean_high"] < 0
-    shown = page("comparison", summary, content_of(comparison))
-    assert "| cost | nominal | **better** | -40" in shown and "| cost | payload | **worse** |" in shown
+    assert rows["cost", "payload"]["result"] == "worse"
 
 
 def test_the_main_split_decides_who_is_compared():
     """On every split the same two methods, though others are better there."""
     costs = {"randomized": {"pid": 100.0, "lqg": 90.0, "net": 80.0}, "nominal": {"pid": 50.0, "lqg": 90.0, "net": 70.0}}
-    comparison = made(
-        *(
-            outcome(name, "learned" if name == "net" else "classical", cost, split)
-            for split, of_split in costs.items()
-            for name, cost in of_split.items()
-        )
-    )
+    kinds: dict[str, Any] = {"net": "learned"}
+    methods = [(name, cost, split) for split, of_split in costs.items() for name, cost in of_split.items()]
+    comparison = made(*(outcome(name, kinds.get(name, "classical"), cost, split) for name, cost, split in methods))
     assert {test.classical.method.name for test in pairwise_tests(comparison).values()} == {"lqg"}
-
-
-def test_better_takes_the_mean_too():
-    """A method that is better on most arms, and loses far more on a few, is not called better."""
-    costs = np.full(24, 90.0)
-    costs[:3] = 1500.0
-    test = pairwise_tests(made(outcome("pid", "classical", 100.0), outcome("net", "learned", costs)))["nominal"]
-    assert test.middle.better and test.mean.iqm > 0 and test.result == "open"
 
 
 @pytest.mark.parametrize(
@@ -115,10 +95,7 @@ def test_better_takes_the_mean_too():
         (-1.0, 0.04, -2.0, -1e-9, "better"),
         (-1.0, 0.04, -2.0, 0.0, "open"),
         (-1.0, 0.06, -2.0, -1.0, "open"),
-        (-1.0, 0.04, 1.0, 2.0, "open"),
         (1.0, 0.04, 1e-9, 2.0, "worse"),
-        (1.0, 0.04, 0.0, 2.0, "open"),
-        (1.0, 0.06, 1.0, 2.0, "open"),
         (1.0, 0.04, -2.0, -1.0, "open"),
     ],
 )
@@ -134,35 +111,25 @@ def test_both_averages_decide(middle: float, p: float, low: float, high: float, 
 def test_the_correction_is_for_all_splits():
     rng = np.random.default_rng(3)
     splits = ("nominal", *(f"split {k}" for k in range(11)))
-    outcomes = []
-    for split in splits:
-        outcomes.append(outcome("pid", "classical", 100.0, split))
-        outcomes.append(outcome("net", "learned", 100.0 * (1 + 0.05 * rng.standard_normal(24)), split))
-    tests = pairwise_tests(made(*outcomes))
+    learned = [outcome("net", "learned", 100 + 5 * rng.standard_normal(24), split) for split in splits]
+    tests = pairwise_tests(made(*learned, *(outcome("pid", "classical", 100.0, split) for split in splits)))
     smallest = min(test.middle.p for test in tests.values())
     assert min(test.middle.p_holm for test in tests.values()) == min(1.0, smallest * len(splits))
 
 
 @pytest.mark.parametrize(
-    ("comparison", "words"),
+    ("methods", "failures", "words"),
     [
-        (
-            made(outcome("pid", "classical", 100.0), outcome("lqg", "classical", 80.0)),
-            ("no learned method", "lqg (80)"),
-        ),
-        (made(outcome("net", "learned", 60.0)), ("No classical controller", "--methods")),
-        (
-            made(PID, failures=[Failure("net", "nominal", "it broke")]),
-            ("could not be run", "pid (100)"),
-        ),
-        (
-            made(outcome("pid", "classical", 100.0), outcome("Mine", "added", 60.0)),
-            ("added controller, Mine", "40% less"),
-        ),
+        ({"lqg": "classical", "pid": "classical"}, [], "no learned method, lqg (80)"),
+        ({"net": "learned"}, [], "No classical controller, --methods"),
+        ({"pid": "classical"}, [Failure("net", "nominal", "it broke")], "could not be run, pid (80)"),
+        ({"Mine": "added", "pid": "classical"}, [], "added controller, Mine, 20% less"),
     ],
 )
-def test_without_a_learned_method_or_a_classical_one(comparison: Comparison, words: tuple[str, ...]):
-    assert all(word in " ".join(verdict(comparison)) for word in words)
+def test_without_a_learned_method_or_a_classical_one(methods: dict[str, Any], failures: list[Failure], words: str):
+    outcomes = [outcome(name, kind, 80.0 + 20 * k) for k, (name, kind) in enumerate(methods.items())]
+    said = " ".join(verdict(made(*outcomes, failures=failures)))
+    assert all(word in said for word in words.split(", "))
 
 
 # Media
@@ -174,55 +141,23 @@ def printed(comparison: Comparison) -> list[str]:
     return console.export_text().splitlines()
 
 
-@pytest.fixture(scope="module")
-def many() -> Comparison:
+def test_the_terminal_shows_the_main_split_best_first_and_the_verdict():
     names = ("paper", "rigid", "zvd", "smooth", "flat", "adrc", "lqg", "robust", "preview", "mpc", "adaptive")
     outcomes = []
     for split in ("nominal", "ideal", "randomized", "payload", "structural"):
         outcomes += [outcome(name, "classical", 1000.0 - 70 * k, split) for k, name in enumerate(names)]
         outcomes += [outcome("ppo", "learned", 330.0, split, 5), outcome("student", "learned", 260.0, split, 5)]
         outcomes += [outcome("privileged", "privileged", 150.0, split)]
-    return made(*outcomes)
-
-
-def test_the_terminal_shows_the_main_split_best_first_and_the_verdict(many: Comparison):
+    many = made(*outcomes)
     lines = printed(many)
-    assert len(lines) <= 45 and max(map(len, lines)) <= 80
-    assert lines[0].startswith("randomized: ")
-    names = [line.split()[0] for line in lines if re.match(r" ?\w+ +\d+", line)]
-    assert names[:3] == ["student", "adaptive", "ppo"] and names[13] == "privileged"
+    assert len(lines) <= 45 and max(map(len, lines)) <= 80 and lines[0].startswith("randomized: ")
+    shown = [line.split()[0] for line in lines if re.match(r" ?\w+ +\d+", line)]
+    assert shown[:3] == ["student", "adaptive", "ppo"] and shown[13] == "privileged"
     text = " ".join(" ".join(lines).split())
     assert all(" ".join(sentence.split()) in text for sentence in verdict(many))
-
-
-def test_a_long_name_is_cut_and_no_number():
-    names = ("paper", "a-controller-with-a-long-name")
-    lines = printed(made(*(outcome(name, "classical", 1234.0, spread=400.0) for name in names)))
-    assert max(map(len, lines)) <= 80
-    rows = [line for line in lines if line.startswith((" paper", " a-cont"))]
-    assert [len(re.findall(r"\d+\.?\d*", row)) for row in rows] == [7, 7]  # the worst 5 % of so few is not shown
-
-
-def test_the_worst_of_few_scenarios_is_not_shown():
-    """The worst 5 % of 39 scenarios would be one or two runs of each seed."""
-    few, enough = (
-        Results(content_of(made(outcome("pid", "classical", np.full(count, 100.0))))).main_table() for count in (39, 40)
-    )
-    assert few.rows[0].cells[2].text == "–" and float(enough.rows[0].cells[2].text) > 100
-
-
-def test_the_readme_has_the_verdict_and_tables_sorted_by_the_main_split(many: Comparison):
-    shown = summary.blocks(content_of(many))
-    text, table, note = shown["answer"].split("\n\n")
-    first, *others = verdict(many)
-    assert text == " ".join([f"**{first}**", *others])
-    assert SetLabel("seed 7", "").note in note
-    names = ["student (learned)", "adaptive (classical)", "ppo (learned)", "mpc (classical)", "paper (classical)"]
-    assert [line.split("|")[1].strip() for line in table.splitlines()[2:]] == names
-    for part in [part for part in shown["results"].split("\n\n") if part.startswith("|")]:
-        methods = [line.split("|")[1].strip() for line in part.splitlines()[2:]]
-        assert methods[:3] == ["student (5 seeds)", "adaptive", "ppo (5 seeds)"] and methods[-1] == "*privileged*"
-        assert "[" not in part
+    long = printed(made(*(outcome(name, "classical", 1234.0, spread=400.0) for name in ("pid", 30 * "long-"))))
+    rows = [line for line in long if line.startswith((" pid", " long-"))]
+    assert [len(re.findall(r"\d+\.?\d*", row)) for row in rows] == [7, 7] and max(map(len, long)) <= 80
 
 
 # Arms that do not arrive
@@ -253,11 +188,8 @@ def test_doing_nothing_is_not_better_at_anything():
     assert {*pair["metrics"]} == {"cost", "tip_rms_mm"}
     shown = Results(results).across_splits("residual_pp_mm")
     assert {row.method: row.cells[0].value for row in shown.rows}["Zero"] is None
-    for text in (
-        page("comparison", summary, results),
-        to_markdown(shown),
-        "\n".join(printed(comparison)),
-    ):
+    told = "\n".join(printed(comparison))
+    for text in (page("comparison", summary, results), to_markdown(shown), told):
         assert "Zero" in text and "nan" not in text
 
 
@@ -275,14 +207,8 @@ def test_vibration_is_compared_where_both_arrive(away: float, compared: int):
     assert comparison.marks["nominal"]["residual_pp_mm"] == {"pid": "best"}
     metrics = {row["metric"] for row in content_of(comparison)["primary"]}
     assert ("residual_pp_mm" in metrics) == (compared >= 20)
-
-
-def test_a_scenario_counts_where_all_training_seeds_arrive():
     two = still(1.0, seeds=2)  # one of its seeds never arrives
     assert np.isnan(two.estimates["residual_pp_mm"].iqm) and two.not_arrived == 0.5
-
-
-# Too few scenarios
 
 
 def test_four_scenarios_are_no_verdict():
@@ -294,9 +220,6 @@ def test_four_scenarios_are_no_verdict():
     assert (pair.p, pair.p_holm, pair.survives) == (1.0, 1.0, False)
     assert not any(comparison.marks["nominal"].values())
     check(content_of(comparison), "results.json")
-
-
-# Methods that the protocol does not know
 
 
 def test_only_what_the_protocol_knows_was_frozen_before():

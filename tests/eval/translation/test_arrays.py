@@ -126,12 +126,6 @@ def overlapping(a: Any) -> None:
     part[:] = a[:-1]
 
 
-@case((square(),))
-def overlapping_rows(a: Any) -> None:
-    a[1:] = a[:-1]
-    a[0, 1:] += a[0, :-1]
-
-
 @case((3,), (0,))
 def zeros_in_loops(n: int) -> float:
     total = 0.0
@@ -143,17 +137,6 @@ def zeros_in_loops(n: int) -> float:
             counts[j % 2] += 1
         total = total * 2.0 + sums[2] + counts[0] - counts[1]
     return total
-
-
-@case((4,), (5,))
-def turned_buffers(n: int) -> tuple[float, float]:
-    old, new = np.zeros(3), np.ones(3)
-    old[0] = 2.0
-    for k in range(n):
-        for j in range(3):
-            new[j] = old[(j + 1) % 3] + 0.5 * new[j] + k
-        old, new = new, old
-    return old[0], new[1]
 
 
 def bumped(a: Any) -> float:

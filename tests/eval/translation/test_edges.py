@@ -56,15 +56,6 @@ def indices_from_the_end(a: Any, k: int) -> float:
     return a[k]
 
 
-@case((np.arange(12.0).reshape(3, 4), 1, 2), (np.arange(12.0).reshape(3, 4), -1, 9))
-def rows_cut(a: Any, i: int, j: int) -> tuple[Any, ...]:
-    middle = a[:, 1:3]
-    middle[i] = 5.0
-    rest = a[i:, :2]
-    rest += 1.0
-    return len(rest), rest[0, 0], len(a[i][:j]), a[i, -1]
-
-
 @case((row(), wholes(3, 2)))
 def lengths_that_are_overwritten(a: Any, n: Any) -> float:
     n[: n[1]] = 0

@@ -136,27 +136,6 @@ def counted(n: int) -> tuple[int, ...]:
     return up, down, steps, none
 
 
-@case(*[(n,) for n in range(4)])
-def nested_loops_of_one_name(n: int) -> int:
-    total = 0
-    for k in range(n):
-        for k in range(3):
-            total += k
-        total = total * 2 + k
-    return total
-
-
-@case(*[(n,) for n in range(4)])
-def loop_variable_assigned_within(n: int) -> int:
-    total = 0
-    for k in range(n):
-        if k == 1:
-            k = 10
-        k += 5
-        total = total * 2 + k
-    return total
-
-
 @case(*[(n,) for n in range(5)])
 def end_changed_within(n: int) -> tuple[int, int]:
     turns = 0
@@ -287,15 +266,6 @@ def named_tuples(a: float, b: float) -> tuple[float, ...]:
     around = around._replace(pair=Pair(around.pair.low + 1.0, around.pair.high))
     wide = width(around.pair, shift=around.times) + width(pair, 3.0)
     return low, high, *turned, wide, around.pair[1], 1.0 if around.note is None else 2.0
-
-
-@case(*[(1.0, 2.0), (3.0, -0.5)])
-def tuples_kept(a: float, b: float) -> tuple[float, ...]:
-    before = (a, b)
-    around = Range(Pair(a, b), 1)
-    a += 1.0
-    b = a * b
-    return *before, *around.pair, a, b
 
 
 @case(*[(Range(Pair(1.0, 2.0), 3), 0.5), (Range(Pair(3.0, -2.0), 0), 1.5)])

@@ -1,0 +1,204 @@
+"""What single studies promise: drive, guard, repeated moves, observers, presliding and sensors."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.observer.files import SHIPPED, load_observer
+from agents.observer.network import Estimate
+from agents.observer.quantities import NAMES
+from agents.policy.bundle import POLICIES, annotate
+from agents.residual.bases import make_base
+from baselines import PaperController
+from baselines.iterative.controller import IterativeController
+from baselines.iterative.motor_learning import MotorLearningController
+from baselines.registry import FELT
+from beltarm_env import ArmParams, BeltArmEnv, BeltArmVectorEnv
+from beltarm_env.arm import COLUMN, DRIVE_EFFECTS
+from beltarm_env.rollout import record, rollout
+from beltarm_env.task.ranges import DRIVE_RANGES
+from beltarm_env.task.seeds import VALIDATION
+from eval.comparison.rollouts import shipped_methods
+from eval.comparison.sets import development_set
+from eval.comparison.splits import Split
+from eval.studies import _frame, drive, presliding
+from eval.studies._effects import ALL, EFFECTS, IDEAL, with_effect
+from eval.studies.guard import NAN, Options, measure, worse_measures
+from eval.studies.guard.faults import FaultyArms
+from eval.studies.iterative import metrics_of, repeated
+from eval.studies.observers import Score, score, scores_of, watchers
+from eval.studies.presliding import LOCATED, check, verdicts
+from eval.studies.sensors import TIERS, Outcome, outcome
+
+SEED = 4_200_000
+
+# Drive
+
+
+@pytest.mark.parametrize("name", [IDEAL, *EFFECTS])
+def test_arms_have_the_effects_asked_for_and_no_others(name: str):
+    env = BeltArmVectorEnv(6, randomization="train")
+    env.reset(seed=3)
+    drawn = env.params_table
+    np.testing.assert_array_equal(with_effect(drawn, ALL, 0.0), with_effect(drawn, IDEAL, 1.0))
+    for size in (0.5, 2.0):
+        arms = with_effect(drawn, name, size)
+        for field in DRIVE_EFFECTS:
+            column = getattr(COLUMN, field)
+            end = size * DRIVE_RANGES[field][1] if name in (field, ALL) else 0.0
+            np.testing.assert_allclose(np.abs(arms[:, column]), end)
+            assert (arms[:, column] * drawn[:, column] >= 0).all(), "signs are those drawn"
+        others = [k for k in range(arms.shape[1]) if k not in [getattr(COLUMN, field) for field in DRIVE_EFFECTS]]
+        np.testing.assert_array_equal(arms[:, others], drawn[:, others])
+        assert all(ArmParams.from_row(row) for row in arms), "twice the ranges are within the bounds"
+
+
+@pytest.mark.parametrize(
+    ("config", "kind"), [({"randomization": "ideal"}, "ideal"), ({"randomization": "train"}, "train"), ({}, "unknown")]
+)
+def test_training_is_read_from_the_policies_and_told_apart(config: dict[str, Any], kind: str, tmp_path: Path):
+    folder = tmp_path / "other"
+    shutil.copytree(POLICIES / "ppo/seed0", folder)
+    annotate(folder, config=config)
+    (method,) = shipped_methods(["ppo"])
+    trained = drive.trained_on([replace(method, sources=(str(folder),))])
+    assert trained == {"ppo": kind} and drive.trained_on(shipped_methods(["paper"])) == {}
+    data = _frame.read_data(_frame.RESULTS / "drive")
+    none, told = (_frame.page("drive", drive, data | {"trained": known}) for known in ({}, trained))
+    assert none != told
+
+
+# Guard
+
+
+def test_a_faulty_arm_that_leaves_changes_nothing_for_the_others():
+    few, many = (
+        record(PaperController(), FaultyArms(arms, "sign error", randomization="train"), seed=5) for arms in (2, 8)
+    )
+    assert not many.finished[2:].all()
+    np.testing.assert_array_equal(few.state, many.state[:, :2])
+    with pytest.raises(ValueError, match="'rust'"):
+        FaultyArms(1, "rust")
+
+
+def test_a_classical_controller_is_its_own_base_and_has_no_weights():
+    quick = Options(controllers=("preview",), faults=("payload", NAN), splits=("nominal",), arms=1, episodes=4, jobs=1)
+    (row,) = measure(quick)["rows"]
+    assert row["fault"] == "payload" and row["base"] == row["without"]
+    base, guarded = dict.fromkeys(("peak", "left", "energy"), 1.0), {"peak": 1.15, "left": 2.0, "energy": 1.1}
+    worse = {"base": base | {"passive": 0.0}, "guarded": guarded | {"passive": 0.0}}
+    assert worse_measures(row | worse) == ["peak", "left"]
+
+
+# Repeated moves
+
+
+def test_cost_falls_from_repetition_to_repetition_the_same_way_every_time():
+    runs, again = (repeated(IterativeController, 3, 3, seed=SEED, randomization="ideal") for _ in range(2))
+    costs = [run["cost"].mean() for run in runs]
+    assert costs[1] < 0.95 * costs[0] and (np.diff(costs) < 0.01 * costs[0]).all()
+    for first, second in zip(runs, again, strict=True):
+        assert all((first[name] == second[name]).all() for name in first)
+
+
+def test_textbook_learning_moves_the_motor_and_not_the_tip():
+    runs = repeated(MotorLearningController, 6, 4, seed=SEED, randomization="ideal")
+    motor = [run["motor_rms_mrad"].mean() for run in runs]
+    assert (np.diff(motor) < 0).all() and motor[-1] < 0.05 * motor[0]
+    assert runs[-1]["residual_pp_mm"].mean() > 0.8 * runs[0]["residual_pp_mm"].mean()
+
+
+def test_the_motors_error_is_that_of_the_joint():
+    run, env = rollout(PaperController(), 2, seed=SEED, randomization="ideal"), BeltArmEnv(randomization="ideal")
+    env.reset(seed=SEED)
+    wanted = [env.reference(t).angle for t in run.time]
+    expected = 1e3 * np.sqrt(np.mean((run.state[:, 0, 0] / 88 - wanted) ** 2))
+    assert metrics_of(run)["motor_rms_mrad"][0] == pytest.approx(expected, rel=1e-9)
+
+
+# Observers
+
+
+def test_scores_of_errors_that_are_known():
+    true = np.zeros((1, 4, len(NAMES)))
+    mean = np.repeat(np.array([[0.5], [-0.5], [1.5], [-3.0]]), len(NAMES), axis=1)
+    stated = score([Estimate(mean, np.ones_like(mean))], true)
+    assert np.allclose(stated.rms, np.sqrt((0.25 + 0.25 + 2.25 + 9) / 4))
+    assert np.all(stated.within_one == 0.5) and np.all(stated.within_two == 0.75)
+    assert np.isnan(score([Estimate(mean, np.full_like(mean, np.nan))], true).within_one).all()
+
+
+def test_shipped_observers_fit_a_motors_processor():
+    for path in SHIPPED.iterdir():
+        observer, _ = load_observer(path)
+        assert 4 * sum(value.numel() for value in observer.parameters()) <= 50_000
+
+
+@pytest.fixture(scope="module")
+def scores() -> dict[str, Score]:
+    """Scores on arms that no observer was fitted to."""
+    run = rollout(make_base("adaptive"), 32, seed=VALIDATION.first, randomization="train")
+    split = Split("fresh", "validation", VALIDATION.first, {}, run.params, run.moves, np.zeros(32), "")
+    return scores_of("adaptive", watchers(), split, 32)
+
+
+def test_observers_correct_the_filter_and_know_how_well(scores: dict[str, Score]):
+    """On average over the quantities; 32 arms are too few for their constants to tell much more."""
+    corrected, known = scores["learned on the filter"], scores["filter"]
+    ratio, torsion = dict(zip(NAMES, corrected.rms / known.rms, strict=True)), NAMES.index("torsion")
+    assert max(ratio.values()) < 1.03 and ratio["belt_stiffness"] < 1
+    within = corrected.within_one
+    assert np.all(within > 0.45) and np.all(within < 0.9) and 0.62 < within.mean() < 0.76
+    assert scores["learned alone"].rms[torsion] > known.rms[torsion], "the encoder alone shows less"
+
+
+# Presliding
+
+
+def test_the_located_friction_is_the_limit_of_a_stiff_bristle_in_closed_loop():
+    soft, stiff = check(3.0, 1), check(0.1, 1)
+    assert stiff["tip"] < 0.5 * soft["tip"]
+    assert all(stiff["costs"][name] < 0.6 * soft["costs"][name] for name in soft["costs"])
+
+
+def test_the_answer_follows_an_order_that_turns():
+    rng = np.random.default_rng(0)
+    values = {("a", LOCATED): rng.uniform(1, 2, (1, 30)), ("b", LOCATED): rng.uniform(3, 4, (1, 30))}
+    values |= {("a", "1 mrad"): values["b", LOCATED], ("b", "1 mrad"): values["a", LOCATED]}
+    assert verdicts(values, ("a", "b"), LOCATED) == {("a", "b"): "better"}
+    assert verdicts(values, ("a", "b"), "1 mrad") == {("a", "b"): "worse"}
+    data, pages = _frame.read_data(_frame.RESULTS / "presliding"), set()
+    for arms, turned in ((48, [["paper", "student"]]), (48, []), (4, [])):
+        changed = data | {"arms": arms, "pairs": [pair | {"reversed": turned} for pair in data["pairs"]]}
+        pages.add(_frame.page("presliding", presliding, changed))
+    assert len(pages) == 3, "reversed, not reversed, too few arms"
+
+
+# Sensors
+
+
+@cache
+def both(name: str) -> tuple[Outcome, Outcome]:
+    split = development_set().splits["randomized"]
+    without, with_it = (outcome(name, tier, split, 16) for tier in TIERS)
+    return without, with_it
+
+
+@pytest.mark.parametrize(("name", "most"), [("adaptive", 0.4), ("preview", 0.6)])
+def test_a_filter_with_the_accelerometer_knows_the_torsion_better(name: str, most: float):
+    without, with_it = both(name)
+    assert with_it.torsion < most * without.torsion
+
+
+@pytest.mark.parametrize("name", FELT)
+def test_with_the_accelerometer_the_arm_vibrates_less(name: str):
+    without, with_it = (result.metrics for result in both(name))
+    assert np.median(with_it["cost"] - without["cost"]) < 0
+    assert with_it["residual_pp_mm"].mean() < 0.9 * without["residual_pp_mm"].mean()

@@ -1,0 +1,46 @@
+"""First tries of studies, as a user runs them, with what all their folders must have."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+from commands import stopped
+from matplotlib.figure import Figure
+
+from eval import study
+from eval.comparison import provenance
+from eval.studies import _frame
+
+
+def try_study(name: str, folder: Path) -> None:
+    """Run `eval/study.py NAME --quick` in a folder, and check its page, its data and its pictures in `out`."""
+    code, errors = stopped(study.main, (name, "--quick", "--out", "out"), folder)
+    assert code == 0, errors
+    out, module = folder / "out", _frame.load(name)
+    data = _frame.read_data(out)
+    page = (out / "page.md").read_text(encoding="utf-8")
+    assert {"command", "commit", "inputs", "options", "seconds"} <= set(data["provenance"])
+    assert page == _frame.page(name, module, data)
+    assert not re.search(r"\b(nan|inf|None)\b", page)
+    assert {path.name for path in out.iterdir()} == {"data.json", "page.md", *module.pictures(data)}
+    shown = set(re.findall(r"\]\(([\w-]+\.(?:png|csv))\)", page))
+    assert shown <= {path.name for path in out.iterdir()}
+
+
+def save_coarsely(figures: Mapping[str, Callable[[], Figure]], folder: Path, **_: object) -> None:
+    """Draw figures as `save_figures` does, but coarsely, and without the search for the best layout."""
+    for name, draw in figures.items():
+        figure = draw()
+        figure.set_layout_engine("none")
+        figure.savefig(folder / name, dpi=20)
+        plt.close(figure)
+
+
+def hurry(patch: pytest.MonkeyPatch) -> None:
+    """Leave out of a first try what takes longest and is the same for all studies: fine pictures, and the digest."""
+    patch.setattr(_frame, "save_figures", save_coarsely)
+    patch.setattr(provenance, "inputs_digest", lambda *_: "0" * 64)
