@@ -237,7 +237,7 @@ class TestEnvironment:
         env = BeltArmVectorEnv(2, model="mujoco")
         env.reset(seed=1)
         before = env.state
-        with pytest.raises(ValueError, match="mujoco.* torque_ripple=0.006"):
+        with pytest.raises(ValueError, match=r"mujoco.* torque_ripple=0\.006"):
             env.reset(seed=2, options={"params": {"torque_ripple": np.array([0.0, 0.006])}})
         np.testing.assert_array_equal(env.state, before)
         assert not env.params_table[:, DRIVE_COLUMNS].any()
@@ -256,7 +256,7 @@ def test_without_opengl_it_is_asked_for_once_and_the_way_out_is_named(monkeypatc
     for _ in range(2):
         env = gym.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
         env.reset(seed=0)
-        with pytest.raises(gym.error.DependencyNotInstalled, match="MUJOCO_GL=egl.*lagrangian"):
+        with pytest.raises(gym.error.DependencyNotInstalled, match=r"MUJOCO_GL=egl.*lagrangian"):
             env.render()
         env.close()
     assert len(attempts) == 1
