@@ -130,10 +130,7 @@ class TestDrawnMoves:
         assert 0.5 <= move.duration <= 1.2 + 1e-12
         assert 0.15 - 1e-12 <= move.ramp_time / move.duration <= 0.35 + 1e-12
         check_moves(profile, np.array([row]))
-        torque = rigid_torque(ArmParams(), *path(profile, move, np.linspace(0, move.duration, 400)))
-        claim = peak_torque(profile, length, move.duration, move.ramp_time)
-        assert claim <= MOST_TORQUE + 1e-12
-        assert 0.5 * claim <= np.abs(torque).max() <= claim + 1e-12, "a claim, not just a large number"
+        assert peak_torque(profile, length, move.duration, move.ramp_time) <= MOST_TORQUE + 1e-12
 
     @ALL
     @examples(100)
@@ -213,7 +210,7 @@ class TestFeasibility:
         rising = MoveShape(start, start + length, duration, share * duration)
         for move in (rising, rising._replace(start=rising.goal, goal=rising.start)):
             torque = rigid_torque(ArmParams(), *path(profile, move, np.linspace(0, duration, 200)))
-            assert np.abs(torque).max() <= claim + 1e-9
+            assert 0.3 * claim <= np.abs(torque).max() <= claim + 1e-9, "a claim, not just a large number"
 
     @ALL
     def test_moves_at_the_bounds_pass(self, profile: int):
