@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("sphinx", reason="the site needs `make docs`'s packages")
 pytest.importorskip("sphinxcontrib.katex", reason="the site needs `make docs`'s packages")
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 KEPT_OUT = {".git", ".venv", "docs", "results", "runs"}
 LOADED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "source": "src", "video": "src"}
@@ -66,9 +67,8 @@ def test_every_page_of_the_docs_is_in_the_site(site: Path):
         name = source.relative_to(ROOT / "docs")
         if name.parts[0] not in ("_build", "_static", "gallery"):
             assert (site / name).with_suffix(".html").is_file(), f"{name} is in no table of contents"
-    assert (
-        len(list((ROOT / "docs/tutorials").glob("*.py"))) == len(list((site / "gallery").glob("tutorial_*.html"))) == 6
-    )
+    tutorials = [*(ROOT / "docs/tutorials").glob("*.py")]
+    assert len(tutorials) == len([*(site / "gallery").glob("tutorial_*.html")]) > 0
 
 
 def test_pages_load_nothing_from_another_host(site: Path, pages: list[Page]):
