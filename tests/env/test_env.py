@@ -229,18 +229,6 @@ class TestReward:
         assert reward == pytest.approx(-20.1)
         assert env.step(OUTWARD)[1] == pytest.approx(-MAX_COST)
 
-    @pytest.mark.parametrize(("model", "torque_limit"), [("lumped", 1e6), ("lagrangian", 1e5), ("lumped", 1e9)])
-    @pytest.mark.filterwarnings("ignore:.* encountered in:RuntimeWarning")  # of NumPy, where kernels are plain Python
-    def test_an_arm_that_a_torque_tears_apart_has_a_finite_tip_error(self, model: str, torque_limit: float):
-        env = make(model=model)
-        params = {"torque_limit": torque_limit, "belt_stiffness": 40.0}
-        env.reset(seed=0, options={"params": params, "move": LONG_MOVE})
-        _, reward, terminated, _, info = env.step(OUTWARD)
-        assert terminated and math.isfinite(reward)
-        for name in ("tip_error", "tip_error_max", "tip_error_rms"):
-            assert 0 < info[name] <= 1e6
-        assert info["tip_error"] == 1e6 or torque_limit == 1e9, "a state that is no number is that of an arm at rest"
-
     @pytest.mark.parametrize("hold", [5, 200], ids=["truncated", "terminated"])
     def test_totals_are_the_sums_of_each_episode(self, hold: int):
         env, actions = make(), 1.5 * torques(EPISODE_STEPS, 1, hold)
@@ -298,14 +286,13 @@ ARGUMENTS = {
 BATCH_ARGUMENTS = {**ARGUMENTS, "num_envs": 3, "num_threads": 2, "autoreset_mode": "SameStep", "max_episode_steps": 7}
 NUMPY_SETTINGS: list[dict[str, Any]] = [
     {"randomization": {"payload_mass": (np.float64(0.1), np.float32(0.5)), "torque_ripple_order": np.array([4, 8])}},
-    {"sensors": np.str_("tip"), "profile": np.str_("scurve"), "model": np.str_("lagrangian")},
+    {"sensors": np.str_("tip"), "profile": np.str_("scurve"), "model": np.str_("lagrangian"), "delay": np.array(1)},
     {"encoder_counts": np.int64(1000), "delay": np.float32(0.5), "randomization": np.str_("train")},
-    {"delay": np.array(1), "render_mode": np.str_("rgb_array")},
 ]
-BATCH_SETTINGS: list[dict[str, Any]] = [
-    {"delay": np.array([0.0, 1.5])},
-    {"num_threads": np.int64(2), "autoreset_mode": AutoresetMode.SAME_STEP, "max_episode_steps": np.int64(100)},
-]
+BATCH_SETTINGS: dict[str, Any] = {
+    **{"num_threads": np.int64(2), "autoreset_mode": AutoresetMode.SAME_STEP, "max_episode_steps": np.int64(100)},
+    "delay": np.array([0.0, 1.5]),
+}
 
 
 class TestArguments:
@@ -327,8 +314,8 @@ class TestArguments:
             for name in settings:
                 assert again.get_wrapper_attr(name) == env.get_wrapper_attr(name)
 
-    @pytest.mark.parametrize("settings", NUMPY_SETTINGS + BATCH_SETTINGS, ids=str)
-    def test_specs_make_the_batch_again(self, settings: dict[str, Any]):
+    def test_specs_make_the_batch_again(self):
+        settings = BATCH_SETTINGS
         envs: Any = gym.make_vec("beltarm_env:BeltArm-v0", num_envs=np.int64(2), **settings)  # pyright: ignore[reportArgumentType]
         for spec in (envs.spec, EnvSpec.from_json(envs.spec.to_json())):
             again: Any = gym.make_vec(spec)

@@ -379,11 +379,14 @@ HEAVY_SWING = {
 }
 WILD: dict[str, dict[str, Any]] = {
     "heavy swing, from rest": {"params": HEAVY_SWING, "move": {"start": 0.8, "goal": 1.4}},
+    "torn apart": {"params": {"torque_limit": 1e6, "belt_stiffness": 40.0}, "move": MOVE},
+    "torn apart at once": {"params": {"torque_limit": 1e9, "belt_stiffness": 40.0}, "move": MOVE},
     "fast torsion": {"state": [60.0, 0.0, 0.0, 1e5]},
     "fast motor": {"state": [60.0, 1e9, 0.0, 0.0]},
 }
 
 
+@pytest.mark.filterwarnings("ignore:.* encountered in:RuntimeWarning")  # of NumPy, where kernels are plain Python
 @pytest.mark.parametrize("options", WILD.values(), ids=WILD)
 def test_motion_too_wild_to_integrate_is_refused_or_ends_without_a_nan(options: dict[str, Any]):
     env, over = BeltArmEnv(sensors="full"), False
