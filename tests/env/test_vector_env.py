@@ -330,7 +330,7 @@ def values_of(name: str) -> st.SearchStrategy[float]:
     return values if bound.low > 0 or (bound.low == 0 and bound.above) else st.just(0.0) | values
 
 
-@examples(120, shrink=False)
+@examples(60, shrink=False)
 @given(
     arms=st.lists(st.fixed_dictionaries({name: values_of(name) for name in FIELDS}), min_size=1, max_size=3),
     motion=st.none() | st.tuples(st.floats(0, 1.5), st.floats(-2000, 2000), st.floats(-1, 1), st.floats(-100, 100)),
