@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from driven_arms import GEAR, UPPER_ENDS, Command, at_rest, full_arm_at, push, random_params, stops, wave
+from driven_arms import GEAR, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
@@ -43,23 +43,6 @@ def mujoco_mass_matrix(model: Any, theta_1: float, phi: float) -> Floats:
         mujoco.mj_mulM(model, data, column, unit)
     jacobian = np.diag([1.0, -2.0])
     return jacobian @ columns @ jacobian
-
-
-def run_both(
-    params: dict[str, float], state: Floats, command: Command, substeps: int = 2, steps: int = 1200, **settings: Any
-) -> tuple[float, EventLocatedArm]:
-    """Worst distance [m] of the two tips over an episode, and the event-located arm at its end."""
-    arm = EventLocatedArm(ArmParams(**params), state, "lagrangian")
-    model = load_model(arm.params, CONTROL_PERIOD / substeps, **settings)
-    data, worst = mujoco.MjData(model), 0.0
-    write_state(data, arm.params, state)
-    for k in range(steps):
-        data.ctrl[0] = command(k, arm)
-        mujoco.mj_step(model, data, substeps)
-        arm.advance(command(k, arm), CONTROL_PERIOD)
-        ends = tip(arm.params, read_state(data, arm.params)), tip(arm.params, arm.state)
-        worst = max(worst, float(np.linalg.norm(ends[0] - ends[1])))
-    return worst, arm
 
 
 class TestModel:
@@ -107,13 +90,8 @@ class TestModel:
         assert (file.opt.timestep, file.opt.integrator) == (loaded.opt.timestep, loaded.opt.integrator)
 
     def test_settings_out_of_range(self):
-        wrong: dict[str, Any] = {
-            "timestep": math.nan,
-            "friction_rate": -1.0,
-            "friction_impedance": 1.0,
-            "integrator": "rk5",
-        }
-        for name, value in wrong.items():
+        wrong: list[tuple[str, Any]] = [("timestep", math.nan), ("friction_rate", -1.0), ("friction_impedance", 1.0)]
+        for name, value in [*wrong, ("integrator", "rk5")]:
             with pytest.raises(ValueError, match=rf"{name} .*got {value!r}"):
                 load_model(ArmParams(), **{name: value})
 
@@ -137,29 +115,6 @@ class TestModel:
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith("MuJoCo: ") and "QVEL" in line
 
-
-class TestMotion:
-    @pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("rk4", 4)])
-    def test_order_of_convergence(self, integrator: str, order: int):
-        start, command = at_rest(0.7, 0.03), wave(0.06, 3)
-        coarse, fine = (run_both(NO_COULOMB, start, command, n, 400, integrator=integrator)[0] for n in (1, 2))
-        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.15)
-
-    @pytest.mark.parametrize(
-        ("params", "command"),
-        [
-            pytest.param({}, wave(0.06, 4), id="nominal"),
-            pytest.param({"coulomb_friction": 0.1}, wave(0.15, 3), id="friction 3x"),
-        ],
-    )
-    def test_stick_slip(self, params: dict[str, float], command: Command):
-        worst, arm = run_both(params, at_rest(0.785), command)
-        assert stops(arm) >= 8
-        assert worst < 3e-6
-        # With the friction that MuJoCo has by default, the tip is two orders of magnitude further off.
-        usual: dict[str, Any] = {"friction_impedance": 0.9, "friction_rate": 95.0}
-        assert run_both(params, at_rest(0.785), command, steps=600, **usual)[0] > 1e-4
-
     def test_a_stuck_motor_creeps_as_documented(self):
         params, torque, impedance, rate = ArmParams(), 0.02, 0.9999, 2000.0
         model = load_model(params, friction_impedance=impedance, friction_rate=rate)
@@ -173,15 +128,13 @@ class TestMotion:
         assert (data.qpos[0] - before) / (2400 * model.opt.timestep) == pytest.approx(creep, rel=0.02)
 
 
-def distance_of_engines(params: dict[str, float], samples: int = 800) -> float:
+def distance_of_engines(params: dict[str, float]) -> float:
     """Largest distance of the tips in the two engines [m], given the same commands."""
-    engine, kernel = BeltArmEnv(model="mujoco"), BeltArmEnv(model="lagrangian")
-    for env in (engine, kernel):
-        env.reset(seed=0, options={"params": params, "state": at_rest(math.pi / 4, 0.02)})
+    engine, kernel = (arm_env(params, at_rest(math.pi / 4, 0.02), model) for model in ("mujoco", "lagrangian"))
     worst = 0.0
-    for k in range(samples):
-        action = np.array([push(k) / 0.3])
-        assert not engine.step(action)[2] and not kernel.step(action)[2]
+    for k in range(800):
+        for env in (engine, kernel):
+            apply(env, push(k))
         worst = max(worst, float(np.linalg.norm(tip(engine.params, engine.state) - tip(kernel.params, kernel.state))))
     return worst
 
