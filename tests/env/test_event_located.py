@@ -11,10 +11,9 @@ import sympy
 from driven_arms import GEAR, LOSSLESS, MODELS, UPPER_ENDS, at_rest, drawn_arms, full_arm_at, push, stops
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv
-from eval.reference.crossing import first_crossing
 from eval.reference.event_located import EventLocatedArm, tip
 from eval.reference.lugre import LuGreArms
-from eval.reference.symbolic_arm import compiled, derive, masses_of
+from eval.reference.symbolic_arm import derive, masses_of
 
 CONSERVATIVE = {
     **LOSSLESS,
@@ -22,20 +21,6 @@ CONSERVATIVE = {
     **{"kinematic_error": 0.005, "kinematic_error_phase": 2.0, "belt_stiffening": 0.9, "payload_mass": 0.2},
 }
 EACH_MODEL = pytest.mark.parametrize("model", MODELS)
-
-
-def crossing(function: Callable[[float], float]) -> float | None:
-    times = np.linspace(0, 1, 9)
-    return first_crossing(function, times, [function(t) for t in times.tolist()])
-
-
-def test_crossings_are_roots_also_of_a_dip_between_two_looks():
-    for lowest in (0.02, 0.31, 0.5, 0.55, 0.97):
-        for depth, expected in ((-1e-9, pytest.approx(lowest - math.sqrt(1e-9), abs=1e-9)), (1e-9, None)):
-            assert crossing(lambda t, lowest=lowest, depth=depth: (t - lowest) ** 2 + depth) == expected
-    assert crossing(lambda t: t) is None, "it rises from zero"
-    assert crossing(lambda t: t * (0.7 - t)) == pytest.approx(0.7, rel=1e-12)
-    assert crossing(lambda t: t * (1e-9 - t)) == 0.125, "the next look, for one that rose less than can be seen"
 
 
 class TestEquations:
@@ -61,23 +46,6 @@ class TestEquations:
                 assert full_arm_at(params, 0.1, phi).mass_matrix().sum() == pytest.approx(total, rel=1e-12)
         nominal = masses_of(ArmParams())
         assert (nominal.rod, nominal.end, nominal.pulley) == pytest.approx((0.48, 0.0, 0.0)), "a uniform rod alone"
-
-    def test_kinetic_energy_of_moving_parts(self):
-        # Link 2's kinetic energy from two points that stand for a uniform rod: at its middle +- l / sqrt(12), half the
-        # mass each. Their speeds by finite differences of the positions.
-        params, rng = ArmParams(arm_inertia_swing=0.09, payload_mass=0.2), np.random.default_rng(1)
-        masses = masses_of(params)
-
-        def points(q: np.ndarray) -> np.ndarray:
-            joint_2, along = np.exp(1j * q[0]), np.exp(1j * (q[0] - 2 * q[1]))
-            spread = np.array([0.5 - 12**-0.5, 0.5 + 12**-0.5, 1.0])
-            return masses.link * (joint_2 + spread * along)
-
-        for _ in range(20):
-            q, u = rng.uniform(-1, 1, 2), rng.uniform(-2, 2, 2)
-            speeds = np.abs(points(q + 1e-6 * u) - points(q - 1e-6 * u)) / 2e-6
-            expected = 0.5 * (masses.motor * u[0] ** 2 + speeds**2 @ [masses.rod / 2, masses.rod / 2, masses.end])
-            assert compiled()(*q, *u, *masses)[5] == pytest.approx(expected, rel=1e-8)
 
     def test_the_tip_turns_with_the_belts_torsion(self):
         params = ArmParams(kinematic_error=0.0005, kinematic_error_phase=0.7)

@@ -141,24 +141,6 @@ def test_reversals_of_the_torque(torque: list[float], count: int):
         assert evaluate(torque=signal, torque_limit=scale * 0.3)["torque_reversals_hz"] == pytest.approx(count / 1.8)
 
 
-def test_arms_do_not_mix():
-    rng = np.random.default_rng(1)
-    error, velocity = rng.normal(scale=2e-3, size=(2, EPISODE_STEPS, 3, 2))
-    error[1000:, 1] = 0
-    torque = rng.uniform(-0.3, 0.3, (EPISODE_STEPS, 3))
-    limit, duration = np.array([0.3, 0.2, 0.25]), np.array([0.6, 0.9, 1.2])
-    cost, finished = np.array([1.0, 2.0, 3.0]), np.array([True, True, False])
-    together = episode_metrics(error, velocity, torque, limit, duration, cost, finished)
-    for arm in range(3):
-        alone = evaluate(
-            **{"tip_error": error[:, arm], "tip_velocity_error": velocity[:, arm], "torque": torque[:, arm]},
-            **{"torque_limit": limit[arm], "move_duration": duration[arm], "cost": cost[arm]},
-            finished=finished[arm],
-        )
-        assert {name: value[arm] for name, value in together.items()} == pytest.approx(alone)
-    np.testing.assert_array_equal(together["failure_share"], [1, 0, 1])
-
-
 class Still:
     def predict(self, observation: Any, *_: Any, **__: Any) -> Any:
         return np.zeros((len(observation), 1), np.float32), None
@@ -184,6 +166,8 @@ class TestRecording:
         last = recording.arm(2)
         alone = rollout(CONTROLLERS["paper"](), 1, seed=7, randomization="train")
         assert last.state.tobytes() == alone.state.tobytes() and last.cost.tolist() == alone.cost.tolist()
+        for name, values in recording.metrics().items():
+            assert values[2] == pytest.approx(last.metrics()[name][0]), name
         assert last.moves.shape == (1, 4) and last.tip_error.shape == (EPISODE_STEPS, 1, 2)
         for k in (-1, 3):
             with pytest.raises(IndexError, match=f"0 to 2, got {k}"):

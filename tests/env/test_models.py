@@ -6,21 +6,27 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import sympy
-from driven_arms import GEAR, MODELS, at_rest
+from driven_arms import GEAR, MODELS, UPPER_ENDS, at_rest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
+from properties import examples
 
 from beltarm_env import ArmParams, state_space
 from beltarm_env.arm import FIELDS, bounds_of
-from beltarm_env.physics import substeps
+from beltarm_env.physics import drive as drives
+from beltarm_env.physics import friction, models, substeps
 from beltarm_env.physics.models import FULL_ARM, LUMPED, Model
+from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.substeps import fastest_rate, integration_limits
-from beltarm_env.task.ranges import TRAIN_RANGES, range_bounds
+from beltarm_env.task.ranges import IDEAL_RANGES, TRAIN_RANGES, range_bounds
 from eval.reference.event_located import EventLocatedArm
 from eval.reference.symbolic_arm import derive
 
 Floats = NDArray[np.float64]
 
 DEG_90 = math.pi / 2
+PHASES = {"kinematic_error_phase": 0.7, "friction_variation_phase": 1.9, "torque_ripple_phase": 2.5}
 UNEVEN = [
     {"payload_mass": 0.2},
     {"arm_inertia": 0.008, "arm_inertia_swing": 0.072, "payload_mass": 0.1},  # a hand beside the rod
@@ -41,6 +47,38 @@ class TestEquations:
         turning = swing * sympy.sin(2 * phi)
         bias = sympy.Matrix([-turning * omega_phi * (omega_1 - omega_phi), turning * omega_1**2 / 2])
         assert sympy.simplify(equations.bias - bias) == sympy.zeros(2, 1)
+
+    @pytest.mark.parametrize("model", [LUMPED, FULL_ARM], ids=["lumped", "lagrangian"])
+    @examples(60)
+    @given(
+        st.booleans(),
+        st.fixed_dictionaries({name: st.floats(*pair) for name, pair in IDEAL_RANGES.items()}),
+        st.tuples(st.floats(0, GEAR * 1.5), st.floats(-200, 200), st.floats(-0.1, 0.1), st.floats(-5, 5)),
+        st.floats(-0.3, 0.3),
+        st.sampled_from([-1.0, 0.0, 1.0]),
+    )
+    def test_are_those_of_the_event_located_solution(
+        self,
+        model: Model,
+        built: bool,
+        ranges: dict[str, float],
+        state: tuple[float, ...],
+        torque: float,
+        direction: float,
+    ):
+        params = ArmParams(**(UPPER_ENDS | PHASES if built else {}), **ranges)
+        plant, drive = params.plant(), drives.built_drive(params.row())
+        x = ArmState(state[0], direction * abs(state[1]), state[2], state[3])
+        at = drives.angles_of(x, plant, drive)
+        arm = EventLocatedArm(params, np.array(x), "lumped" if model is LUMPED else "lagrangian")
+        level = arm.dry_friction(arm._y)
+        (_, _, alpha, phi), holding = arm.rates(torque, direction * level if direction else None)
+        accelerations = models.accelerations_at(x, at, torque, direction, plant, model, drive)
+        assert accelerations == pytest.approx((GEAR * alpha, alpha - phi), rel=1e-9, abs=1e-8)
+        if direction == 0:
+            pull = models.driving_torque_at(x, at, torque, plant, model, drive)
+            assert pull == pytest.approx(holding, rel=1e-9, abs=1e-12)
+            assert friction.breakaway_torque(at, plant, drive) == pytest.approx(level, rel=1e-12)
 
 
 class TestIntegrationLimits:
@@ -78,30 +116,6 @@ class TestIntegrationLimits:
             for row in bounds[0] + shares * (bounds[1] - bounds[0]):
                 assert max(integration_limits(row, model)) <= 1 + 1e-9, ranges
         assert accepted > 40
-
-    def test_limits_by_hand(self):
-        oily = ArmParams(motor_viscous_friction=0.63).plant()
-        assert fastest_rate(oily, LUMPED) == pytest.approx(0.63 / 6.3e-5)
-        assert substeps.integration_substeps(oily, LUMPED) == math.ceil(1e4 * 0.0015 / 0.12)
-        assert substeps.integration_substeps(ArmParams().plant(), LUMPED) == 1.0
-        arm = ArmParams(
-            **{"belt_damping_ratio": 0.0, "belt_stiffness": 3300.0, "belt_stiffening": 0.4, "kinematic_error": 0.002},
-            **{"coulomb_friction": 0.03, "friction_variation": 0.2, "static_friction_excess": 0.5},
-            **{"torque_limit": 0.3, "torque_constant_error": 0.1, "torque_ripple": 0.006, "stribeck_speed": 0.1},
-        )
-        rate, slack, steps = integration_limits(arm.row(), LUMPED)
-        # The steepest belt is 1.5 times as stiff; motor and arm, stretched, swing against each other.
-        mobility = 1 / (6.3e-5 * GEAR**2) + 1 / arm.arm_inertia
-        assert rate == pytest.approx(math.sqrt(1.5 * 3300 * mobility) / (400 * 0.12 / 0.0015))
-        assert slack == pytest.approx(2.2 * 0.002 * 88)
-        # From full torque to the opposite, with friction and ripple: 0.66 + 0.054 + 0.006 N m.
-        assert steps == pytest.approx(12 * 0.0015 * 0.72 / 6.3e-5 / 0.1 / 15_000)
-        assert integration_limits(replace(arm, static_friction_excess=0.0).row(), LUMPED)[2] == 0.0
-        # The largest kinematic error is the one that the refusal names.
-        largest = ArmParams(kinematic_error=1 / 2.2 / 64, gear_ratio=64.0)
-        substeps.check_integrable(largest.row()[None], LUMPED)
-        with pytest.raises(ValueError, match=r"kinematic_error.* 0\.0071 "):
-            substeps.check_integrable(replace(largest, kinematic_error=0.00711).row()[None], LUMPED)
 
 
 def oscillating(a: Floats) -> complex:

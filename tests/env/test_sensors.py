@@ -15,7 +15,6 @@ from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
 from beltarm_env.rollout import rollout
 from beltarm_env.task.accelerometer import BANDWIDTH, NOISE, RANGE, bias_of, noise, noise_seed
 from beltarm_env.task.draws import DRAWS
-from beltarm_env.task.sensors import to_counts
 
 Floats = NDArray[np.float64]
 
@@ -25,18 +24,6 @@ STEPS = 400
 NAMES = ("tip_acceleration_along", "tip_acceleration_across")
 TAU = 1 / (2 * math.pi * BANDWIDTH)
 MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
-
-
-def test_counts_round_halves_to_even_and_are_exact_at_any_angle():
-    for per_turn in (500, 10_000_000):
-        resolution = 2 * math.pi / per_turn
-        for angle in np.random.default_rng(0).uniform(-200, 200, 200).tolist():
-            counts = to_counts(angle, resolution)
-            assert counts == np.rint(angle / resolution) == to_counts(counts * resolution, resolution)
-    for halves, counts in ((0.5, 0), (1.5, 2), (-0.5, 0), (-1.5, -2), (1000.5, 1000)):
-        assert to_counts(halves, 1.0) == counts
-        assert to_counts(math.nextafter(halves, math.inf), 1.0) == math.floor(halves) + 1
-        assert to_counts(math.nextafter(halves, -math.inf), 1.0) == math.floor(halves)
 
 
 @pytest.fixture(scope="module")

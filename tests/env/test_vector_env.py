@@ -151,26 +151,12 @@ def test_arms_behind_ideal_and_built_drives_in_any_place_of_a_large_batch_move_a
             env.step(action[arm])
     for arm, env in alone.items():
         assert batch.state[arm].tobytes() == env.state.tobytes() and batch.motor_torques[arm] == env.motor_torque
-
-
-def test_accessors_agree_with_single_arms():
-    envs, singles = make(3, randomization="train"), [BeltArmEnv(randomization="train") for _ in range(3)]
-    envs.reset(seed=5)
-    for i, single in enumerate(singles):
-        single.reset(seed=5 + i)
-    for action in random_actions(30, 3):
-        info = envs.step(action)[4]
-        for i, single in enumerate(singles):
-            single.step(action[i])
-        errors = envs.tip_errors()
-        assert np.hypot(*errors[:, :2].T) == pytest.approx(info["tip_error"], rel=1e-12, abs=1e-15)
-        assert np.minimum(np.hypot(*errors[:, 2:].T) / 0.2, 10) == pytest.approx(info["cost_velocity"], rel=1e-12)
-    assert envs.state.dtype == np.float64
-    assert np.array_equal(envs.state, [single.state for single in singles])
-    assert envs.params == [single.params for single in singles]
-    assert np.array_equal(envs.moves, [list(single.move.values()) for single in singles])
-    assert np.array_equal(envs.params_table, [[getattr(p, name) for name in p.__slots__] for p in envs.params])
-    assert np.array_equal(np.transpose(envs.reference(0.2)), np.array([single.reference(0.2) for single in singles]))
+        assert batch.params[arm] == env.params and batch.moves[arm].tolist() == [*env.move.values()]
+        assert batch.params_table[arm].tolist() == [getattr(env.params, name) for name in FIELDS]
+        assert np.transpose(batch.reference(0.2))[arm].tolist() == [*env.reference(0.2)]
+    info, errors = batch.step(action)[4], batch.tip_errors()
+    assert np.hypot(*errors[:, :2].T) == pytest.approx(info["tip_error"], rel=1e-12, abs=1e-15)
+    assert np.minimum(np.hypot(*errors[:, 2:].T) / 0.2, 10) == pytest.approx(info["cost_velocity"], rel=1e-12)
 
 
 class TestReset:
