@@ -10,9 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
-from scipy.stats import kstest
+from scipy.stats import ks_2samp, kstest
 
-from beltarm_env import ArmParams, BeltArmEnv
+from beltarm_env import ArmParams
 from beltarm_env.task import reference as reference_module
 from beltarm_env.task.moves import (
     DRAWS,
@@ -158,33 +158,20 @@ class TestDrawnMoves:
 
 
 class TestDistribution:
-    """Start and goal are to be uniform over the pairs at least 15 degrees apart."""
+    MOVES = draw(TRAPEZOID, np.random.default_rng(7).random((20_000, DRAWS)))
 
-    TABLE = draw(TRAPEZOID, np.random.default_rng(7).random((20_000, DRAWS)))
-
-    @staticmethod
-    def room(end: Floats) -> Floats:
-        """Length of what the workspace leaves for the other end."""
-        return np.maximum(end - SHORTEST, 0) + np.maximum(WORKSPACE - SHORTEST - end, 0)
-
-    @pytest.mark.parametrize("column", [0, 1])
-    def test_each_end_is_as_likely_as_it_leaves_room_and_the_other_is_uniform_over_that(self, column: int):
-        end, other = self.TABLE[:, column], self.TABLE[:, 1 - column]
-        grid = np.linspace(0, WORKSPACE, 20_001)
-        density = self.room(grid)
-        cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
-        assert kstest(end, lambda x: np.interp(x, grid, cumulative / cumulative[-1])).pvalue > 0.01
-        assert kstest(self.place(end, other), "uniform").pvalue > 0.01
-        goals = draw(TRAPEZOID, np.random.default_rng(8).random((5000, DRAWS)), start=0.4)[:, 1]
-        assert kstest(self.place(np.full(5000, 0.4), goals), "uniform").pvalue > 0.01, "of a start that is given"
-
-    def place(self, end: Floats, other: Floats) -> Floats:
-        """Where the other end lies in its room, from 0 to 1."""
-        below = np.maximum(end - SHORTEST, 0)
-        return np.where(other < end, other, other - end - SHORTEST + below) / self.room(end)
+    def test_start_and_goal_are_uniform_over_the_pairs_15_degrees_apart(self):
+        pairs = WORKSPACE * np.random.default_rng(9).random((1_000_000, 2))
+        pairs[:100_000, 0] = 0.4
+        pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= SHORTEST]
+        given_start = draw(TRAPEZOID, np.random.default_rng(8).random((5000, DRAWS)), start=0.4)
+        drawn, free = self.MOVES[:, :2], pairs[:, 0] != 0.4
+        for weights in ([1, 0], [0, 1], [1, 1], [1, -1]):
+            assert ks_2samp(drawn @ weights, pairs[free] @ weights).pvalue > 0.01
+        assert ks_2samp(given_start[:, 1], pairs[~free, 1]).pvalue > 0.01
 
     def test_directions_and_ramps(self):
-        start, goal, duration, ramp_time = self.TABLE.T
+        start, goal, duration, ramp_time = self.MOVES.T
         assert abs(np.mean(goal > start) - 0.5) < 4 * 0.5 / math.sqrt(len(start))
         share = ramp_time / duration
         assert kstest(share, "uniform", args=(0.15, 0.2)).pvalue > 0.01
@@ -234,8 +221,3 @@ class TestFeasibility:
         shorter = 0.99 * duration
         with pytest.raises(ValueError, match="infeasible"):
             check_moves(profile, np.array([[0.0, length, shorter, shorter / 4]]))
-
-    def test_the_arm_of_an_episode_does_not_matter(self):
-        env, move = BeltArmEnv(), {"start": 0.2, "goal": 1.2, "duration": 0.8, "ramp_time": 0.25}
-        env.reset(options={"move": move, "params": {"motor_inertia": 1e-4, "coulomb_friction": 0.2}})
-        assert env.move == pytest.approx(move)

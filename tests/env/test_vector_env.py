@@ -172,10 +172,9 @@ class TestReset:
             assert np.array_equal(observations[arm], alone) and envs.params[arm] == single.params
             assert np.array_equal(envs.state[arm], single.state)
         assert set(options) == {"params", "move", "state"}
-        state = [30.0, 0.0, 0.01, 0.0]
-        envs.reset(seed=3, options={"params": {"payload_mass": 0.3}, "move": MOVE, "state": state})
+        envs.reset(seed=3, options={"params": {"payload_mass": 0.3}, "move": MOVE, "state": states[0]})
         assert envs.params_table[:, COLUMN.payload_mass].tolist() == [0.3] * 3
-        assert np.array_equal(envs.moves, [list(MOVE.values())] * 3) and np.array_equal(envs.state, [state] * 3)
+        assert np.array_equal(envs.moves, [list(MOVE.values())] * 3) and np.array_equal(envs.state, [states[0]] * 3)
         free = make(3, randomization="train")
         free.reset(seed=3)
         assert np.array_equal(free.reset()[0], envs.reset()[0]), "options do not disturb the random streams"
@@ -366,7 +365,6 @@ HEAVY_SWING = {
 WILD: dict[str, dict[str, Any]] = {
     "heavy swing, from rest": {"params": HEAVY_SWING, "move": {"start": 0.8, "goal": 1.4}},
     "torn apart": {"params": {"torque_limit": 1e6, "belt_stiffness": 40.0}, "move": MOVE},
-    "torn apart at once": {"params": {"torque_limit": 1e9, "belt_stiffness": 40.0}, "move": MOVE},
     "fast torsion": {"state": [60.0, 0.0, 0.0, 1e5]},
     "fast motor": {"state": [60.0, 1e9, 0.0, 0.0]},
 }
