@@ -60,10 +60,10 @@ class TestFrame:
     def test_is_a_fresh_writable_image_of_its_own_renderer(self):
         pygame.display.quit()
         first, second = Renderer("rgb_array", 50), Renderer("rgb_array", 50)
-        shown = [np.asarray(first.draw(PARAMS, state(0.2), 0.22, 0.0)) for _ in range(2)]
-        assert shown[0].shape == (480, 640, 3) and shown[0].dtype == np.uint8
-        assert shown[0].flags.c_contiguous and shown[0].flags.writeable and not np.shares_memory(*shown)
-        np.testing.assert_array_equal(*shown)
+        shown, again = (np.asarray(first.draw(PARAMS, state(0.2), 0.22, 0.0)) for _ in range(2))
+        assert shown.shape == (480, 640, 3) and shown.dtype == np.uint8
+        assert shown.flags.c_contiguous and shown.flags.writeable and not np.shares_memory(shown, again)
+        np.testing.assert_array_equal(shown, again)
         assert not pygame.display.get_init(), "arrays need no display"
         second.draw(PARAMS, state(1.2), 1.22, 0.0)
         for _ in range(2):
@@ -201,7 +201,7 @@ class TestThroughTheEnvironment:
                 over = any(env.step(np.full(1, 0.3, np.float32))[2:4])
             frames.append(np.asarray(env.render()))
         env.close()
-        np.testing.assert_array_equal(*frames[1:], "as after an episode of which each step was drawn")
+        np.testing.assert_array_equal(frames[1], frames[2], "as after an episode of which each step was drawn")
         about = next(ffmpeg.read_frames(str(*tmp_path.glob("films/*-0.mp4"))))
         assert about["size"] == (640, 480)
         assert about["duration"] == pytest.approx(0.15, abs=0.03)

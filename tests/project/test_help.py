@@ -37,6 +37,7 @@ def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_is_plain_and_narrow(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    shown = ""
     for columns in ("200", "60") if command == COMMANDS[0] else ("60",):
         monkeypatch.setenv("COLUMNS", columns)
         shown = help_of(command, capsys)
@@ -48,14 +49,16 @@ def test_help_is_plain_and_narrow(command: str, monkeypatch: pytest.MonkeyPatch,
         assert clutter not in shown, clutter
 
 
-@pytest.mark.parametrize("command", TRAININGS)
-def test_trainings_sort_their_options(command: str, capsys: pytest.CaptureFixture[str]):
-    boxes = re.split(r"─ (\w+) options ─", help_of(command, capsys))
-    groups = {name: {*re.findall(r"│ (--[a-z-]+)", box)} for name, box in zip(boxes[1::2], boxes[2::2], strict=True)}
-    assert list(groups) == ["basic", "algorithm", "run"]
-    assert {"--out", "--base", "--seed", "--seeds", "--resume", "--overwrite"} <= groups["basic"]
-    assert {"--knowledge", "--learning-rate", "--hold", "--arms"} <= groups["algorithm"]
-    assert {"--jobs", "--validation-arms", "--device"} <= groups["run"]
+def test_trainings_sort_their_options(capsys: pytest.CaptureFixture[str]):
+    for command in TRAININGS:
+        boxes = re.split(r"─ (\w+) options ─", help_of(command, capsys))
+        groups = {
+            name: {*re.findall(r"│ (--[a-z-]+)", box)} for name, box in zip(boxes[1::2], boxes[2::2], strict=True)
+        }
+        assert list(groups) == ["basic", "algorithm", "run"]
+        assert {"--out", "--base", "--seed", "--seeds", "--resume", "--overwrite"} <= groups["basic"]
+        assert {"--knowledge", "--learning-rate", "--hold", "--arms"} <= groups["algorithm"]
+        assert {"--jobs", "--validation-arms", "--device"} <= groups["run"]
 
 
 @pytest.mark.slow
