@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from properties import examples
 from scipy.stats import kstest
 
-from beltarm_env import ArmParams
+from beltarm_env import ArmParams, BeltArmEnv
 from beltarm_env.task import reference as reference_module
 from beltarm_env.task.moves import (
     DRAWS,
@@ -197,7 +197,7 @@ class TestFeasibility:
         rising = MoveShape(start, start + length, duration, share * duration)
         for move in (rising, rising._replace(start=rising.goal, goal=rising.start)):
             torque = rigid_torque(ArmParams(), *path(profile, move, np.linspace(0, duration, 200)))
-            assert 0.3 * claim <= np.abs(torque).max() <= claim + 1e-9, "a claim, not just a large number"
+            assert 0.5 * claim <= np.abs(torque).max() <= claim + 1e-9, "a claim, not just a large number"
 
     @ALL
     def test_moves_at_the_bounds_pass(self, profile: int):
@@ -221,3 +221,8 @@ class TestFeasibility:
         shorter = 0.99 * duration
         with pytest.raises(ValueError, match="infeasible"):
             check_moves(profile, np.array([[0.0, length, shorter, shorter / 4]]))
+
+    def test_the_arm_of_an_episode_does_not_matter(self):
+        env, move = BeltArmEnv(), {"start": 0.2, "goal": 1.2, "duration": 0.8, "ramp_time": 0.25}
+        env.reset(options={"move": move, "params": {"motor_inertia": 1e-4, "coulomb_friction": 0.2}})
+        assert env.move == pytest.approx(move)
