@@ -1,6 +1,7 @@
-"""Motion behind an ideal drive: event-located solutions, order of the integrator, energy, and stiction."""
+"""Motion of the simulated arm: event-located solutions, order of the integrator, energy, and stiction."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,103 +10,156 @@ from driven_arms import (
     GEAR,
     LOSSLESS,
     MODELS,
+    UPPER_ENDS,
     Command,
     apply,
     arm_env,
     at_rest,
+    drawn_arms,
     largest_distance,
-    reversals,
+    pushed,
     stops,
+    swing,
     wave,
 )
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from properties import examples
-from scipy.integrate import solve_ivp
 
-from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, ArmParams
+from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS, TRAIN_RANGES, ArmParams, BeltArmEnv, design_model
+from beltarm_env.arm import DRIVE_EFFECTS
 from beltarm_env.observation import decode
 from beltarm_env.task.ranges import IDEAL_RANGES
 from eval.reference.event_located import EventLocatedArm, tip
 from eval.studies.physics import measure_convergence
 
 Floats = NDArray[np.float64]
+Arm = Mapping[str, Any]
 
 LIMIT = 0.3
 DEG_45, DEG_90 = math.pi / 4, math.pi / 2
 LOW, HIGH = ({name: pair[end] for name, pair in IDEAL_RANGES.items()} for end in (0, 1))
-FASTEST_TRAINED = LOW | {"belt_stiffness": HIGH["belt_stiffness"]}
-SLOWEST_TRAINED = HIGH | {"belt_stiffness": LOW["belt_stiffness"]}
 HAND = {"arm_inertia": 0.008, "arm_inertia_swing": 0.072, "payload_mass": 0.1}  # beside the rod
 PULLEY = {"arm_inertia": 0.012, "arm_inertia_swing": 0.048, "gear_ratio": 60.0, "link_length": 0.3}
+PHASES = {f"{name}_phase": 0.7 for name in ("friction_variation", "torque_ripple", "kinematic_error")}
+UNDAMPED = {"belt_damping_ratio": 0.0}
+ARMS = drawn_arms(8, seed=5)
+MOVED = at_rest(DEG_45, 0.02)
+RINGING = wave(0.0, 1)  # without torque
 
 
-def still(_: int, __: EventLocatedArm) -> float:
-    return 0.0
+def jolted(sample: int, _: EventLocatedArm) -> float:
+    """Give a command [N m] that jumps in every sample, within a third of the torque limit."""
+    return 0.1 * math.sin(7.0 * sample * sample)
 
 
-def back_and_forth(sample: int, arm: EventLocatedArm) -> float:
-    """Table 2's position loop without friction compensation, after a joint that swings by 0.3 rad around 45 degrees."""
-    time, rate = sample * CONTROL_PERIOD, 2 * math.pi * 1.2
-    reference = DEG_45 + 0.3 * math.sin(rate * time)
-    speed, acceleration = 0.3 * rate * math.cos(rate * time), -0.3 * rate**2 * math.sin(rate * time)
-    demand = GEAR * acceleration + 20 * (GEAR * speed - arm.state[1]) + 25 * (GEAR * reference - arm.state[0])
-    return min(max(6.3e-5 * demand + 3.5e-4 * arm.state[1], -LIMIT), LIMIT)
+def late(latency: float, lag: float) -> Arm:
+    """A drive with a latency [samples] and a current loop [s]."""
+    return {**ARMS[1], "command_latency": latency * CONTROL_PERIOD, "current_loop_time_constant": lag}
+
+
+IDEAL: dict[str, tuple[str, Arm, Command, int]] = {
+    "nominal": ("lumped", {}, wave(0.06, 4), 3),
+    "barely breaking away": ("lumped", {}, wave(0.042, 5), 3),
+    "soft belt": ("lumped", UNDAMPED | {"belt_stiffness": 16.5}, wave(0.058, 4), 3),
+    "120 degrees of the motor": ("lumped", {"coulomb_friction": 0.1}, wave(0.15, 4), 3),
+    "fastest trained": ("lumped", LOW | {"belt_stiffness": HIGH["belt_stiffness"]}, wave(0.04, 4), 3),
+    "slowest trained": ("lumped", HIGH | {"belt_stiffness": LOW["belt_stiffness"]}, wave(0.06, 4), 3),
+    "full arm": ("lagrangian", {}, wave(0.046, 3), 3),
+    "full arm with a hand": ("lagrangian", HAND, wave(0.06, 5), 3),
+    "full arm with a pulley": ("lagrangian", PULLEY, wave(0.046, 3), 3),
+    "without friction": ("lumped", {"coulomb_friction": 0.0}, wave(0.05, 3), 0),
+}
+BUILT: dict[str, tuple[str, Arm, Floats, Command, int, int]] = {
+    **{name: ("lumped", PHASES | {name: UPPER_ENDS[name]}, MOVED, pushed, 500, 2) for name in DRIVE_EFFECTS},
+    **{f"arm {k}": ("lumped", ARMS[k], MOVED, pushed, 800, 4) for k in range(2)},
+    "full arm 0": ("lagrangian", ARMS[0], MOVED, pushed, 800, 4),
+    "breaking away while the torque still rises": ("lumped", ARMS[0], MOVED, jolted, 300, 20),
+    "full arm, while the torque still rises": ("lagrangian", ARMS[1], MOVED, jolted, 300, 20),
+    # Nearly 400 rad/s of the motor, as in the benchmark's moves. At 350 rad/s a ripple of 12 per turn has one period
+    # per sample, which one step per sample would take for a constant torque.
+    "fast move": ("lumped", {**ARMS[0], "torque_ripple_order": 12}, at_rest(0.2), swing, EPISODE_STEPS, 1),
+    "fast move of the full arm": ("lagrangian", {**ARMS[0], "torque_ripple_order": 4}, at_rest(0.2), swing, 1200, 1),
+    "late": ("lumped", late(0.3, 0.0), MOVED, pushed, 300, 1),
+    "later": ("lagrangian", late(2.7, 0.0002), MOVED, pushed, 300, 1),
+    "slow current loop": ("lumped", late(3.0, 0.01), MOVED, pushed, 300, 0),
+    "fast current loop": ("lumped", late(0.3, 1e-6), MOVED, pushed, 150, 0),
+    # An oiled motor crosses the whole band of sticking within one sample, either way.
+    "oiled": ("lumped", UNDAMPED | {"coulomb_friction": 1e-4}, at_rest(0.8, 0, -5.0), RINGING, 1200, 1),
+    "less oiled": ("lumped", UNDAMPED | {"coulomb_friction": 1e-3}, at_rest(0.8, 0, 5.0), RINGING, 1200, 1),
+    "a stuck motor while the arm rings": ("lumped", {}, at_rest(DEG_90, 0.08), RINGING, 1200, 1),
+}
+SLOW = {f"{model} {k}": (model, ARMS[k], MOVED, pushed, 800, 4) for model in MODELS for k in range(2, 8)}
 
 
 class TestAgainstEventLocatedIntegration:
+    @pytest.mark.parametrize("case", IDEAL)
+    def test_behind_an_ideal_drive(self, case: str):
+        model, params, command, least = IDEAL[case]
+        start = at_rest(DEG_45, 0.0 if least else 0.03, gear=params.get("gear_ratio", GEAR))
+        worst, arm = largest_distance(params, start, command, model, 800)
+        modes = [new for _, new in arm.mode_changes]
+        assert stops(arm) == 0 if least == 0 else stops(arm) >= least
+        assert modes.count("backward") >= 2 and modes.count("forward") >= 2, "reverses"
+        assert worst < 1e-6
+
+    @pytest.mark.parametrize("case", [*BUILT, *(pytest.param(case, marks=pytest.mark.slow) for case in SLOW)])
+    def test_in_all_regimes(self, case: str):
+        model, params, start, command, samples, least = (BUILT | SLOW)[case]
+        worst, arm = largest_distance(params, start, command, model, samples)
+        assert stops(arm) >= least
+        assert worst < 1e-6
+
+    @pytest.mark.parametrize(("params", "model"), [({}, "lumped"), (UPPER_ENDS, "lumped"), (UPPER_ENDS, "lagrangian")])
+    def test_a_coasting_motor_stops_in_its_sample_at_its_angle(self, params: Arm, model: str):
+        start = np.array([0.5 * GEAR, 60.0, 0.0, 60.0 / GEAR])
+        env = arm_env(params, start, model)
+        arm = EventLocatedArm(env.params, start, model)
+        while arm.mode != "stuck":
+            assert env.state[1] > 0 or arm.samples == 0
+            apply(env, 0.0)
+            arm.sample(0.0)
+            assert env.state[0] == pytest.approx(arm.state[0], abs=5e-7)
+        assert env.state[1] == 0 and arm.samples > 40
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(("number", "model"), [(4, "lagrangian"), (9, "lumped")])
+    def test_what_fast_arms_are_off_by_is_the_error_of_the_step(self, number: int, model: str):
+        """Of 60 arms, these are off by most but for a sensitive one: docs/science/physics.md has the numbers."""
+        params = drawn_arms(60, seed=78)[number]
+        once, twice = (largest_distance(params, at_rest(0.2), swing, model, 1000, steps)[0] for steps in (1, 2))
+        assert twice < 0.1 * once < 0.3e-6
+
+    @pytest.mark.parametrize("name", DRIVE_EFFECTS)
+    def test_the_smallest_effects_are_as_good_as_none(self, name: str):
+        def path(size: float) -> Floats:
+            """Tips under a wave of torque."""
+            env, tips = arm_env({**ARMS[1], name: size}, MOVED), []
+            for k in range(200):
+                env.step(np.array([0.3 * math.sin(0.02 * k)]))
+                tips.append(tip(env.params, env.state))
+            return np.array(tips)
+
+        without = path(0.0)
+        for size in (5e-324, 1e-20, 1e-15):
+            assert np.abs(path(size) - without).max() < 1e-8
+
     @pytest.mark.parametrize(
-        ("model", "params", "command"),
+        ("model", "regime", "samples"),
         [
-            pytest.param("lumped", {}, wave(0.06, 4), id="nominal"),
-            pytest.param("lumped", {}, wave(0.042, 5), id="barely breaking away"),
-            pytest.param("lumped", {"payload_mass": 0.5}, wave(0.058, 4), id="payload"),
-            pytest.param("lumped", {"belt_stiffness": 16.5, "belt_damping_ratio": 0.0}, wave(0.058, 4), id="soft belt"),
-            pytest.param("lumped", {"coulomb_friction": 0.1}, wave(0.15, 4), id="120 degrees of the motor"),
-            pytest.param("lumped", FASTEST_TRAINED, wave(0.04, 4), id="fastest trained"),
-            pytest.param("lumped", SLOWEST_TRAINED, wave(0.06, 4), id="slowest trained"),
-            pytest.param("lumped", {"coulomb_friction": 0.1, "payload_mass": 0.2}, back_and_forth, id="moves"),
-            pytest.param("lagrangian", {}, wave(0.046, 3), id="full arm"),
-            pytest.param("lagrangian", HAND, wave(0.06, 5), id="full arm with a hand"),
-            pytest.param("lagrangian", PULLEY, wave(0.046, 3), id="full arm with a pulley"),
+            *(("lumped", "smooth", 400), ("lumped", "stick-slip", 400), ("lagrangian", "stick-slip", 400)),
+            ("lagrangian", "drive", 800),
         ],
     )
-    def test_stick_slip_moves(self, model: str, params: dict[str, float], command: Command):
-        start = at_rest(DEG_45, gear=params.get("gear_ratio", GEAR))
-        worst, arm = largest_distance(params, start, command, model, 800)
-        assert stops(arm) >= 3 and reversals(arm) >= 3
-        assert sum(old == "stuck" for old, _ in arm.mode_changes) >= 3, "breaks away"
-        assert worst < 1e-6
-
-    @pytest.mark.parametrize("joint", [0.0, DEG_90])
-    def test_stuck_motor_while_the_arm_rings(self, joint: float):
-        worst, arm = largest_distance({}, at_rest(joint, 0.08), still)
-        assert [new for _, new in arm.mode_changes] == ["stuck"]
-        assert worst < 1e-6
-
-    @pytest.mark.parametrize(("belt_damping_ratio", "command"), [(0.0, still), (0.01, wave(0.05, 3))])
-    def test_zero_friction(self, belt_damping_ratio: float, command: Command):
-        params = {"coulomb_friction": 0.0, "belt_damping_ratio": belt_damping_ratio}
-        worst, arm = largest_distance(params, at_rest(DEG_45, 0.03), command)
-        assert stops(arm) == 0 and reversals(arm) >= 4
-        assert worst < 1e-6
-
-    # An oiled motor crosses the whole band of sticking within one sample, either way.
-    @pytest.mark.parametrize(("coulomb_friction", "torsion_speed"), [(1e-4, -5.0), (1e-3, 5.0)])
-    def test_little_friction(self, coulomb_friction: float, torsion_speed: float):
-        params = {"coulomb_friction": coulomb_friction, "belt_damping_ratio": 0.0}
-        worst, arm = largest_distance(params, at_rest(0.8, 0.0, torsion_speed), still)
-        assert arm.mode_changes[0][1] == "stuck" and len(arm.mode_changes) > 8
-        assert worst < 1e-6
-
-    @pytest.mark.parametrize("regime", ["smooth", "stick-slip"])
-    @pytest.mark.parametrize("model", MODELS)
-    def test_fourth_order(self, model: str, regime: str):
-        result = measure_convergence(model, regime, 400)
-        np.testing.assert_allclose(result.orders[:2], 4.0, atol=0.1)
-        assert result.errors[0] < 1e-7
-        assert result.stops >= 3 if regime == "stick-slip" else result.stops == 0
+    def test_fourth_order(self, model: str, regime: str, samples: int):
+        result = measure_convergence(model, regime, samples)
+        assert result.stops >= 2 if regime != "smooth" else result.stops == 0
+        if regime == "drive":
+            assert math.log2(result.errors[1] / result.errors[3]) / 2 == pytest.approx(4.0, abs=0.4)
+        else:
+            np.testing.assert_allclose(result.orders[:2], 4.0, atol=0.1)
+            assert result.errors[0] < 1e-7
 
 
 def energy(params: ArmParams, states: Floats) -> Floats:
@@ -118,30 +172,6 @@ def energy(params: ArmParams, states: Floats) -> Floats:
     return 0.5 * (params.motor_inertia * omega_a**2 + m2 * phi_dot**2 + params.belt_stiffness * theta_s**2)
 
 
-def drift(energies: Floats) -> float:
-    """Largest relative departure from the initial energy."""
-    return float(np.abs(energies / energies[0] - 1).max())
-
-
-def unforced(params: ArmParams, state: Floats, m2_slope: bool) -> Floats:
-    """The lossless arm integrated by SciPy, with or without the term 1/2 M2' phi'^2: states at the samples."""
-    swing = params.arm_inertia_swing + (2 * params.link_length) ** 2 * params.payload_mass
-
-    def rates(_: float, y: Floats) -> list[float]:
-        theta_a, omega_a, phi, phi_dot = y
-        belt = params.belt_stiffness * (theta_a / params.gear_ratio - phi)
-        m2 = params.arm_inertia + swing * math.sin(phi) ** 2
-        centrifugal = swing * math.sin(phi) * math.cos(phi) * phi_dot**2 if m2_slope else 0.0
-        return [omega_a, -belt / params.gear_ratio / params.motor_inertia, phi_dot, (belt - centrifugal) / m2]
-
-    times = CONTROL_PERIOD * np.arange(EPISODE_STEPS + 1)
-    theta_a, omega_a, theta_s, omega_s = state
-    start = [theta_a, omega_a, theta_a / params.gear_ratio - theta_s, omega_a / params.gear_ratio - omega_s]
-    y = solve_ivp(rates, (0, times[-1]), start, "DOP853", times, rtol=1e-11, atol=1e-12).y
-    joint, joint_speed = y[0] / params.gear_ratio, y[1] / params.gear_ratio
-    return np.column_stack([y[0], y[1], joint - y[2], joint_speed - y[3]])
-
-
 def unforced_states(params: dict[str, float], start: Floats, model: str = "lumped") -> Floats:
     """States of an episode of the environment without torque."""
     env = arm_env(params, start, model)
@@ -150,29 +180,18 @@ def unforced_states(params: dict[str, float], start: Floats, model: str = "lumpe
 
 class TestEnergy:
     @pytest.mark.parametrize(
-        ("model", "params"),
-        [
-            *(("lumped", {}), ("lumped", {"payload_mass": 0.2})),
-            *(("lagrangian", {}), ("lagrangian", HAND), ("lagrangian", PULLEY)),
-        ],
+        ("model", "params", "joint"),
+        [("lumped", {"payload_mass": 0.2}, DEG_45), ("lagrangian", HAND, DEG_90), ("lagrangian", PULLEY, 0.0)],
     )
-    @pytest.mark.parametrize(("joint", "torsion"), [(0.0, -0.1), (DEG_45, 0.1), (DEG_90, 0.1)])
-    def test_conserved_without_losses(self, joint: float, torsion: float, model: str, params: dict[str, float]):
+    def test_conserved_without_losses(self, model: str, params: dict[str, float], joint: float):
         # RK4 itself loses (58.0/s * 1.5 ms)^6 / 72 = 6e-9 of the energy per step: 7e-6 in 1200 steps.
-        params = {**params, **LOSSLESS}
+        params, torsion = {**params, **LOSSLESS}, 0.1 if joint > 0 else -0.1
         states = unforced_states(params, at_rest(joint, torsion, gear=params.get("gear_ratio", GEAR)), model)
-        energies = [EventLocatedArm(ArmParams(**params), state, model).energy for state in states[::60]]
+        energies = np.array([EventLocatedArm(ArmParams(**params), state, model).energy for state in states[::60]])
         assert energies[0] == pytest.approx(0.5 * 33 * torsion**2)
-        assert drift(np.array(energies)) < 1e-5
-
-    def test_not_conserved_without_the_term_that_the_paper_leaves_out(self):
-        params, start = ArmParams(**LOSSLESS), at_rest(DEG_45, 0.1)
-        complete, as_printed = unforced(params, start, True), unforced(params, start, False)
-        assert drift(energy(params, complete)) < 1e-7
-        assert drift(energy(params, as_printed)) > 0.01
-        end = tip(params, unforced_states(LOSSLESS, start)[-1])
-        assert np.linalg.norm(end - tip(params, complete[-1])) < 1e-6
-        assert np.linalg.norm(end - tip(params, as_printed[-1])) > 1e-3
+        np.testing.assert_allclose(energies, energies[0], rtol=1e-5)
+        if model == "lumped":
+            np.testing.assert_allclose(energy(ArmParams(**params), states), energies[0], rtol=1e-5)
 
     @examples(50)
     @given(
@@ -224,9 +243,39 @@ class TestStiction:
             states = unforced_states({}, at_rest(math.pi / 6, share * threshold))
             assert (np.ptp(states[:, 0]) > 0) == (abs(share) > 1)
 
-    @pytest.mark.parametrize("torque", [0.0319, -0.0319, 0.0321, -0.0321])
-    def test_motor_starts_only_beyond_coulomb_friction(self, torque: float):
-        env = arm_env({}, at_rest(DEG_45))
-        start = env.state[0]
-        apply(env, torque)
-        assert np.sign(env.state[0] - start) == (0 if abs(torque) < 0.032 else np.sign(torque))
+    def test_motor_starts_only_beyond_coulomb_friction(self):
+        for torque in (0.0319, -0.0319, 0.0321, -0.0321):
+            env = arm_env({}, at_rest(DEG_45))
+            start = env.state[0]
+            apply(env, torque)
+            assert np.sign(env.state[0] - start) == (0 if abs(torque) < 0.032 else np.sign(torque))
+
+
+class TestDriveOfTheEnvironment:
+    def test_an_episode_is_the_same_whatever_drives_the_arms_before_had(self):
+        used = BeltArmEnv()
+        for params in ({}, UPPER_ENDS, {}, UPPER_ENDS):
+            new = BeltArmEnv()
+            for env in (used, new):
+                env.reset(seed=1, options={"params": params})
+                for k in range(40):
+                    env.step(np.array([0.35 * math.sin(0.1 * k)]))
+            assert used.state.tolist() == new.state.tolist() and used.motor_torque == new.motor_torque
+
+    def test_torque_follows_the_command_late_and_lagging(self):
+        lag, latency, constant = 0.0008, 1.3 * CONTROL_PERIOD, 0.06
+        drive = {"current_loop_time_constant": lag, "command_latency": latency, "torque_constant_error": constant}
+        env = BeltArmEnv()
+        env.reset(seed=0, options={"params": drive})
+        for k in range(1, 8):
+            observation = env.step(np.array([0.5], np.float32))[0]
+            since = max(k * CONTROL_PERIOD - latency, 0.0)
+            expected = 0.5 * 0.3 * (1 + constant) * (1 - math.exp(-since / lag))
+            assert env.motor_torque == pytest.approx(expected, rel=1e-9, abs=1e-15)
+            assert decode(observation)["last_command"] == 0.5, "the command and not the torque"
+
+    def test_design_model_is_the_middle_of_the_training_ranges(self):
+        design = design_model()
+        for name, (low, high) in TRAIN_RANGES.items():
+            unknown = name in ("friction_variation", "torque_ripple", "kinematic_error") or name.endswith("_phase")
+            assert getattr(design, name) == (0.0 if unknown else pytest.approx(0.5 * (low + high)))

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from driven_arms import GEAR, UPPER_ENDS, Command, at_rest, full_arm_at, push, random_params, stops, wave
+from driven_arms import GEAR, UPPER_ENDS, apply, arm_env, at_rest, full_arm_at, push, random_params
 from episodes import assert_as_alone
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
@@ -24,12 +24,12 @@ from eval.reference.event_located import EventLocatedArm, tip
 
 mujoco: Any = pytest.importorskip("mujoco")
 
-from beltarm_env.mujoco.drive import EXPRESSIBLE, Actuator  # noqa: E402
+from beltarm_env.mujoco import renderer  # noqa: E402
+from beltarm_env.mujoco.drive import EXPRESSIBLE  # noqa: E402
 from beltarm_env.mujoco.model import load_model, place_hand, read_state, write_state  # noqa: E402
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).parents[2]
-OPENGL = {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": str(ROOT)}
 NO_COULOMB = {"coulomb_friction": 0.0}
 
 
@@ -43,23 +43,6 @@ def mujoco_mass_matrix(model: Any, theta_1: float, phi: float) -> Floats:
         mujoco.mj_mulM(model, data, column, unit)
     jacobian = np.diag([1.0, -2.0])
     return jacobian @ columns @ jacobian
-
-
-def run_both(
-    params: dict[str, float], state: Floats, command: Command, substeps: int = 2, steps: int = 1200, **settings: Any
-) -> tuple[float, EventLocatedArm]:
-    """Worst distance [m] of the two tips over an episode, and the event-located arm at its end."""
-    arm = EventLocatedArm(ArmParams(**params), state, "lagrangian")
-    model = load_model(arm.params, CONTROL_PERIOD / substeps, **settings)
-    data, worst = mujoco.MjData(model), 0.0
-    write_state(data, arm.params, state)
-    for k in range(steps):
-        data.ctrl[0] = command(k, arm)
-        mujoco.mj_step(model, data, substeps)
-        arm.advance(command(k, arm), CONTROL_PERIOD)
-        ends = tip(arm.params, read_state(data, arm.params)), tip(arm.params, arm.state)
-        worst = max(worst, float(np.linalg.norm(ends[0] - ends[1])))
-    return worst, arm
 
 
 class TestModel:
@@ -106,16 +89,11 @@ class TestModel:
             assert getattr(file, field) == pytest.approx(getattr(loaded, field), rel=1e-9, abs=1e-9), field
         assert (file.opt.timestep, file.opt.integrator) == (loaded.opt.timestep, loaded.opt.integrator)
 
-    @pytest.mark.parametrize(
-        ("name", "value"),
-        [
-            *(("timestep", 0.0), ("timestep", math.nan), ("friction_rate", -1.0), ("friction_impedance", 1.0)),
-            ("integrator", "rk5"),
-        ],
-    )
-    def test_settings_out_of_range(self, name: str, value: Any):
-        with pytest.raises(ValueError, match=rf"{name} .*got {value!r}"):
-            load_model(ArmParams(), **{name: value})
+    def test_settings_out_of_range(self):
+        wrong: list[tuple[str, Any]] = [("timestep", math.nan), ("friction_rate", -1.0), ("friction_impedance", 1.0)]
+        for name, value in [*wrong, ("integrator", "rk5")]:
+            with pytest.raises(ValueError, match=rf"{name} .*got {value!r}"):
+                load_model(ArmParams(), **{name: value})
 
     def test_hand_and_reference_are_where_the_tips_are(self):
         params = ArmParams(link_length=0.3, hand_length=0.2)
@@ -137,49 +115,8 @@ class TestModel:
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith("MuJoCo: ") and "QVEL" in line
 
-    def test_mean_torques_of_the_actuator(self):
-        # Latency of 1.5 samples: each command acts from the middle of the next sample on. Means by fine integration.
-        drive = {"current_loop_time_constant": 0.001, "torque_constant_error": 0.1}
-        actuator, torque, fine = Actuator(ArmParams(command_latency=1.5 * CONTROL_PERIOD, **drive)), 0.0, 5_000
-        commands = [0.0, 0.0, 0.2, -0.1, 0.3]
-        for before, now, command in zip(commands, commands[1:], commands[2:], strict=False):
-            steps = list(actuator.means(command, CONTROL_PERIOD / 3))
-            assert [dt for dt, _, _ in steps] == pytest.approx([CONTROL_PERIOD / 4] * 4, rel=1e-12)
-            for k, (dt, count, mean) in enumerate(steps):
-                target, total = 1.1 * (before if k < 2 else now), 0.0
-                for _ in range(fine):
-                    middle = torque + 0.5 * dt / fine * (target - torque) / 0.001
-                    torque += dt / fine * (target - middle) / 0.001
-                    total += middle / fine
-                assert count == 1 and mean == pytest.approx(total, rel=1e-6, abs=1e-12)
-
-
-class TestMotion:
-    @pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("implicitfast", 1), ("rk4", 4)])
-    def test_order_of_convergence(self, integrator: str, order: int):
-        start, command = at_rest(0.7, 0.03), wave(0.06, 3)
-        coarse, fine = (run_both(NO_COULOMB, start, command, n, 400, integrator=integrator)[0] for n in (1, 2))
-        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.15)
-
-    @pytest.mark.parametrize(
-        ("params", "command"),
-        [
-            pytest.param({}, wave(0.06, 4), id="nominal"),
-            pytest.param({"payload_mass": 0.5}, wave(0.058, 4), id="payload 0.5 kg"),
-            pytest.param({"coulomb_friction": 0.1}, wave(0.15, 3), id="friction 3x"),
-        ],
-    )
-    def test_stick_slip(self, params: dict[str, float], command: Command):
-        worst, arm = run_both(params, at_rest(0.785), command)
-        assert stops(arm) >= 8
-        assert worst < 3e-6
-        # With the friction that MuJoCo has by default, the tip is two orders of magnitude further off.
-        usual: dict[str, Any] = {"friction_impedance": 0.9, "friction_rate": 95.0}
-        assert run_both(params, at_rest(0.785), command, steps=600, **usual)[0] > 1e-4
-
-    @pytest.mark.parametrize(("impedance", "rate"), [(0.9, 100.0), (0.9999, 2000.0)])
-    def test_a_stuck_motor_creeps_as_documented(self, impedance: float, rate: float):
-        params, torque = ArmParams(), 0.02
+    def test_a_stuck_motor_creeps_as_documented(self):
+        params, torque, impedance, rate = ArmParams(), 0.02, 0.9999, 2000.0
         model = load_model(params, friction_impedance=impedance, friction_rate=rate)
         data = mujoco.MjData(model)
         data.ctrl[0] = torque
@@ -191,15 +128,13 @@ class TestMotion:
         assert (data.qpos[0] - before) / (2400 * model.opt.timestep) == pytest.approx(creep, rel=0.02)
 
 
-def distance_of_engines(params: dict[str, float], samples: int = 800) -> float:
+def distance_of_engines(params: dict[str, float]) -> float:
     """Largest distance of the tips in the two engines [m], given the same commands."""
-    engine, kernel = BeltArmEnv(model="mujoco"), BeltArmEnv(model="lagrangian")
-    for env in (engine, kernel):
-        env.reset(seed=0, options={"params": params, "state": at_rest(math.pi / 4, 0.02)})
+    engine, kernel = (arm_env(params, at_rest(math.pi / 4, 0.02), model) for model in ("mujoco", "lagrangian"))
     worst = 0.0
-    for k in range(samples):
-        action = np.array([push(k) / 0.3])
-        assert not engine.step(action)[2] and not kernel.step(action)[2]
+    for k in range(800):
+        for env in (engine, kernel):
+            apply(env, push(k))
         worst = max(worst, float(np.linalg.norm(tip(engine.params, engine.state) - tip(kernel.params, kernel.state))))
     return worst
 
@@ -215,10 +150,10 @@ class TestEnvironment:
     @pytest.mark.parametrize(
         "drive",
         [
-            *({name: UPPER_ENDS[name]} for name in EXPRESSIBLE),
-            *({"command_latency": samples * CONTROL_PERIOD} for samples in (0.3, 1.0, 3.0)),
-            {"current_loop_time_constant": 0.01},
+            {name: UPPER_ENDS[name] for name in EXPRESSIBLE},
             {name: DRIVE_RANGES[name][0] for name in EXPRESSIBLE},
+            {"command_latency": 3 * CONTROL_PERIOD},
+            {"current_loop_time_constant": 0.01},
         ],
     )
     def test_two_engines_agree_about_a_drive(self, drive: dict[str, float]):
@@ -235,35 +170,47 @@ class TestEnvironment:
         assert assert_as_alone(batch, singles, actions, 5) >= 2
         assert assert_as_alone(batch, [singles[1], singles[0]], actions[:60], 5) == 0, "after other episodes"
 
-    def test_state_and_parameters_can_be_set(self):
-        env, state = BeltArmEnv(model="mujoco"), at_rest(0.7, 0.05)
-        env.reset(options={"state": state, "params": {"belt_stiffness": 20.0}})
-        np.testing.assert_allclose(env.state, state)
-        env.step(np.zeros(1, np.float32))
-        assert env.params.belt_stiffness == 20.0 and env.state[2] != state[2]
+    def test_what_mujoco_cannot_express_is_refused(self):
         with pytest.raises(ValueError, match=r"mujoco.*steps of its own"):
-            env.set_integration_steps(4)
-
-    @pytest.mark.parametrize("name", [name for name in DRIVE_EFFECTS if name not in EXPRESSIBLE])
-    def test_an_effect_that_mujoco_cannot_express_is_refused(self, name: str):
-        value = UPPER_ENDS[name]
-        message = rf'mujoco.* {name}={value:g}: .*randomization="ideal".*model="lagrangian"$'
-        with pytest.raises(ValueError, match=message):
-            BeltArmEnv(model="mujoco", randomization={name: (0.0, value)})
-        with pytest.raises(ValueError, match=rf"{name}={value:g}"):
-            load_model(ArmParams(**{name: value}))
+            BeltArmEnv(model="mujoco").set_integration_steps(4)
+        for name in set(DRIVE_EFFECTS) - {*EXPRESSIBLE}:
+            value = UPPER_ENDS[name]
+            message = rf'mujoco.* {name}={value:g}: .*randomization="ideal".*model="lagrangian"$'
+            with pytest.raises(ValueError, match=message):
+                BeltArmEnv(model="mujoco", randomization={name: (0.0, value)})
+            with pytest.raises(ValueError, match=rf"{name}={value:g}"):
+                load_model(ArmParams(**{name: value}))
         env = BeltArmVectorEnv(2, model="mujoco")
         env.reset(seed=1)
         before = env.state
-        with pytest.raises(ValueError, match=message):
-            env.reset(seed=2, options={"params": {name: np.array([0.0, value])}})
+        with pytest.raises(ValueError, match=r"mujoco.* torque_ripple=0\.006"):
+            env.reset(seed=2, options={"params": {"torque_ripple": np.array([0.0, 0.006])}})
         np.testing.assert_array_equal(env.state, before)
         assert not env.params_table[:, DRIVE_COLUMNS].any()
 
 
-def run(code: str, cwd: Path, **changes: str | None) -> str:
+def test_without_opengl_it_is_asked_for_once_and_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch):
+    """MuJoCo aborts the process when it is asked a second time."""
+    attempts: list[Any] = []
+
+    def broken(*given: Any) -> None:
+        attempts.append(given)
+        raise RuntimeError("no display")
+
+    monkeypatch.setattr(mujoco, "Renderer", broken)
+    monkeypatch.setattr(renderer, "_no_opengl", [])
+    for _ in range(2):
+        env = gym.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
+        env.reset(seed=0)
+        with pytest.raises(gym.error.DependencyNotInstalled, match=r"MUJOCO_GL=egl.*lagrangian"):
+            env.render()
+        env.close()
+    assert len(attempts) == 1
+
+
+def run(code: str, cwd: Path) -> str:
     """Output of a process of its own: which OpenGL MuJoCo uses is settled when it is imported."""
-    environment = {name: value for name, value in {**OPENGL, **changes}.items() if value is not None}
+    environment = {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], cwd=cwd, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     if done.stdout.startswith("no GL:"):
@@ -294,37 +241,6 @@ vector.reset(seed=0)
 print(len(vector.render()))
 vector.close()
 """
-WITHOUT_OPENGL = """
-import mujoco
-attempts = []
-def broken(*_):
-    attempts.append(1)
-    raise RuntimeError("no display")
-mujoco.Renderer = broken
-import gymnasium, beltarm_env
-for _ in range(2):
-    env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    try:
-        env.render()
-    except gymnasium.error.DependencyNotInstalled as error:
-        print("MUJOCO_GL=egl" in str(error) and "lagrangian" in str(error))
-    env.close()
-print(len(attempts))
-"""
-WITHOUT_DISPLAY = """
-import sys
-import gymnasium, beltarm_env
-gymnasium.make("BeltArm-v0", model="lagrangian").reset()
-print("mujoco" in sys.modules)
-for _ in range(2):
-    env = gymnasium.make("BeltArmMuJoCo-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    try:
-        env.render()
-    except gymnasium.error.DependencyNotInstalled:
-        pass
-"""
 WITHOUT_MUJOCO = """
 import sys
 sys.modules["mujoco"] = None
@@ -344,13 +260,6 @@ class TestInProcessesOfTheirOwn:
     def test_pictures_show_the_arm_where_it_is(self, tmp_path: Path):
         lines = run(PICTURES, tmp_path).splitlines()
         assert lines == [*["True True True"] * 3, "True", "2"], "blue links, an orange tip, nothing of the arm cut off"
-
-    def test_without_opengl_the_way_out_is_named(self, tmp_path: Path):
-        # MuJoCo aborts the process when asked a second time.
-        assert run(WITHOUT_OPENGL, tmp_path) == "True\nTrue\n1\n"
-
-    def test_without_a_display_nothing_aborts_and_without_need_mujoco_is_not_imported(self, tmp_path: Path):
-        assert run(WITHOUT_DISPLAY, tmp_path, MUJOCO_GL=None, DISPLAY=None).splitlines()[0] == "False"
 
     def test_without_mujoco_it_is_not_registered_and_the_extra_is_named(self, tmp_path: Path):
         assert run(WITHOUT_MUJOCO, tmp_path) == "False True\nTrue\n"

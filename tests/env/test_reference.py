@@ -37,7 +37,6 @@ MOVES = [
     MoveShape(1.5, 0.0, 1.2, 0.18),
     MoveShape(0.0, math.pi / 2, 1.4, 0.7),  # no cruise
 ]
-EACH_MOVE = pytest.mark.parametrize("move", MOVES)
 UNIFORMS = st.lists(
     st.floats(0, 1, exclude_max=True) | st.sampled_from([0.0, 1 - 2**-53]), min_size=DRAWS, max_size=DRAWS
 )
@@ -62,8 +61,8 @@ def away_from_corners(move: MoveShape, times: Floats, margin: float) -> Floats:
 
 class TestShape:
     @ALL
-    @EACH_MOVE
-    def test_speed_and_acceleration_are_derivatives(self, profile: int, move: MoveShape):
+    @pytest.mark.parametrize("move", MOVES)
+    def test_rests_moves_symmetrically_and_rests(self, profile: int, move: MoveShape):
         times, h = np.linspace(-0.1, 1.8, 997), 1e-5
         slope = (path(profile, move, times + h).angle - path(profile, move, times - h).angle) / (2 * h)
         # at the trapezoid's corners the acceleration jumps by up to 30 rad/s^2: h/4 times that
@@ -71,41 +70,23 @@ class TestShape:
         times = away_from_corners(move, times, h)
         slope = (path(profile, move, times + h).speed - path(profile, move, times - h).speed) / (2 * h)
         np.testing.assert_allclose(path(profile, move, times).acceleration, slope, atol=1e-3)
-
-    @ALL
-    @EACH_MOVE
-    def test_rests_at_the_start_before_and_at_the_goal_ever_after(self, profile: int, move: MoveShape):
         assert reference_at(profile, move, 0.0)[:2] == (move.start, 0.0)
         assert reference_at(profile, move, -0.3) == (move.start, 0.0, 0.0)
-        for time in (move.duration + 1e-9, move.duration + 0.1, 10.0):
+        for time in (move.duration + 1e-9, 10.0):
             np.testing.assert_allclose(reference_at(profile, move, time), [move.goal, 0.0, 0.0], atol=1e-12)
         np.testing.assert_allclose(reference_at(profile, move, move.duration)[:2], [move.goal, 0.0], atol=1e-12)
-
-    @ALL
-    @EACH_MOVE
-    def test_is_monotone_and_symmetric(self, profile: int, move: MoveShape):
-        times = np.linspace(0, move.duration, 501)
-        angle, speed, acceleration = path(profile, move, times)
+        angle, speed, _ = path(profile, move, np.linspace(0, move.duration, 501))
         direction = math.copysign(1, move.goal - move.start)
         assert (direction * speed[1:-1] > 0).all() and (direction * np.diff(angle) > 0).all()
         np.testing.assert_allclose(angle + angle[::-1], move.start + move.goal, atol=1e-12)
-        np.testing.assert_allclose(speed, speed[::-1], atol=1e-11)
-        inside = np.isin(times, away_from_corners(move, times, 1e-6))
-        np.testing.assert_allclose(acceleration[inside], -acceleration[::-1][inside], atol=1e-9)
 
     def test_accelerations_that_jump_take_the_value_that_holds_from_then_on(self):
         move = MoveShape(0.0, 1.5, 2.0, 0.5)  # corners that floats hold exactly
         accelerations = [reference_at(TRAPEZOID, move, time).acceleration for time in (0.0, 0.5, 1.5, 2.0)]
         assert accelerations == [2.0, 0.0, -2.0, 0.0]
 
-    @pytest.mark.parametrize("profile", [SCURVE, QUINTIC])
-    def test_smooth_profiles_have_no_jumps_of_acceleration(self, profile: int):
-        for move in MOVES:
-            acceleration = path(profile, move, np.linspace(-0.1, 1.8, 8001)).acceleration
-            assert np.abs(np.diff(acceleration)).max() < 0.0125 * np.abs(acceleration).max()
-
     @ALL
-    @EACH_MOVE
+    @pytest.mark.parametrize("move", MOVES)
     def test_peaks(self, profile: int, move: MoveShape):
         length, cruise_time = abs(move.goal - move.start), move.duration - move.ramp_time
         factor = reference_module.SCURVE_PEAK_ACCELERATION if profile == SCURVE else 1.0
@@ -113,9 +94,10 @@ class TestShape:
         if profile == QUINTIC:
             highest = reference_module.QUINTIC_PEAK_SPEED * length / move.duration
             steepest = reference_module.QUINTIC_PEAK_ACCELERATION * length / move.duration**2
-        _, speed, acceleration = path(profile, move, np.linspace(0, move.duration, 4001)[:-1])
+        _, speed, acceleration = path(profile, move, np.linspace(0, move.duration, 8001)[:-1])
         assert np.abs(speed).max() == pytest.approx(highest, rel=1e-6)
         assert np.abs(acceleration).max() == pytest.approx(steepest, rel=1e-4)
+        assert profile == TRAPEZOID or np.abs(np.diff(acceleration)).max() < 0.0125 * steepest, "without jumps"
 
 
 def draw(profile: int, uniforms: Any, **given_values: float) -> Floats:
@@ -148,10 +130,7 @@ class TestDrawnMoves:
         assert 0.5 <= move.duration <= 1.2 + 1e-12
         assert 0.15 - 1e-12 <= move.ramp_time / move.duration <= 0.35 + 1e-12
         check_moves(profile, np.array([row]))
-        torque = rigid_torque(ArmParams(), *path(profile, move, np.linspace(0, move.duration, 400)))
-        claim = peak_torque(profile, length, move.duration, move.ramp_time)
-        assert claim <= MOST_TORQUE + 1e-12
-        assert 0.5 * claim <= np.abs(torque).max() <= claim + 1e-12, "a claim, not just a large number"
+        assert peak_torque(profile, length, move.duration, move.ramp_time) <= MOST_TORQUE + 1e-12
 
     @ALL
     @examples(100)
@@ -176,41 +155,23 @@ class TestDrawnMoves:
     def test_that_are_given_are_taken_as_they_are(self):
         values = {"start": 0.3, "goal": 1.1, "duration": 1.05, "ramp_time": 0.21}
         np.testing.assert_array_equal(draw(TRAPEZOID, [[0.5] * DRAWS], **values), [list(values.values())])
-        table = draw(TRAPEZOID, np.random.default_rng(0).random((500, DRAWS)), ramp_time=0.45)
-        assert (table[:, 2] >= 0.9).all(), "long ramps are given the time they need"
 
 
 class TestDistribution:
-    """Start and goal are to be uniform over the pairs at least 15 degrees apart."""
+    MOVES = draw(TRAPEZOID, np.random.default_rng(7).random((20_000, DRAWS)))
 
-    TABLE = draw(TRAPEZOID, np.random.default_rng(7).random((20_000, DRAWS)))
-
-    @staticmethod
-    def room(end: Floats) -> Floats:
-        """Length of what the workspace leaves for the other end."""
-        return np.maximum(end - SHORTEST, 0) + np.maximum(WORKSPACE - SHORTEST - end, 0)
-
-    @pytest.mark.parametrize("column", [0, 1])
-    def test_each_end_is_as_likely_as_it_leaves_room_and_the_other_is_uniform_over_that(self, column: int):
-        end, other = self.TABLE[:, column], self.TABLE[:, 1 - column]
-        grid = np.linspace(0, WORKSPACE, 20_001)
-        density = self.room(grid)
-        cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
-        assert kstest(end, lambda x: np.interp(x, grid, cumulative / cumulative[-1])).pvalue > 0.01
-        assert kstest(self.place(end, other), "uniform").pvalue > 0.01
-
-    def place(self, end: Floats, other: Floats) -> Floats:
-        """Where the other end lies in its room, from 0 to 1."""
-        below = np.maximum(end - SHORTEST, 0)
-        return np.where(other < end, other, other - end - SHORTEST + below) / self.room(end)
-
-    @pytest.mark.parametrize("end", [0.0, 0.4, math.pi / 4, math.pi / 2])
-    def test_the_other_end_of_a_given_one_is_uniform(self, end: float):
-        goals = draw(TRAPEZOID, np.random.default_rng(8).random((5000, DRAWS)), start=end)[:, 1]
-        assert kstest(self.place(np.full(5000, end), goals), "uniform").pvalue > 0.01
+    def test_start_and_goal_are_uniform_over_the_pairs_15_degrees_apart(self):
+        pairs = WORKSPACE * np.random.default_rng(9).random((1_000_000, 2))
+        pairs[:100_000, 0] = 0.4
+        pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= SHORTEST]
+        given_start = draw(TRAPEZOID, np.random.default_rng(8).random((5000, DRAWS)), start=0.4)
+        drawn, free = self.MOVES[:, :2], pairs[:, 0] != 0.4
+        for weights in ([1, 0], [0, 1], [1, 1], [1, -1]):
+            assert kstest(drawn @ weights, pairs[free] @ weights).pvalue > 0.01
+        assert kstest(given_start[:, 1], pairs[~free, 1]).pvalue > 0.01
 
     def test_directions_and_ramps(self):
-        start, goal, duration, ramp_time = self.TABLE.T
+        start, goal, duration, ramp_time = self.MOVES.T
         assert abs(np.mean(goal > start) - 0.5) < 4 * 0.5 / math.sqrt(len(start))
         share = ramp_time / duration
         assert kstest(share, "uniform", args=(0.15, 0.2)).pvalue > 0.01
@@ -236,7 +197,7 @@ class TestFeasibility:
         rising = MoveShape(start, start + length, duration, share * duration)
         for move in (rising, rising._replace(start=rising.goal, goal=rising.start)):
             torque = rigid_torque(ArmParams(), *path(profile, move, np.linspace(0, duration, 200)))
-            assert np.abs(torque).max() <= claim + 1e-9
+            assert 0.5 * claim <= np.abs(torque).max() <= claim + 1e-9, "a claim, not just a large number"
 
     @ALL
     def test_moves_at_the_bounds_pass(self, profile: int):
@@ -250,8 +211,8 @@ class TestFeasibility:
             check_moves(profile, np.array([*bounds, (0.0, 1.0, LONGEST_TIME + 1e-6, 0.5)]))
 
     @ALL
-    @pytest.mark.parametrize("length", [0.3, 1.5])
-    def test_the_time_that_a_refusal_says_to_allow_is_enough(self, profile: int, length: float):
+    def test_the_time_that_a_refusal_says_to_allow_is_enough(self, profile: int):
+        length = 1.5
         with pytest.raises(ValueError, match="infeasible") as caught:
             check_moves(profile, np.array([[0.0, length, 0.2, 0.05]]))
         (advice,) = re.findall(r"allow ([\d.]+) s", str(caught.value))

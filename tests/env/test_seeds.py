@@ -28,21 +28,18 @@ def test_ranges_are_disjoint():
     assert seeds.training_arms(0).size == seeds.SEED_SPACING and seeds.fresh_arms(0).size == seeds.DEVELOPMENT.size
 
 
-@pytest.mark.parametrize(
-    ("arms", "whole"),
-    [
+def test_seeds_share_no_arm_and_fill_their_range():
+    digits = [part + 32 * "f" for part in ("00000000", "00000001", "ffffffff")]
+    for arms, whole in (
         ([seeds.training_arms(k) for k in (0, 1, seeds.MAX_TRAINING_SEED)], seeds.TRAINING),
         ([seeds.dataset_arms(k) for k in (0, 1, seeds.MAX_DATASET_SEED)], seeds.DATASETS),
         ([seeds.fresh_arms(k) for k in (0, 1, seeds.MAX_FRESH_SEED)], seeds.FRESH),
         ([seeds.further_arms(k) for k in (0, 1, seeds.MAX_FRESH_SEED)], seeds.FURTHER),
-        ([seeds.arms_chosen_by(digits + 32 * "f") for digits in ("00000000", "00000001", "ffffffff")], seeds.TEST),
-    ],
-    ids=["training", "datasets", "fresh", "further", "test"],
-)
-def test_seeds_share_no_arm_and_fill_their_range(arms: list[seeds.SeedRange], whole: seeds.SeedRange):
-    first, second, last = arms
-    assert first.first == whole.first and second.first == first.first + first.size
-    assert last.first + last.size == whole.first + whole.size
+        ([seeds.arms_chosen_by(digit) for digit in digits], seeds.TEST),
+    ):
+        first, second, last = arms
+        assert first.first == whole.first and second.first == first.first + first.size
+        assert last.first + last.size == whole.first + whole.size
 
 
 def test_a_hash_that_is_none_is_refused():
@@ -53,10 +50,8 @@ def test_a_hash_that_is_none_is_refused():
 
 def test_no_other_module_has_a_range_of_its_own():
     """A seed of seven digits stands in one module; others name it. Numbers of samples, steps, budgets are no seeds."""
-    number, no_seed = (
-        re.compile(r"\b[4-9]_?\d{3}_?\d{3}\b"),
-        re.compile(r"\b(samples|total_steps): int\b|--budget |_AT_ONCE\b"),
-    )
+    number = re.compile(r"\b[4-9]_?\d{3}_?\d{3}\b")
+    no_seed = re.compile(r"\b(samples|total_steps): int\b|--budget |_AT_ONCE\b")
     lines = [
         f"{path.name}: {line.strip()}"
         for package in ("beltarm_env", "baselines", "agents", "train", "eval")
@@ -79,10 +74,10 @@ class TestStreams:
                 draw(streams, order, drawn)
             np.testing.assert_array_equal(drawn, [generators[i].random(count) for i in order])
 
-    @pytest.mark.parametrize("seed", [-1, 1.0, True, "3", None])
-    def test_of_a_seed_that_is_none_are_refused(self, seed: object):
-        with pytest.raises(ValueError, match=r"seed .*, got"):
-            checked_seed(seed)
+    def test_of_a_seed_that_is_none_are_refused(self):
+        for seed in (-1, 1.0, True, "3", None):
+            with pytest.raises(ValueError, match=r"seed .*, got"):
+                checked_seed(seed)
 
     def test_of_a_large_batch_begin_as_those_of_arms_alone(self):
         """More arms than draw at once."""

@@ -6,20 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
-from hypothesis import example, given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from properties import examples
 from scipy.interpolate import CubicHermiteSpline
-from scipy.stats import chi2, norm
+from scipy.stats import kstest
 
 from baselines import CONTROLLERS
 from beltarm_env import CONTROL_PERIOD, BeltArmEnv, observation
-from beltarm_env.physics.state import ArmState
 from beltarm_env.rollout import rollout
-from beltarm_env.task.accelerometer import BANDWIDTH, BIAS, NOISE, RANGE, bias_of, noise, noise_seed
+from beltarm_env.task.accelerometer import BANDWIDTH, NOISE, RANGE, bias_of, noise, noise_seed
 from beltarm_env.task.draws import DRAWS
-from beltarm_env.task.sensors import around_half_a_turn, between_samples, to_counts
 
 Floats = NDArray[np.float64]
 
@@ -27,68 +22,8 @@ GEAR = 88.0
 RESOLUTION = 2 * math.pi / 4000
 STEPS = 400
 NAMES = ("tip_acceleration_along", "tip_acceleration_across")
-TAU, G = 1 / (2 * math.pi * BANDWIDTH), 9.80665
+TAU = 1 / (2 * math.pi * BANDWIDTH)
 MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
-
-
-class TestCounting:
-    @examples(100)
-    @given(st.floats(-200, 200), st.sampled_from([500, 1000, 4000, 10_000_000]))
-    def test_rounds_to_the_nearest(self, angle: float, per_turn: int):
-        resolution = 2 * math.pi / per_turn
-        counts = to_counts(angle, resolution)
-        assert counts == np.rint(angle / resolution)
-        assert abs(counts * resolution - angle) <= 0.5 * resolution * (1 + 1e-12) + 1e-13
-        assert to_counts(counts * resolution, resolution) == counts, "whole counts are exact"
-
-    @pytest.mark.parametrize(("halves", "counts"), [(0.5, 0), (1.5, 2), (-0.5, 0), (-1.5, -2), (1000.5, 1000)])
-    def test_halves_round_to_even(self, halves: float, counts: float):
-        assert to_counts(halves, 1.0) == counts
-        assert to_counts(math.nextafter(halves, math.inf), 1.0) == math.floor(halves) + 1
-        assert to_counts(math.nextafter(halves, -math.inf), 1.0) == math.floor(halves)
-
-
-@examples(200)
-@given(st.floats(-1000, 1000))
-@example(303.171875)  # near the end of the series
-def test_index_pulse_has_sine_and_cosine_of_twice_the_angle(angle: float):
-    expected = math.sin(2 * angle), math.cos(2 * angle)
-    assert around_half_a_turn(angle) == pytest.approx(expected, rel=0, abs=1.5e-12)
-
-
-ANGLES, SPEEDS = st.floats(-200, 200), st.floats(-1000, 1000)
-SHARES = st.floats(0, 1, exclude_max=True)
-
-
-def both_of(state: ArmState) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Angle and speed of the motor, and of the torsion."""
-    return (state.motor_angle, state.motor_speed), (state.torsion, state.torsion_speed)
-
-
-class TestBetweenSamples:
-    @examples(200)
-    @given(st.lists(st.tuples(SHARES, st.floats(-1e4, 1e4)), min_size=1, max_size=4), SHARES)
-    def test_error_is_bounded_by_the_change_of_acceleration(self, jumps: list[tuple[float, float]], back: float):
-        def at(share: float) -> tuple[float, float]:
-            since = CONTROL_PERIOD * np.array([max(share - when, 0.0) for when, _ in jumps])
-            sizes = np.array([size for _, size in jumps])
-            return float(0.5 * sizes @ since**2), float(sizes @ since)
-
-        before, now = ArmState(*at(0.0), *at(0.0)), ArmState(*at(1.0), *at(1.0))
-        change = sum(abs(size) for _, size in jumps)
-        for shown, shown_speed in both_of(between_samples(before, now, back)):
-            expected, expected_speed = at(1 - back)
-            assert abs(shown - expected) <= 0.0162 * change * CONTROL_PERIOD**2 + 1e-15
-            assert abs(shown_speed - expected_speed) <= change * CONTROL_PERIOD / 12 + 1e-12
-
-
-# The accelerometer on the arm's end
-
-
-def test_numbers_of_the_data_sheet():
-    assert (RANGE / G, BIAS / G, BANDWIDTH) == (pytest.approx(8), pytest.approx(0.05), 260.0)
-    assert NOISE / G == pytest.approx(400e-6 * math.sqrt(math.pi / 2 * 260))
-    assert 2 * BANDWIDTH < 1 / CONTROL_PERIOD, "no more bandwidth than is sampled"
 
 
 @pytest.fixture(scope="module")
@@ -99,18 +34,12 @@ def series() -> Floats:
 
 
 class TestNoise:
-    def test_is_about_standard_normal(self, series: Floats):
+    def test_is_distributed_as_the_sum_of_four_uniform_numbers(self, series: Floats):
         values = series.ravel()
-        n = len(values)
-        assert abs(values.mean()) < 4 / math.sqrt(n)
-        assert values.std() == pytest.approx(1, abs=4 / math.sqrt(2 * n))
-        for level in (-2.0, -1.0, -0.3, 0.5, 1.5):
-            assert np.mean(values < level) == pytest.approx(norm.cdf(level), abs=0.015)
-        assert 3 < np.abs(values).max() < 3.47
-        sums = np.random.default_rng(1).random((200_000, 4)).sum(axis=1)  # it is distributed as four uniform numbers'
-        edges = np.quantile((sums - 2) / math.sqrt(1 / 3), np.linspace(0, 1, 21)[1:-1])
-        counts, expected = np.bincount(np.searchsorted(edges, values), minlength=20), n / 20
-        assert ((counts - expected) ** 2 / expected).sum() < chi2.ppf(0.9999, 19) + n / 200_000 * 19
+        assert abs(values.mean()) < 4 / math.sqrt(len(values))
+        assert values.std() == pytest.approx(1, abs=4 / math.sqrt(2 * len(values)))
+        sums = np.random.default_rng(1).random((200_000, 4)).sum(axis=1)
+        assert kstest(values, (sums - 2) / math.sqrt(1 / 3)).pvalue > 0.01
 
     def test_is_white_and_of_its_own_on_each_axis_and_in_each_episode(self, series: Floats):
         near = np.array([[noise(seed, float(k), 0) for k in range(400)] for seed in (123456.0, 123457.0)])
@@ -176,12 +105,12 @@ def tip_velocity(states: Floats) -> tuple[Floats, Floats]:
 
 
 MOVING = np.array([GEAR * 0.6, 40.0, 0.02, -0.5])
-DELAYS = [(0, 4000), (0.4, 4000), (1, 1000), (1.75, 20_000), (2, 4000)]
 
 
 class TestThroughTheEnvironment:
-    @pytest.mark.parametrize(("delay", "per_turn"), DELAYS)
-    @pytest.mark.parametrize("state", [None, MOVING], ids=["from rest", "moving"])
+    @pytest.mark.parametrize(
+        ("delay", "per_turn", "state"), [(0, 4000, None), (0.4, 4000, MOVING), (1, 1000, None), (1.75, 20_000, MOVING)]
+    )
     def test_encoder_counts_late_and_is_known_by_nothing_else(self, delay: float, per_turn: int, state: Floats | None):
         record, resolution = Record(state, encoder_counts=per_turn, delay=delay), 2 * math.pi / per_turn
         prompt = Record(state)
@@ -200,8 +129,7 @@ class TestThroughTheEnvironment:
         for name in ("reference_angle", "reference_speed", "elapsed_time", "last_command"):
             np.testing.assert_array_equal(record.seen[name], prompt.seen[name], "known entries are not late")
 
-    @pytest.mark.parametrize("delay", [0, 0.3, 1, 1.999])
-    @pytest.mark.parametrize("state", [None, MOVING], ids=["from rest", "moving"])
+    @pytest.mark.parametrize(("delay", "state"), [(0, MOVING), (0.3, None), (1, None), (1.999, MOVING)])
     def test_tachometer_at_the_tip(self, delay: float, state: Floats | None):
         record, whole = Record(state, sensors="tip", delay=delay), math.ceil(delay)
         late = record.times[whole:] - CONTROL_PERIOD * delay
@@ -220,7 +148,7 @@ class TestThroughTheEnvironment:
 
 
 class TestAccelerometerInTheEnvironment:
-    @pytest.mark.parametrize("delay", [0, 0.4, 1.5, 2])
+    @pytest.mark.parametrize("delay", [0, 0.4, 2])
     def test_shows_the_low_passed_acceleration_late(self, delay: float):
         record, whole = Record(MOVING, sensors="accelerometer", delay=delay), math.floor(delay)
         draw, *biases = seeding.np_random(1)[0].random(DRAWS)[-3:]
@@ -251,8 +179,7 @@ class TestAccelerometerInTheEnvironment:
         drawn = BeltArmEnv(sensors="accelerometer", randomization="train").reset(seed=1)[0]
         assert np.array_equal(drawn[-2:], episodes[0][0])
 
-    @pytest.mark.parametrize("name", ["paper", "adaptive"])
-    def test_controllers_ignore_it(self, name: str):
+    def test_controllers_ignore_it(self):
         tiers: Any = ("encoder", "accelerometer")
-        runs = [rollout(CONTROLLERS[name](), 2, seed=1, sensors=tier) for tier in tiers]
+        runs = [rollout(CONTROLLERS["paper"](), 2, seed=1, sensors=tier) for tier in tiers]
         assert runs[0].torque.tobytes() == runs[1].torque.tobytes()

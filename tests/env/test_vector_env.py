@@ -18,7 +18,6 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import batch_space
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -31,8 +30,7 @@ from beltarm_env.observation import bounds
 from beltarm_env.task.cost import MAX_COST
 
 ROOT = Path(__file__).parents[2]
-MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
-EACH_MODE = pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
+EACH_MODE = pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP], ids=lambda m: m.value)
 MOVE = {"start": 0.3, "goal": 1.2, "duration": 1.0, "ramp_time": 0.3}
 
 
@@ -52,10 +50,13 @@ def random_actions(steps: int, count: int, seed: int = 0) -> NDArray[np.float32]
 # One arm of a batch is a single environment
 
 
-CASES: dict[int, tuple[int, dict[str, Any]]] = {
-    1: (1300, {"sensors": "full", "profile": "quintic", "randomization": "off"}),
-    5: (1400, {"sensors": "tip", "profile": "scurve", "randomization": "train", "delay": 1}),
-    20: (850, {"randomization": {"payload_mass": (0.1, 0.5)}, "encoder_counts": 1000, "max_episode_steps": 400}),
+CASES: dict[AutoresetMode, tuple[int, int, dict[str, Any]]] = {
+    AutoresetMode.NEXT_STEP: (1, 1300, {"sensors": "full", "profile": "quintic", "randomization": "off"}),
+    AutoresetMode.SAME_STEP: (5, 1400, {"sensors": "tip", "profile": "scurve", "randomization": "train", "delay": 1}),
+    AutoresetMode.DISABLED: (
+        *(20, 850),
+        {"randomization": {"payload_mass": (0.1, 0.5)}, "encoder_counts": 1000, "max_episode_steps": 400},
+    ),
 }
 ASPECTS = ("observations", "rewards", "terminated", "truncated", "infos")
 
@@ -89,10 +90,9 @@ def totals_at_ends(info: dict[str, Any], over: NDArray[np.bool_], mode: Autorese
     return {**left, **totals, **{f"_{name}": over & info[f"_{name}"] for name in TOTALS}}
 
 
-@EACH_MODE
-@pytest.mark.parametrize("count", CASES)
-def test_batch_is_bit_for_bit_gymnasiums_batch_of_single_environments(count: int, mode: AutoresetMode):
-    steps, case = CASES[count]
+@pytest.mark.parametrize("mode", CASES, ids=lambda mode: mode.value)
+def test_batch_is_bit_for_bit_gymnasiums_batch_of_single_environments(mode: AutoresetMode):
+    count, steps, case = CASES[mode]
     actions = random_actions(steps, count)
     maker = partial(gym.make, "BeltArm-v0", disable_env_checker=True, **case)
     batch, singles = make(count, autoreset_mode=mode, **case), SyncVectorEnv([maker] * count, autoreset_mode=mode)
@@ -136,48 +136,27 @@ def test_arms_of_any_batch_are_environments_alone_bit_for_bit(
     assert assert_as_alone(envs, [BeltArmEnv(delay=delay, **case) for delay in delays], actions, seed) >= 1
 
 
-def test_arms_in_any_place_of_a_large_batch_agree_with_single_arms():
-    arms = (0, 1, 135, 136, 299)  # a block has 136 lanes
-    envs = make(300, randomization="train", autoreset_mode="SameStep")
-    singles = [BeltArmEnv(randomization="train") for _ in arms]
-    assert_as_alone(envs, singles, random_actions(300, 300), 4, arms)
-
-
-def test_arms_behind_ideal_and_built_drives_in_a_batch_move_as_they_do_alone():
-    rng = np.random.default_rng(0)
+def test_arms_behind_ideal_and_built_drives_in_any_place_of_a_large_batch_move_as_they_do_alone():
+    rng, arms = np.random.default_rng(0), (0, 1, 135, 136, 299)  # a block has 136 lanes
     ranges = [IDEAL_RANGES, {name: pair for name, pair in TRAIN_RANGES.items() if name != "torque_ripple_order"}]
-    params = [{name: rng.uniform(*pair) for name, pair in ranges[arm % 2].items()} for arm in range(9)]
+    params = [{name: rng.uniform(*pair) for name, pair in ranges[arm % 2].items()} for arm in range(300)]
     columns = {name: [arm.get(name, getattr(ArmParams(), name)) for arm in params] for name in FIELDS}
-    batch, alone = BeltArmVectorEnv(9), [BeltArmEnv() for _ in params]
+    batch, alone = BeltArmVectorEnv(300), {arm: BeltArmEnv() for arm in arms}
     batch.reset(seed=5, options={"params": columns})
-    for arm, env in enumerate(alone):
+    for arm, env in alone.items():
         env.reset(seed=5 + arm, options={"params": params[arm]})
-    for action in 0.3 * np.stack([torques(400, arm, hold=15) for arm in range(9)], axis=1):
+    for action in 0.3 * np.stack([torques(400, arm, hold=15) for arm in range(300)], axis=1):
         batch.step(action)
-        for arm, env in enumerate(alone):
+        for arm, env in alone.items():
             env.step(action[arm])
-    assert batch.state.tolist() == [env.state.tolist() for env in alone]
-    assert batch.motor_torques.tolist() == [env.motor_torque for env in alone]
-
-
-def test_accessors_agree_with_single_arms():
-    envs, singles = make(3, randomization="train"), [BeltArmEnv(randomization="train") for _ in range(3)]
-    envs.reset(seed=5)
-    for i, single in enumerate(singles):
-        single.reset(seed=5 + i)
-    for action in random_actions(30, 3):
-        info = envs.step(action)[4]
-        for i, single in enumerate(singles):
-            single.step(action[i])
-        errors = envs.tip_errors()
-        assert np.hypot(*errors[:, :2].T) == pytest.approx(info["tip_error"], rel=1e-12, abs=1e-15)
-        assert np.minimum(np.hypot(*errors[:, 2:].T) / 0.2, 10) == pytest.approx(info["cost_velocity"], rel=1e-12)
-    assert envs.state.dtype == np.float64
-    assert np.array_equal(envs.state, [single.state for single in singles])
-    assert envs.params == [single.params for single in singles]
-    assert np.array_equal(envs.moves, [list(single.move.values()) for single in singles])
-    assert np.array_equal(envs.params_table, [[getattr(p, name) for name in p.__slots__] for p in envs.params])
-    assert np.array_equal(np.transpose(envs.reference(0.2)), np.array([single.reference(0.2) for single in singles]))
+    for arm, env in alone.items():
+        assert batch.state[arm].tobytes() == env.state.tobytes() and batch.motor_torques[arm] == env.motor_torque
+        assert batch.params[arm] == env.params and batch.moves[arm].tolist() == [*env.move.values()]
+        assert batch.params_table[arm].tolist() == [getattr(env.params, name) for name in FIELDS]
+        assert np.transpose(batch.reference(0.2))[arm].tolist() == [*env.reference(0.2)]
+    info, errors = batch.step(np.zeros((300, 1), np.float32))[4], batch.tip_errors()
+    assert np.hypot(*errors[:, :2].T) == pytest.approx(info["tip_error"], rel=1e-12, abs=1e-15)
+    assert np.minimum(np.hypot(*errors[:, 2:].T) / 0.2, 10) == pytest.approx(info["cost_velocity"], rel=1e-12)
 
 
 class TestReset:
@@ -193,21 +172,19 @@ class TestReset:
             assert np.array_equal(observations[arm], alone) and envs.params[arm] == single.params
             assert np.array_equal(envs.state[arm], single.state)
         assert set(options) == {"params", "move", "state"}
-        state = [30.0, 0.0, 0.01, 0.0]
-        envs.reset(seed=3, options={"params": {"payload_mass": 0.3}, "move": MOVE, "state": state})
+        envs.reset(seed=3, options={"params": {"payload_mass": 0.3}, "move": MOVE, "state": states[0]})
         assert envs.params_table[:, COLUMN.payload_mass].tolist() == [0.3] * 3
-        assert np.array_equal(envs.moves, [list(MOVE.values())] * 3) and np.array_equal(envs.state, [state] * 3)
+        assert np.array_equal(envs.moves, [list(MOVE.values())] * 3) and np.array_equal(envs.state, [states[0]] * 3)
         free = make(3, randomization="train")
         free.reset(seed=3)
         assert np.array_equal(free.reset()[0], envs.reset()[0]), "options do not disturb the random streams"
 
-    def test_mask_resets_those_arms_alone(self):
+    def test_mask_resets_and_seeds_those_arms_alone(self):
         envs = make(4, autoreset_mode="Disabled")
         observations, _ = envs.reset(seed=0)
         for action in random_actions(50, 4):
             observations, *_ = envs.step(action)
-        states, moves = envs.state, envs.moves
-        mask = np.array([True, False, True, False])
+        states, moves, mask = envs.state, envs.moves, np.array([True, False, True, False])
         options = {"reset_mask": mask, "params": {"payload_mass": [0.1, 0.2]}}
         again, _ = envs.reset(options=options)
         assert np.array_equal(again[~mask], observations[~mask])
@@ -215,16 +192,11 @@ class TestReset:
         assert (envs.moves[mask] != moves[mask]).any(axis=1).all()
         assert [arm.payload_mass for arm in envs.params] == [0.1, 0.0, 0.2, 0.0]
         assert options["reset_mask"] is mask and mask.tolist() == [True, False, True, False]
-
-    def test_mask_with_a_seed_reseeds_those_arms_alone(self):
-        masked, plain = make(3, autoreset_mode="Disabled"), make(3, autoreset_mode="Disabled")
+        seeded, _ = envs.reset(seed=40, options={"reset_mask": np.arange(4) == 1})
+        assert np.array_equal(seeded[1], BeltArmEnv().reset(seed=41)[0]) and np.array_equal(seeded[2:], again[2:])
+        plain = make(4)
         plain.reset(seed=0)
-        masked.reset(seed=0)
-        mask = np.array([False, True, False])
-        observations, _ = masked.reset(seed=40, options={"reset_mask": mask})
-        assert np.array_equal(observations[1], BeltArmEnv().reset(seed=41)[0])
-        after, expected = masked.reset()[0], plain.reset()[0]
-        assert np.array_equal(after[~mask], expected[~mask]) and not np.array_equal(after[1], expected[1])
+        assert np.array_equal(envs.reset()[0][3], plain.reset()[0][3]), "an arm that was not reset has its own stream"
 
     def test_without_autoreset_every_ended_arm_must_be_reset(self):
         envs = make(3, autoreset_mode="Disabled")
@@ -250,15 +222,14 @@ class TestReset:
         assert len(np.unique(starts, axis=0)) == 8, "unseeded arms differ"
 
     @pytest.mark.parametrize(
-        ("randomization", "ranges"),
+        ("randomization", "expected"),
         [
             *(("off", {}), ("ideal", IDEAL_RANGES), ("train", TRAIN_RANGES)),
-            ({"payload_mass": (0.2, 0.5), "belt_stiffness": (20.0, 20.0)}, None),
+            ({"payload_mass": (0.2, 0.5)}, {"payload_mass": (0.2, 0.5)}),
         ],
     )
-    def test_ranges_are_covered_and_nothing_else_varies(self, randomization: Any, ranges: dict[str, Any] | None):
+    def test_ranges_are_covered_and_nothing_else_varies(self, randomization: Any, expected: dict[str, Any]):
         envs = make(2000, randomization=randomization)
-        expected: dict[str, Any] = randomization if ranges is None else ranges
         envs.reset(seed=0)
         for column, name in enumerate(FIELDS):
             drawn = envs.params_table[:, column]
@@ -281,12 +252,17 @@ def arrays(value: Any) -> Iterator[NDArray[Any]]:
 
 
 class TestGymnasium:
-    def test_spaces(self):
-        envs, single = make(3, sensors="tip"), BeltArmEnv(sensors="tip")
+    @EACH_MODE
+    def test_spaces_and_mode(self, mode: AutoresetMode, monkeypatch: pytest.MonkeyPatch):
+        # Gymnasium 1.2's own batches leave their mode in the class for later tests.
+        monkeypatch.delitem(BeltArmEnv.metadata, "autoreset_mode", raising=False)
+        envs, single = make(3, sensors="tip", autoreset_mode=mode.value), BeltArmEnv(sensors="tip")
         assert envs.single_observation_space == single.observation_space
         assert envs.single_action_space == single.action_space
         assert envs.observation_space == batch_space(single.observation_space, 3)
         assert envs.action_space == batch_space(single.action_space, 3)
+        assert envs.metadata["autoreset_mode"] is mode and "autoreset_mode" not in BeltArmEnv.metadata
+        assert (envs.num_envs, envs.render_mode) == (3, None)
         observations, info = envs.reset(seed=0)
         assert observations in envs.observation_space and info == {}
         for _ in range(50):
@@ -298,30 +274,6 @@ class TestGymnasium:
         envs.close()
 
     @EACH_MODE
-    def test_autoreset_mode_in_the_metadata(self, mode: AutoresetMode, monkeypatch: pytest.MonkeyPatch):
-        # Gymnasium 1.2's own batches leave their mode in the class for later tests.
-        monkeypatch.delitem(BeltArmEnv.metadata, "autoreset_mode", raising=False)
-        envs, other = make(2, autoreset_mode=mode.value), make(2)
-        assert envs.metadata["autoreset_mode"] is mode
-        assert other.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-        assert "autoreset_mode" not in BeltArmEnv.metadata
-        assert (envs.num_envs, envs.render_mode) == (2, None)
-
-    @pytest.mark.parametrize("mode", MODES[:2], ids=lambda mode: mode.value)
-    def test_statistics_of_gymnasiums_wrapper_are_the_totals(self, mode: AutoresetMode):
-        envs, episodes = RecordEpisodeStatistics(make(3, autoreset_mode=mode)), 0
-        envs.reset(seed=0)
-        for _ in range(EPISODE_STEPS + 10):
-            *_, info = envs.step(np.array([[0], [1], [-1]], np.float32))
-            if "episode" in info:
-                totals = info["final_info"] if mode is AutoresetMode.SAME_STEP else info
-                ended = info["_episode"]
-                assert -info["episode"]["r"][ended] == pytest.approx(totals["total_cost"][ended], rel=1e-6)
-                assert np.array_equal(info["episode"]["l"][ended], totals["episode_steps"][ended])
-                episodes += int(ended.sum())
-        assert episodes > 3
-
-    @pytest.mark.parametrize("mode", MODES[:2], ids=lambda mode: mode.value)
     def test_nothing_returned_shares_memory(self, mode: AutoresetMode):
         envs, actions = make(3, autoreset_mode=mode), np.array([[0.0], [2.0], [-3.0]])
         returned: list[Any] = [envs.reset(seed=0)]
@@ -334,7 +286,6 @@ class TestGymnasium:
         every = list(arrays(returned))
         assert len(every) > 30
         assert not [True for a, b in combinations(every, 2) if np.shares_memory(a, b)]
-        assert len({id(item[-1]) for item in returned}) == len(returned)
         assert actions.tolist() == [[0.0], [2.0], [-3.0]], "actions are left as they were"
 
 
@@ -364,7 +315,7 @@ def values_of(name: str) -> st.SearchStrategy[float]:
     return values if bound.low > 0 or (bound.low == 0 and bound.above) else st.just(0.0) | values
 
 
-@examples(120, shrink=False)
+@examples(60, shrink=False)
 @given(
     arms=st.lists(st.fixed_dictionaries({name: values_of(name) for name in FIELDS}), min_size=1, max_size=3),
     motion=st.none() | st.tuples(st.floats(0, 1.5), st.floats(-2000, 2000), st.floats(-1, 1), st.floats(-100, 100)),
@@ -406,23 +357,20 @@ def test_never_a_nan_and_always_within_bounds(
     assert np.isfinite(envs.state).all()
 
 
-HEAVY_PAYLOAD = {
-    **{"gear_ratio": 1.0, "link_length": 1.0, "motor_inertia": 0.0067, "arm_inertia": 0.05, "arm_inertia_swing": 0.0},
-    **{"payload_mass": 1.0, "belt_stiffness": 1.0, "belt_damping_ratio": 1.0},
-}
 HEAVY_SWING = {
     **{"gear_ratio": 598.0, "link_length": 1.38, "motor_inertia": 4.68e-7, "motor_viscous_friction": 5.52e-6},
     **{"coulomb_friction": 0.0, "arm_inertia": 1.48e-4, "arm_inertia_swing": 1.64, "belt_stiffness": 31900.0},
     **{"belt_damping_ratio": 0.0, "torque_limit": 4.41},
 }
 WILD: dict[str, dict[str, Any]] = {
-    "heavy payload": {"params": HEAVY_PAYLOAD, "state": [1.0, -86.0, 0.0, 0.0]},
     "heavy swing, from rest": {"params": HEAVY_SWING, "move": {"start": 0.8, "goal": 1.4}},
+    "torn apart": {"params": {"torque_limit": 1e6, "belt_stiffness": 40.0}, "move": MOVE},
     "fast torsion": {"state": [60.0, 0.0, 0.0, 1e5]},
     "fast motor": {"state": [60.0, 1e9, 0.0, 0.0]},
 }
 
 
+@pytest.mark.filterwarnings("ignore:.* encountered in:RuntimeWarning")  # of NumPy, where kernels are plain Python
 @pytest.mark.parametrize("options", WILD.values(), ids=WILD)
 def test_motion_too_wild_to_integrate_is_refused_or_ends_without_a_nan(options: dict[str, Any]):
     env, over = BeltArmEnv(sensors="full"), False
@@ -459,18 +407,12 @@ for torque in torques:
 """
 PLAIN = """
 import beltarm_env.kernels.step as step
-from gymnasium.utils.env_checker import check_env
 
 assert not hasattr(step.step_arm, "py_func")
 np.savez("plain.npz", *returned)
-check_env(BeltArmEnv(), skip_render_check=True)
-env = BeltArmEnv()
-env.reset(seed=0)
-terminated = False
-while not terminated:
-    _, reward, terminated, truncated, info = env.step(np.ones(1))
-    assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool], "types"
-    assert {type(value) for value in info.values()} == {float}, "types in info"
+_, reward, terminated, truncated, info = single.step(np.ones(1))
+assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool], "types"
+assert {type(value) for value in info.values()} == {float}, "types in info"
 """
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 import subprocess
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,30 +55,19 @@ class Page:
         return message
 
     def open(self, path: Path, width: int = 1400, height: int = 900, dark: bool = False) -> None:
-        self.size(width, height)
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url=path.resolve().as_uri())
         while self._receive().get("method") != "Page.loadEventFired":
             pass
 
-    def size(self, width: int, height: int = 900) -> None:
-        self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
-        )
-
     def run(self, script: str) -> Any:
         """Value of a JavaScript expression."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
-
-    def picture(self, path: Path, top: float = 0.0, height: float | None = None) -> None:
-        """Screenshot of the page from `top` on, all of it by default."""
-        size = self.call("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"x": 0, "y": top, "width": size["width"], "height": height or size["height"] - top, "scale": 1}
-        shot = self.call("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)
-        path.write_bytes(base64.b64decode(shot["data"]))
 
 
 @contextmanager
@@ -113,8 +102,6 @@ def _port(file: Path, process: subprocess.Popen[bytes]) -> int:
 
 def _address(port: int) -> str:
     """Address of the first page's socket."""
-    import urllib.request
-
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     with opener.open(f"http://127.0.0.1:{port}/json/list", timeout=_PATIENCE) as answer:
         return next(page["webSocketDebuggerUrl"] for page in json.load(answer) if page["type"] == "page")

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -68,15 +67,9 @@ def stops(arm: EventLocatedArm) -> int:
     return sum(mode == "stuck" for _, mode in arm.mode_changes)
 
 
-def reversals(arm: EventLocatedArm) -> int:
-    """How often the motor slid the other way."""
-    slides = [mode for _, mode in arm.mode_changes if mode != "stuck"]
-    return sum(before != after for before, after in pairwise(slides))
-
-
-def wave(amplitude: float, frequency: float, offset: float = 0.0) -> Command:
+def wave(amplitude: float, frequency: float) -> Command:
     """Sine of an amplitude [N m] and a frequency [Hz]."""
-    return lambda k, _: offset + amplitude * math.sin(2 * math.pi * frequency * k * CONTROL_PERIOD)
+    return lambda k, _: amplitude * math.sin(2 * math.pi * frequency * k * CONTROL_PERIOD)
 
 
 def pushed(sample: int, _: EventLocatedArm) -> float:

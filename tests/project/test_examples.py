@@ -46,10 +46,6 @@ def test_ppo_in_one_file_learns_and_saves_a_policy(tmp_path: Path):
     assert spec.provenance["reached"]["validation"]["cost"] == pytest.approx(after, abs=0.1)
 
 
-def test_ppo_in_one_file_is_short():
-    assert len((EXAMPLES / "cleanrl_ppo.py").read_text(encoding="utf-8").splitlines()) <= 250
-
-
 @pytest.mark.slow
 def test_a_loop_of_python_control_beats_the_paper_by_half(tmp_path: Path):
     output = output_of("control_loop.py", cwd=tmp_path)
@@ -69,6 +65,7 @@ def test_rllib_learns(tmp_path: Path):
     assert after < before
 
 
-def test_the_example_for_rllib_says_how_to_install_it():
+def test_examples_are_short_and_say_how_to_install_what_they_need():
+    assert len((EXAMPLES / "cleanrl_ppo.py").read_text(encoding="utf-8").splitlines()) <= 250
     assert INSTALL in (EXAMPLES / "rllib_ppo.py").read_text(encoding="utf-8")
     assert (ROOT / CONSTRAINTS).is_file()

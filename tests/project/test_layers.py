@@ -1,7 +1,9 @@
 """The house: packages and their folders import one way, from the bottom up, and commands are imported by nobody."""
 
 import ast
+import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -9,19 +11,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 FLOORS = {
     "beltarm_env": (
-        *(
-            "arrays sources timing",
-            "jit",
-            "threads",
-            "arm",
-            "physics",
-            "observation metrics",
-            "task",
-            "kernels",
-            "rendering",
-            "mujoco",
-        ),
-        *("arguments simulation batch recording", "env", "vector_env", "rollout"),
+        *("arrays sources timing", "jit", "threads", "arm", "physics", "observation metrics", "task", "kernels"),
+        *("rendering", "mujoco", "arguments simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (
         *("tools", "engines", "gains reading", "controller models", "estimation planning", "servo optimal"),
@@ -35,6 +26,13 @@ FLOORS = {
 Rooms on one floor do not know one another.
 """
 PACKAGES = (*FLOORS, "train")
+ABOVE = {
+    "beltarm_env": {"baselines", "agents", "train", "eval"},
+    "baselines": {"agents", "train", "eval"},
+    "agents": {"train", "eval"},
+}
+DEPENDENCIES = {"gymnasium", "llvmlite", "numba", "numpy"}
+OPTIONAL = {"pygame", "mujoco", "matplotlib", "pandas", "pyarrow"}
 
 
 def modules(package: str) -> Iterator[tuple[str, Path]]:
@@ -47,16 +45,27 @@ def modules(package: str) -> Iterator[tuple[str, Path]]:
 KNOWN = {name for package in PACKAGES for name, _ in modules(package)}
 
 
-def imported(path: Path) -> set[str]:
-    """Modules of this project that a file imports anywhere, inside functions too."""
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def named(nodes: Iterator[ast.AST] | list[ast.stmt]) -> set[str]:
+    """Modules that statements import: those of this project, else what is imported from."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            inside = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= (inside & KNOWN) or {node.module}
-    return found & KNOWN
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0 and node.module, "a relative import"
+            found |= ({f"{node.module}.{alias.name}" for alias in node.names} & KNOWN) or {node.module}
+    return found
+
+
+@cache
+def imported(path: Path) -> set[str]:
+    """Modules that a file imports anywhere, inside functions too."""
+    return named(ast.walk(tree(path)))
 
 
 def room(module: str) -> str:
@@ -69,15 +78,29 @@ def is_command(path: Path) -> bool:
 
 
 @pytest.mark.parametrize("package", FLOORS)
-def test_folders_of_a_package_import_one_way(package: str):
+def test_packages_and_their_folders_import_one_way(package: str):
     floor_of = {f"{package}.{name}": k for k, floor in enumerate(FLOORS[package]) for name in floor.split()}
     for module, path in modules(package):
+        assert {name.split(".")[0] for name in imported(path)}.isdisjoint(ABOVE.get(package, ())), module
         if module == package or is_command(path):
             continue  # the package itself names what is public; commands are on top of everything
         assert room(module) in floor_of, f"{module} stands on no floor: add it to FLOORS"
-        for other in imported(path):
+        for other in imported(path) & KNOWN:
             if other.split(".")[0] == package and room(other) not in (room(module), package):
                 assert floor_of[room(other)] < floor_of[room(module)], f"{module} imports {other}"
+
+
+def test_the_environment_needs_what_it_declares_and_imports_the_rest_where_it_is_used():
+    for module, path in modules("beltarm_env"):
+        others = {name.split(".")[0] for name in imported(path)} - set(sys.stdlib_module_names) - {"beltarm_env"}
+        assert others <= DEPENDENCIES | OPTIONAL, module
+        assert {name.split(".")[0] for name in named(tree(path).body)}.isdisjoint(OPTIONAL), module
+
+
+def test_controllers_do_not_know_the_environment_class():
+    for module, path in modules("baselines"):
+        text = path.read_text(encoding="utf-8")
+        assert "BeltArmEnv" not in text and "BeltArmVectorEnv" not in text, module
 
 
 def test_studies_do_not_know_one_another():
@@ -89,20 +112,14 @@ def test_studies_do_not_know_one_another():
             assert not strangers, f"{module} imports {sorted(strangers)}"
 
 
-def test_no_command_is_imported():
-    commands = {module for package in PACKAGES for module, path in modules(package) if is_command(path)}
-    assert {"eval.compare", "train.ppo", "baselines.tune"} <= commands
-    for package in PACKAGES:
-        for module, path in modules(package):
-            assert not imported(path) & commands, f"{module} imports a command"
-
-
-def test_commands_are_thin():
+def test_commands_are_thin_and_no_module_imports_one():
     """A command has its options, the order of calls and `main`; whatever computes is in a folder."""
-    for package in PACKAGES:
-        for module, path in modules(package):
-            if is_command(path):
-                body = ast.parse(path.read_text(encoding="utf-8")).body
-                classes = [node.name for node in body if isinstance(node, ast.ClassDef)]
-                functions = [node.name for node in body if isinstance(node, ast.FunctionDef)]
-                assert classes in ([], ["Config"]) and len(functions) <= 2, f"{module} has {classes + functions}"
+    every = [(module, path) for package in PACKAGES for module, path in modules(package)]
+    commands = {module: path for module, path in every if is_command(path)}
+    assert {"eval.compare", "train.ppo", "baselines.tune"} <= {*commands}
+    for module, path in commands.items():
+        classes = [node.name for node in tree(path).body if isinstance(node, ast.ClassDef)]
+        functions = [node.name for node in tree(path).body if isinstance(node, ast.FunctionDef)]
+        assert classes in ([], ["Config"]) and len(functions) <= 2, f"{module} has {classes + functions}"
+    for module, path in every:
+        assert imported(path).isdisjoint(commands), f"{module} imports a command"

@@ -58,45 +58,32 @@ def test_what_is_set_up_runs_without_the_python_that_set_it_up(folder: Path, mon
     assert result.returncode == 0 and "ran -m pytest" in result.stdout
 
 
-@pytest.mark.parametrize("goal", ["trian", "20"])
-def test_a_target_that_there_is_not_names_those_that_there_are(goal: str, folder: Path):
-    result = make(folder, goal)
-    assert result.returncode == 2 and result.stdout == ""
-    (line,) = result.stderr.splitlines()
-    assert goal in line and "make help" in line
+def test_a_target_that_there_is_not_names_those_that_there_are(folder: Path):
+    for goal in ("trian", "20"):
+        result = make(folder, goal)
+        assert result.returncode == 2 and result.stdout == ""
+        (line,) = result.stderr.splitlines()
+        assert goal in line and "make help" in line
     assert make(folder, "pyproject.toml").returncode == 0  # what is there is no mistake
 
 
-def test_help_says_where_options_of_a_command_go(folder: Path):
+def test_help_lists_every_target_and_says_where_options_of_a_command_go(folder: Path):
     """For make reads options itself, before its file, and none of it can say so."""
-    assert "ARGS=" in make(folder, "help").stdout
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", (folder / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    shown = make(folder, "help").stdout
+    assert re.findall(r"^  make ([a-z-]+) ", shown, re.MULTILINE) == phony.split() and "ARGS=" in shown
+    assert make(folder, "--dry-run", *phony.split()).returncode == 0
     result = make(folder, "compare", "ARGS=--episodes 20")
     assert "ran eval/compare.py --episodes 20" in result.stdout.splitlines()
 
 
-def test_help_lists_every_target(folder: Path):
-    text = (folder / "Makefile").read_text(encoding="utf-8")
-    (phony,) = re.findall(r"^\.PHONY: (.*)$", text, re.MULTILINE)
-    assert re.findall(r"^  make ([a-z-]+) ", make(folder, "help").stdout, re.MULTILINE) == phony.split()
-    assert make(folder, "--dry-run", *phony.split()).returncode == 0
-
-
-def test_documents_name_targets_that_there_are(folder: Path):
-    text = (folder / "Makefile").read_text(encoding="utf-8")
-    targets = set(re.findall(r"^([a-z-]+):", text, re.MULTILINE))
-    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    for page in pages:
-        if page.name != "CHANGELOG.md" and "results" not in page.parts:  # those name the commands of their commits
-            named = set(re.findall(r"(?:`|^)make ([a-z-]+)\b", page.read_text(encoding="utf-8"), re.MULTILINE))
-            assert named <= targets, page.name
-
-
-def test_documents_name_tests_that_there_are():
+def test_documents_name_targets_and_tests_that_there_are():
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
-        if page.name != "CHANGELOG.md":
-            missing = [
-                name
-                for name in re.findall(r"tests/[a-z_/]+\.py", page.read_text(encoding="utf-8"))
-                if not (ROOT / name).exists()
-            ]
-            assert not missing, page.name
+        text = page.read_text(encoding="utf-8")
+        if page.name == "CHANGELOG.md":
+            continue
+        tests = {name for name in re.findall(r"tests/[a-z_/]+\.py", text) if not (ROOT / name).exists()}
+        assert not tests, page.name
+        if "results" not in page.parts:  # which name the commands of their commits
+            assert set(re.findall(r"(?:`|^)make ([a-z-]+)\b", text, re.MULTILINE)) <= targets, page.name

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
-import os
 import shlex
 import shutil
 import signal
@@ -36,11 +37,6 @@ def train_ppo() -> None:
     main(ppo.PpoConfig, ppo.make_learner, None)
 
 
-def run(script: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / script), *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
-
-
 def read_csv(path: Path) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
@@ -49,9 +45,9 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained")
-    result = run("train/ppo.py", "--out", "run", "--total-steps", "256", *TINY, cwd=folder)
-    assert result.returncode == 0, result.stderr
-    (hint,) = [line for line in result.stdout.splitlines() if "eval/compare.py --policy" in line]
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert stopped(train_ppo, ("--out", "run", "--total-steps", "256", *TINY), folder) == (0, "")
+    (hint,) = [line for line in said.getvalue().splitlines() if "eval/compare.py --policy" in line]
     assert "--scenarios development" in hint, "the test set chooses nothing"
     return folder / "run"
 
@@ -80,12 +76,6 @@ def test_training_leaves_a_policy_a_checkpoint_and_logs(trained: Path) -> None:
     assert any(name.startswith("events.out.tfevents") for name in files)
     assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256"]
     assert [path.name for path in trained.rglob(".*")] == [".lock"]  # no temporary files
-
-
-def test_resume_goes_on_where_the_run_stopped(trained: Path) -> None:
-    arguments = ("--out", str(trained), "--total-steps", "384", "--resume", *TINY)
-    assert stopped(train_ppo, arguments, trained) == (0, "")
-    assert [row["steps"] for row in read_csv(trained / "validation.csv")] == ["0", "128", "256", "384"]
 
 
 def test_a_resumed_run_keeps_the_options_that_it_is_not_told(trained: Path, tmp_path: Path) -> None:
@@ -153,24 +143,6 @@ def test_every_option_is_noted_so_that_it_can_be_resumed(name: str, tmp_path: Pa
     assert parse(kind, arguments=("--out", str(config.out), "--resume"), begun=begun_options) == config
 
 
-def test_same_seed_trains_the_same_policy(trained: Path, tmp_path: Path) -> None:
-    assert stopped(train_ppo, ("--out", "again", "--total-steps", "256", *TINY), tmp_path) == (0, "")
-    first, second = (read_csv(folder / "validation.csv")[2] for folder in (trained, tmp_path / "again"))
-    assert first["cost"] == second["cost"]
-
-
-def test_a_folder_with_a_run_is_refused_before_progress_is_shown(
-    trained: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "already holds a run" in mistake(train_ppo, ("--out", str(trained), *TINY), trained)
-    assert capsys.readouterr().out == ""
-
-
-def test_resume_from_nothing_is_refused(tmp_path: Path) -> None:
-    assert "nothing to resume in nowhere" in mistake(train_ppo, ("--out", "nowhere", "--resume"), tmp_path)
-    assert not (tmp_path / "nowhere").exists()
-
-
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / "train/ppo.py"), "--out", "run", *TINY]
@@ -186,17 +158,18 @@ def test_interrupted_training_saves_and_says_how_to_go_on(interrupt: signal.Sign
     assert (tmp_path / "run" / "checkpoint.pkl").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_bad_training_options(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, message in (
         (("--arms", "0"), "--arms must be at least 1, got 0"),
         (("--seed", "-1"), "--seed must lie within"),
         (("--residual-limit", "3"), "got 3.0"),
         (("--out", "/dev/null/run"), "cannot write to /dev/null/run"),
-    ],
-)
-def test_bad_training_options(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
-    assert message in mistake(train_ppo, arguments, tmp_path)
+        (("--out", "nowhere", "--resume"), "nothing to resume in nowhere"),
+        (("--out", str(trained), *TINY), "already holds a run"),
+    ):
+        assert message in mistake(train_ppo, arguments, tmp_path)
+        assert capsys.readouterr().out == "", "no progress is shown before"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_scenarios_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -210,9 +183,8 @@ def readme_examples() -> list[str]:
     return [block.split("```")[0].replace("learn(10_000)", "learn(1)") for block in blocks]
 
 
+@pytest.mark.filterwarnings("default", "error::UserWarning:beltarm_env")
 @pytest.mark.parametrize("number", range(len(readme_examples())))
-def test_examples_of_the_readme_run(number: int, tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-W", "error::UserWarning:beltarm_env", "-c", readme_examples()[number]]
-    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
+def test_examples_of_the_readme_run(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(readme_examples()[number], {"__name__": "__main__"})
