@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from properties import examples
 from translating import compiler
 
 from agents.policy.bundle import POLICIES
@@ -45,7 +44,7 @@ def test_a_program_commands_what_python_does(name: str, guard: bool, tmp_path: P
     splits, loop, controller = development_set().splits, loop_of(source, guard), controller_of(source, guard)
     write_program(tmp_path, loop)
 
-    @examples(1, shrink=False)
+    @settings(max_examples=2, phases=[Phase.generate])
     @given(st.sampled_from(sorted(splits)), st.integers(0, 2**31))
     def run(split: str, seed: int) -> None:
         compare(tmp_path, loop, controller, splits[split], np.random.default_rng(seed), toolchain)
