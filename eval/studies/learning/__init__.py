@@ -43,9 +43,9 @@ class Options(StudyOptions, WithStorage):
     """Folder of the runs. Finished runs are kept and not repeated."""
     only: tuple[str, ...] = ()
     """Factors or variants to run, such as told or gru-0, with the runs that they are compared with. Default: all."""
-    samples: int = 4_000_000
+    samples: int = 8_000_000
     """Samples that each run simulates."""
-    seeds: int = 2
+    seeds: int = 3
     """Runs of each variant, with training seeds 0, 1, ... Some variants need only one."""
     arms: int = 256
     """Arms on which the last policy is scored."""

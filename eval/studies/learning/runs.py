@@ -77,11 +77,11 @@ VARIANTS = (
     Variant("ppo-adaptive", "learner", "PPO, on adaptive", ("--base", "adaptive"), "ppo", once=True),
     Variant("ppo-price-1", "learner", "PPO, on paper, the task's price", ("--torque-price", "1"), "ppo", once=True),
     Variant("sac", "learner", "SAC, on paper", script="sac", once=True),
-    Variant("nothing", "told", "nothing", ("--knowledge", "none"), once=True),
-    Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full"), once=True),
-    Variant("gru-0", "memory", "none", ("--gru-width", "0"), once=True),
+    Variant("nothing", "told", "nothing", ("--knowledge", "none")),
+    Variant("torsion", "told", "true torsion, and belief", ("--sensors", "full")),
+    Variant("gru-0", "memory", "none", ("--gru-width", "0")),
     Variant("base-paper", "base", "paper", ("--base", "paper", *_ALL), once=True),
-    Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal"), once=True),
+    Variant("ideal", "drive", "with an ideal drive", ("--randomization", "ideal")),
     Variant("price-25", "price", "25 times the task's price", ("--torque-price", "25"), once=True),
 )
 
