@@ -32,7 +32,8 @@ EITHER = pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 def each(common: list[Refusal], of_a_batch: list[Refusal]) -> Any:
     """Parametrise with what one arm and a batch refuse, and with what only a batch is told."""
     cases = [(make, *row) for make in MAKERS.values() for row in common] + [(three, *row) for row in of_a_batch]
-    return pytest.mark.parametrize(("make", "given", "error", "words"), cases, ids=str)
+    named = [f"{make.__name__}-{given}" for make, given, *_ in cases]
+    return pytest.mark.parametrize(("make", "given", "error", "words"), cases, ids=named)
 
 
 # Arguments of the environments
