@@ -129,7 +129,7 @@ def claim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("eval.comparison.provenance.commit", lambda: "1234567")
         patch.setattr("eval.report.publish.plots", lambda *_: {})
-        patch.setattr("eval.report.publish.write_report", lambda *_: None)
+        patch.setattr("eval.report.publish.render", lambda *_: "")
         patch.setattr("eval.comparison.run.command_line", lambda: "python eval/compare.py --add mine.py:Mine")
         assert stopped(compare.main, ("--add", "mine.py:Mine", *words), folder) == (0, "")
     return folder / "out"
