@@ -28,7 +28,7 @@ with contextlib.redirect_stderr(io.StringIO()):
 
 LONG = tuple(
     f"test_{name}"
-    for name in ("cache", "compare", "export", "ray", "recipes", "scripts", "training", "tuning", "vector_env", "watch")
+    for name in ("vector_env", "tuning", "compare", "studies", "training", "cache", "controllers", "ray", "program")
 )
 
 
