@@ -139,7 +139,8 @@ def eval_results(scores: Scores) -> list[EvalResult]:
     results = []
     for split, row in scores.rows.items():
         common: dict[str, Any] = {
-            **dict.fromkeys(("task_type", "task_name"), "reinforcement-learning"),
+            "task_type": "reinforcement-learning",
+            "task_name": "reinforcement-learning",
             "dataset_type": ENVIRONMENT,
             "dataset_name": f"{ENVIRONMENT} {split}",
             "dataset_config": split,
@@ -152,7 +153,7 @@ def eval_results(scores: Scores) -> list[EvalResult]:
         if not results:
             name = "mean_reward"
             results.append(EvalResult(**common, metric_type=name, metric_name=name, metric_value=scores.mean_reward))
-        for name in filter(row["metrics"].__contains__, SHOWN):
+        for name in (name for name in SHOWN if name in row["metrics"]):
             estimate, share = dict(row["metrics"][name]), METRICS[name].share
             label = f"{METRICS[name].title}, as a share: mean" if share else f"{heading(name)}: interquartile mean"
             seeds = f"{row['seeds']} training seed{'s'[: row['seeds'] > 1]}"

@@ -105,8 +105,15 @@ def _verdict(row: Data) -> Data:
         survives = "yes" if as_good == draws else "mostly"
     else:
         survives = "in part" if 2 * reduced > draws else "no"
-    found = {"usual": usual, "answers": answers, "reduced": reduced, "survives": survives}
-    return {"view": row["view"], "ideal": ideal, "driven": driven, **found}
+    return {
+        "view": row["view"],
+        "ideal": ideal,
+        "driven": driven,
+        "usual": usual,
+        "answers": answers,
+        "reduced": reduced,
+        "survives": survives,
+    }
 
 
 def pictures(data: Data) -> Pictures:
