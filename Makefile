@@ -1,4 +1,5 @@
-# Every target sets up .venv by itself, and only when pyproject.toml or constraints.txt have changed.
+# Every target sets up .venv by itself, and only when pyproject.toml or constraints.txt have changed: `make compare` with
+# what it needs alone, the others with all packages, beside those.
 # Each Python has an environment of its own: `make test PYTHON=python3.13` sets up .venv-3.13.
 # make reads options before this file, so options of a command are given in ARGS.
 
@@ -10,6 +11,8 @@ NEEDS_PYTHON = $(if $(VERSION),,$(error $(PYTHON) is not there, or older than Py
 CONSTRAINTS ?= constraints.txt
 EXTRA ?= dev
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+READY_COMPARE := $(VENV)/.ready-compare
 READY := $(VENV)/.ready
 READY_DOCS := $(VENV)/.ready-docs
 WORKERS ?= 3
@@ -28,7 +31,7 @@ help:  ## Show this list
 		/^[a-z-]+:.*## / { split($$0, part, ":.*## "); printf "  make %-8s %s\n", part[1], part[2] }' $(MAKEFILE_LIST)
 	@printf '\nOptions of a command go in ARGS: make compare ARGS="--episodes 20"\n'
 
-compare: $(READY)  ## Compare all controllers on 50 scenarios of every split (with ARGS: 200, or --episodes): report.html in results/compare
+compare: $(READY_COMPARE)  ## Compare all controllers on 50 scenarios of every split (with ARGS: 200, or --episodes): report.html in results/compare
 	$(BIN)/python eval/compare.py $(or $(ARGS),--episodes 50)
 
 train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
@@ -36,12 +39,17 @@ train: $(READY)  ## Train a residual PPO policy, saved in runs/ppo
 
 ##@ Develop
 
-setup: $(READY)  ## Create .venv with pinned versions; HASHES=1 checks their SHA-256 too
+setup: $(READY)  ## Create .venv with pinned versions, and compile kernels; HASHES=1 checks the SHA-256 of packages too
 
-$(READY): pyproject.toml $(CONSTRAINTS)
+$(READY_COMPARE): pyproject.toml $(CONSTRAINTS)
 	$(NEEDS_PYTHON)$(PYTHON) -m venv $(VENV)
-	$(if $(HASHES),$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --requirement hashes.txt)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
+	$(if $(HASHES),$(PIP) --no-deps --require-hashes --requirement hashes.txt)
+	$(PIP) --constraint $(CONSTRAINTS) --editable '.[compare]'
+	@touch $@
+
+$(READY): $(READY_COMPARE)
+	$(PIP) --constraint $(CONSTRAINTS) --editable '.[$(EXTRA)]'
+	$(BIN)/python -m agents.ahead
 	@touch $@
 
 test: $(READY)  ## Run the tests; ARGS=--slow runs those that are marked slow, too
@@ -71,11 +79,12 @@ docs: $(READY_DOCS)  ## Build the documentation site in docs/_build, and run its
 	@echo "Open docs/_build/index.html"
 
 $(READY_DOCS): $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	$(PIP) --constraint constraints.txt --editable '.[docs]'
 	@touch $@
 
-dist: $(READY)  ## Build the wheel and the source archive in dist: the same commit gives the same bytes
-	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation
+dist: $(READY)  ## Build the source archive and this machine's wheel in dist; TARGETS="win_amd64 macosx_11_0_arm64" for others
+	export SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct); set -e; $(BIN)/python -m build --no-isolation --sdist; \
+	for target in $(or $(TARGETS),''); do BELTARM_TARGET=$$target $(BIN)/python -m build --no-isolation --wheel; done
 
 clean:  ## Remove environments, results, the site and caches
 	rm -rf .venv .venv-* results docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis dist

@@ -8,9 +8,10 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from baselines.reading import Reading, beginning, read
+from baselines.reading import Reading, beginning, read, sample_of
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats, Singles
+from beltarm_env.engine import compiled
 from beltarm_env.task.ranges import design_model
 
 Memory = TypeVar("Memory")
@@ -59,13 +60,21 @@ class ClassicalController(ABC, Generic[Memory]):
 
 
 class LawKernel(NamedTuple):
-    """A controller for one arm as one kernel: what is compiled for batches, and translated for a drive's processor."""
+    """A controller for one arm as one kernel: what runs batches, and is exported for a drive's processor."""
 
     law: Callable[..., float]
     """`law(design, now, begins, memory)`: motor torque [N m] of one sample, before it is cut at its limit, from what
     is constant, a `Sample`, and whether an episode begins, when nothing in the memory counts. Writes the memory."""
     design: Any  # named tuple of numbers and arrays, which the kernel never writes
     memory: Any  # an array, or a named tuple of arrays, of the shapes that the kernel needs for one arm
+
+
+@compiled
+def _run_law(
+    law: Callable[..., float], design: Any, reading: Reading, begins: Flags, memory: Floats, torques: Floats
+) -> None:
+    for i in range(len(begins)):
+        torques[i] = law(design, sample_of(reading, i), begins[i], memory[i])
 
 
 class ScalarController(ClassicalController[Floats]):
@@ -77,9 +86,10 @@ class ScalarController(ClassicalController[Floats]):
     def kernel(self) -> LawKernel:
         """The law for one arm, with a memory of shape (memory_size,)."""
 
-    @abstractmethod
     def _run(self, reading: Reading, begins: Flags, memory: Floats, torques: Floats) -> None:
         """Run the kernel for all arms; memory of shape (n, memory_size) and torques of shape (n,) are written."""
+        law, design, _ = self.kernel()
+        _run_law(law, design, reading, begins, memory, torques)
 
     def law(self, reading: Reading, begins: Flags, memory: Floats | None) -> tuple[Floats, Floats]:
         """Torque [N m] of one sample, see `ClassicalController`."""

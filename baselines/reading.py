@@ -8,7 +8,7 @@ import numpy as np
 
 from beltarm_env import CONTROL_PERIOD, ArmParams, observation
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.trigonometry import ROUNDER
 
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.timing import MAX_LATENCY
 
 _LARGEST = 1e9  # beyond any arm, and far from overflowing

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from beltarm_env import observation
 from beltarm_env.arm import COLUMN, FIELDS, WHOLE, ArmParams, checked_constant
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
+from beltarm_env.engine.blocks import MAX_THREADS
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.episodes import begin_episodes, episode_totals, restart_episodes, tip_errors
 from beltarm_env.kernels.layout import BUILT, IDEAL
@@ -25,7 +26,6 @@ from beltarm_env.task.options import checked_column, checked_names, checked_stat
 from beltarm_env.task.ranges import Randomization, draw_table, range_bounds, resolve_ranges
 from beltarm_env.task.reference import PROFILES, MoveShape, Reference, reference_at
 from beltarm_env.task.streams import Streams, wrapping
-from beltarm_env.threads.blocks import MAX_THREADS
 from beltarm_env.timing import CONTROL_PERIOD
 
 if TYPE_CHECKING:
@@ -131,10 +131,11 @@ class ArmBatch:
         encoder_counts: int,
         delay: ArrayLike,
         num_threads: int = 1,
+        lanes: int = at.LANES,
     ) -> None:
-        self.num_arms = num_arms
+        self.num_arms, self.lanes = num_arms, lanes
         self.num_threads = whole("num_threads", num_threads, 1, MAX_THREADS)
-        self.rooms = new_scratch(self.num_threads)
+        self.rooms = new_scratch(self.num_threads, lanes)
         self.scratch, self.tile = self.rooms[0][0], self.rooms[1][0]
         self.tier = _choice("sensors", sensors, observation.SENSORS)
         self.profile = _choice("profile", profile, PROFILES)
@@ -147,7 +148,7 @@ class ArmBatch:
         self._built = np.zeros(num_arms, np.bool_)  # which arms have a drive as it is built
         self._num_built = 0
         self.delays = _delays(delay, num_arms)
-        self.blocks = at.empty_blocks(num_arms)
+        self.blocks = at.empty_blocks(num_arms, lanes)
         self.engine = _engine(model, num_arms)
         if self.engine is not None:
             self.engine.check(self._bounds)
@@ -200,7 +201,8 @@ class ArmBatch:
         self.table[arms] = table
         sensing = self.resolution, self.delays, uniforms
         of_model = self._built, self.model
-        self._num_built += begin_episodes(self.blocks, arms, table, moves, states, *sensing, *of_model)
+        begin = at.for_lanes(begin_episodes, self.lanes)
+        self._num_built += begin(self.blocks, arms, table, moves, states, *sensing, *of_model)
         if self.engine is not None:
             self.engine.begin(arms, table, self.states[arms])
 
@@ -213,10 +215,11 @@ class ArmBatch:
         """
         to_draw, sensing = (streams, self._bounds, self.table), (self.resolution, self.delays)
         of_model = self._built, self.profile, self.model
+        begin = at.for_lanes(restart_episodes, self.lanes)
         with wrapping():
             for low in range(0, len(arms), _AT_ONCE):
                 some = arms[low : low + _AT_ONCE]
-                self._num_built += restart_episodes(self.blocks, some, *to_draw, *sensing, *of_model)
+                self._num_built += begin(self.blocks, some, *to_draw, *sensing, *of_model)
         if self.engine is not None:
             self.engine.begin(arms, self.table[arms], self.states[arms])
 
@@ -244,9 +247,9 @@ class ArmBatch:
         """Write the observations of all arms, or of some, into `observations`, shape (num_arms, size)."""
         settings = self.profile, self.tier, self.driven
         if arms is None:
-            observe_arms(self.blocks, self.tile, observations, *settings)
+            at.for_lanes(observe_arms, self.lanes)(self.blocks, self.tile, observations, *settings)
         else:
-            observe_some(self.blocks, self.tile, observations, arms, *settings)
+            at.for_lanes(observe_some, self.lanes)(self.blocks, self.tile, observations, arms, *settings)
 
     @property
     def driven(self) -> at.Driven:
@@ -288,7 +291,7 @@ class ArmBatch:
     def tip_errors(self) -> Floats:
         """Tip minus reference tip: x, y [m] and their speeds [m/s], shape (num_arms, 4)."""
         errors = np.empty((self.num_arms, 4))
-        tip_errors(self.blocks, errors, self.profile, self.driven)
+        at.for_lanes(tip_errors, self.lanes)(self.blocks, errors, self.profile, self.driven)
         return errors
 
     def params(self, arm: int) -> ArmParams:
@@ -302,5 +305,5 @@ class ArmBatch:
     def totals(self, arms: Integers, terminated: Flags) -> Floats:
         """Sum up the episodes of some arms: shape (len(TOTALS), num_arms), zero for the other arms."""
         totals = np.zeros((len(TOTALS), self.num_arms))
-        episode_totals(self.blocks, arms, terminated, totals)
+        at.for_lanes(episode_totals, self.lanes)(self.blocks, arms, terminated, totals)
         return totals

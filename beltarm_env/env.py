@@ -16,8 +16,8 @@ from beltarm_env.arguments import Arguments
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Floats, Singles
 from beltarm_env.batch import ArmBatch, new_renderer
-from beltarm_env.jit import code_for
-from beltarm_env.kernels.layout import Driven
+from beltarm_env.engine import prepared
+from beltarm_env.kernels.layout import Driven, for_lanes
 from beltarm_env.kernels.step import step_arm
 from beltarm_env.observation import Sensors
 from beltarm_env.physics.models import ModelName
@@ -161,7 +161,7 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
             "encoder_counts": encoder_counts,
             "delay": delay,
         }
-        self._batch = ArmBatch(1, **arguments)
+        self._batch = ArmBatch(1, **arguments, lanes=1)
         self._hold(**arguments, render_mode=render_mode)
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
@@ -253,7 +253,8 @@ class BeltArmEnv(Arguments, gym.Env[Singles, Singles]):  # pyright: ignore[repor
         batch = self._batch
         settings = batch.profile, batch.tier, batch.model, driven, batch.engine is None
         same = batch.blocks, batch.scratch, batch.tile, *settings
-        observed = partial(code_for(step_arm, *same, 0.0, np.empty(self._size, np.float32)), *same)
+        of_arm = prepared(for_lanes(step_arm, batch.lanes), *same, 0.0, np.empty(self._size, np.float32))
+        observed = partial(of_arm, *same)
 
         def moved_by_engine(fraction: float, result: Singles) -> Any:
             batch.advance_in_engine(np.array([fraction]))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_TIME
 
 SETTLING_BAND = 0.001

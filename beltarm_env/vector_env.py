@@ -17,6 +17,8 @@ from beltarm_env.arguments import Arguments, fixed
 from beltarm_env.arm import ArmParams
 from beltarm_env.arrays import Flags, Floats, Integers, Singles
 from beltarm_env.batch import TERMS, TOTALS, ArmBatch, new_renderer, whole
+from beltarm_env.engine import in_threads
+from beltarm_env.engine.blocks import SOON, none_taken, threads_for
 from beltarm_env.env import BeltArmEnv
 from beltarm_env.kernels.layout import IDEAL
 from beltarm_env.kernels.step import step_arms
@@ -27,8 +29,6 @@ from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.reference import Profile, Reference
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.task.streams import Streams, checked_seed, draw, seeded, wrapping
-from beltarm_env.threads.blocks import none_taken, threads_for
-from beltarm_env.threads.standby import SOON, standing_by
 from beltarm_env.timing import EPISODE_STEPS
 
 _WITH_MASKS: dict[tuple[str, ...], tuple[str, ...]] = {
@@ -191,7 +191,7 @@ class BeltArmVectorEnv(Arguments, VectorEnv[Singles, Singles, NDArray[Any]]):  #
         into = fractions, result, rewards, terminated, truncated, terms
         seldom = time.perf_counter() - self._stepped > SOON
         threads = threads_for(len(batch.blocks), batch.driven is not IDEAL, seldom, batch.num_threads)
-        step_arms(batch.blocks, none_taken(threads), standing_by(threads), *batch.rooms, *into, *settings)
+        in_threads(step_arms, threads, batch.blocks, none_taken(threads), *batch.rooms, *into, *settings)
         self._stepped = time.perf_counter()
         stepped = np.empty(count, np.bool_)
         stepped.fill(True)  # `np.ones` takes three times as long

@@ -30,7 +30,7 @@ from baselines.tools.progress import progress_count
 from eval.comparison.custom import LONGEST, TIME_LIMIT, home
 from eval.comparison.methods import chosen
 from eval.comparison.run import choose_methods, compare, verify
-from eval.comparison.scenarios import choose_set
+from eval.comparison.sets import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.report import summary
 from eval.report.publish import print_results, publish

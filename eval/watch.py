@@ -21,8 +21,7 @@ from baselines.tools.command import require_bounds, run_command
 from baselines.tools.files import require_writable
 from baselines.tools.progress import progress_over
 from eval.comparison.methods import chosen, methods_side_by_side
-from eval.comparison.scenarios import choose_set
-from eval.comparison.sets import MOST, fresh_scenarios
+from eval.comparison.sets import MOST, choose_set, fresh_scenarios
 from eval.comparison.splits import EPISODES, SPLITS
 from eval.report import side_by_side
 

@@ -16,7 +16,7 @@ import properties  # registers the profiles before pytest looks for the one it i
 import pytest
 from hypothesis import settings
 
-from beltarm_env.jit import cache
+from beltarm_env.engine import library
 
 gc.disable()  # until tests run: to look for garbage among all that collection makes takes a quarter of its time
 
@@ -24,7 +24,7 @@ settings.load_profile("suite")
 assert properties.FUZZ != settings.get_current_profile_name()
 
 with contextlib.redirect_stderr(io.StringIO()):
-    cache.announce()  # which it does once: an empty cache adds no line to what commands say within this process
+    library.announce()  # which it does once: an empty cache adds no line to what commands say within this process
 
 LONG = tuple(
     f"test_{name}"

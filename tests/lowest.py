@@ -19,7 +19,7 @@ def lowest_versions() -> Iterator[str]:
     """
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     for requirement in chain(project["dependencies"], *project["optional-dependencies"].values()):
-        stated = re.fullmatch(r"([\w-]+)(?:\[.+\])?>=([\w.]+)(,.+)?", requirement)
+        stated = re.fullmatch(r"([\w-]+)(?:\[.+\])?[>=]=([\w.]+)(,.+)?", requirement)
         if stated:
             yield f"{stated[1]}=={stated[2]}"
         elif not requirement.startswith(f"{project['name']}["):

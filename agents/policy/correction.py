@@ -21,7 +21,7 @@ from baselines.estimation.identification import ArmIdentifier
 from baselines.reading import Sample
 from beltarm_env import observation as layout
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 
 
 class Correction(NamedTuple):

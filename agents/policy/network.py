@@ -21,9 +21,8 @@ from agents.policy.weights import ACTIVATIONS, FARTHEST, Weights
 from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
-from beltarm_env.jit import allocating, compiled, inlined
-from beltarm_env.threads.blocks import none_taken, take_block, usual_threads
-from beltarm_env.threads.calls import share_blocks
+from beltarm_env.engine import compiled, in_threads, inlined
+from beltarm_env.engine.blocks import none_taken, take_block, usual_threads
 
 _TILE = 8  # rows that share the weights once they are loaded
 _LEAST = 32  # rows for which it pays to wake a thread
@@ -88,7 +87,7 @@ class NetworkPolicy:
         residuals = np.empty((count, 1), np.float32)
         taken = none_taken(usual_threads(count // _LEAST))
         same = self.network, inputs, memory.reshape(count, -1), self.widest, residuals, taken
-        share_blocks(lambda thread: _evaluate_tiles(*same, thread), taken)
+        in_threads(_evaluate_tiles, len(taken), *same)
         return residuals, memory if self.network.kind != _FEEDFORWARD else None
 
 
@@ -262,15 +261,15 @@ def evaluate(net: Network, inputs: Singles, memory: Singles, work: Singles, resi
         residuals[r, 0] = _tanh(output) if net.squashed else cut(output, 1.0)
 
 
-@allocating
+@compiled
 def _evaluate_tiles(
+    thread: int,
     net: Network,
     inputs: Singles,
     memory: Singles,
     widest: int,
     residuals: Singles,
     taken: NDArray[np.int64],
-    thread: int,
 ) -> None:
     """Evaluate any number of rows, see `evaluate`; some at a time share the weights. In threads, see `take_block`."""
     count = len(inputs)

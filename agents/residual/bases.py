@@ -19,7 +19,7 @@ from baselines.reading import Sample
 from baselines.registry import FELT
 from baselines.tools.command import nearest
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.rollout import Controller
 
 

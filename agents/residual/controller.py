@@ -19,7 +19,7 @@ from agents.residual.knowledge import KNOWLEDGE, Knowledge
 from agents.residual.limits import cut
 from baselines.reading import chosen
 from beltarm_env.arrays import Flags, Singles
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.rollout import Controller
 
 

@@ -24,7 +24,7 @@ from baselines.optimal.adaptive import tuned_identifier
 from baselines.reading import Reading, beginning, read, sample_of
 from beltarm_env import ArmParams, design_model
 from beltarm_env.arrays import Flags, Floats, Singles
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.rollout import DATA_SHEET, Controller, nominal_params
 
 

@@ -29,7 +29,7 @@ from baselines.reading import Sample
 from beltarm_env import observation as layout
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.observation import Entry
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.state import ArmState

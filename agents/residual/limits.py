@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 
 
 @inlined

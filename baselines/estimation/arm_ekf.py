@@ -60,7 +60,7 @@ from baselines.estimation.filter_design import Design, Inputs, Room, Tracks
 from baselines.models.linear import between, place
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
 
 _SLIDES = 2  # counts that a motor at rest cannot move by

@@ -33,7 +33,7 @@ from baselines.estimation.felt import AXES
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, FIELDS
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.physics.trigonometry import exponential, polar_angle, sin_cos, wrapped
 from beltarm_env.task.accelerometer import BIAS as ZERO_G

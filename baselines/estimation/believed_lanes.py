@@ -31,7 +31,7 @@ from baselines.estimation.believed_arm import (
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arm import FIELDS, Plant, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import BUILT_WORK_ROWS, begin_friction, begin_lag
 from beltarm_env.kernels.layout import LANES, Rows, store_drive, store_plant
@@ -74,6 +74,25 @@ def simulation_room(size: int) -> Simulation:
     rows = (_ROWS, _ROWS, BUILT_WORK_ROWS, 1, 2, size, fields, fields, shapes, shapes, 1, 1)
     room = Simulation(*(np.zeros(count * LANES) for count in rows))
     return room if size > SIZE else room._replace(velocities=np.zeros(2))
+
+
+@compiled
+def simulation_of(rooms: Simulation, thread: int) -> Simulation:
+    """Room of one thread, from arrays whose first axis is that of threads."""
+    return Simulation(
+        rooms.loaded[thread],
+        rooms.block[thread],
+        rooms.work[thread],
+        rooms.actions[thread],
+        rooms.velocities[thread],
+        rooms.z[thread],
+        rooms.constants[thread],
+        rooms.perturbed[thread],
+        rooms.shapes[thread],
+        rooms.other_shapes[thread],
+        rooms.ripple[thread],
+        rooms.other_ripple[thread],
+    )
 
 
 @compiled
@@ -156,7 +175,7 @@ def load(beliefs: Floats, nominal: Floats, room: Simulation) -> None:
     _load_delays(room.loaded, arms, room.constants)
 
 
-@inlined  # with rows that are constants: only then LLVM sees that no index is below zero, and vectorises
+@inlined  # with rows that are constants: only then the compiler sees that no index is below zero, and vectorises
 def _copy(source: Floats, target: Floats, arms: int, begin: int, end: int) -> None:
     """Copy rows of lanes."""
     for row in range(begin, end):

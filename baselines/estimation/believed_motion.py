@@ -10,7 +10,7 @@ from baselines.estimation.believed_arm import STEPS, write_ripple
 from baselines.estimation.believed_lanes import Simulation, load, load_commands, load_copy, load_torques
 from baselines.estimation.felt import mean_acceleration
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import advance_built_block
 from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state

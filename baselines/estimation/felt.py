@@ -17,7 +17,7 @@ import numpy as np
 
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Drive
 from beltarm_env.physics.kinematics import TipMotion, tip_motion
 from beltarm_env.physics.state import ArmState

@@ -34,7 +34,7 @@ from baselines.reading import Reading
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import allocating
+from beltarm_env.engine import compiled
 from beltarm_env.physics.kinematics import tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.simulation import X
@@ -53,7 +53,7 @@ class FeltEstimate(Estimate):
     bias: Floats  # zero-g outputs [m/s^2], shape (n, AXES)
 
 
-@allocating
+@compiled
 def felt_over(before: Floats, after: Floats, plant: Plant) -> Floats:
     """Mean accelerations along and across the hand [m/s^2], shape (n, AXES), from x to x, both of shape (n, 4)."""
     result = np.empty((len(after), AXES))

@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.estimation.believed_arm import ARMS, DELAY, DIFFERENCED, FELT_SIZE, LAG, SHORTEST, SIZE, nominal_row
-from baselines.estimation.believed_lanes import Simulation, simulation_room
+from baselines.estimation.believed_lanes import Simulation, simulation_of, simulation_room
 from baselines.estimation.felt import AXES
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.models.linear import linear_arms
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arrays import Flags, Floats
+from beltarm_env.engine import compiled
 from beltarm_env.kernels.layout import aligned_rows
 
 
@@ -79,14 +80,32 @@ def room_for(count: int, felt: bool = False) -> Room:
     return Room(simulation_room(size), *map(np.zeros, shapes))
 
 
-def vector_room(felt: bool) -> tuple[Room, Floats]:
-    """Return room for the filters of `ARMS` arms, and for the covariance of one.
+def vector_rooms(threads: int, felt: bool) -> tuple[Room, Floats]:
+    """Return room for the filters of `ARMS` arms, and for the covariance of one; threads are the first axis of both.
 
     All rows begin at a cache line and are whole vectors: a vector that lies in two lines takes twice as long.
     """
-    room = room_for(ARMS, felt)
-    (rows, size), width = room.half.shape, len(room.row)
-    return room._replace(half=aligned_rows(rows, size), row=aligned_rows(1, width)[0]), aligned_rows(width, width)
+    one = room_for(ARMS, felt)
+    (rows, size), width = one.half.shape, len(one.row)
+    half = aligned_rows(threads * rows, size).reshape(threads, rows, -1)
+    covariance = aligned_rows(threads * width, width).reshape(threads, width, -1)
+    simulation, parts = ([np.zeros((threads, *part.shape)) for part in of] for of in (one.simulation, one[1:]))
+    room = Room(Simulation(*simulation), *parts)
+    return room._replace(half=half, row=aligned_rows(threads, width)), covariance
+
+
+@compiled
+def room_of(rooms: Room, thread: int) -> Room:
+    """Room of one thread, see `vector_rooms`."""
+    return Room(
+        simulation_of(rooms.simulation, thread),
+        rooms.predicted[thread],
+        rooms.jacobian[thread],
+        rooms.half[thread],
+        rooms.noise[thread],
+        rooms.row[thread],
+        rooms.gain[thread],
+    )
 
 
 def filter_design(params: ArmParams, uncertainty: Uncertainty, felt: bool = False) -> Design:

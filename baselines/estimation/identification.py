@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from baselines.estimation.believed_arm import ARMS, DELAY, LOGS, other_torque
-from baselines.estimation.believed_lanes import write_believed
+from baselines.estimation.believed_lanes import Simulation, write_believed
 from baselines.estimation.felt import AXES, unfiltered
 from baselines.estimation.filter_design import Tracks, filter_design, inputs_of
 from baselines.estimation.identify import (
@@ -24,16 +24,15 @@ from baselines.estimation.identify import (
     empty_notes,
     estimate_all,
     identify_all,
-    vector_workspace,
+    vector_workspaces,
 )
 from baselines.estimation.uncertainty import Uncertainty
 from baselines.reading import Reading
 from beltarm_env import ArmParams
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Flags, Floats, Integers
-from beltarm_env.jit import compiled
-from beltarm_env.threads.blocks import none_taken, usual_threads
-from beltarm_env.threads.calls import share_blocks
+from beltarm_env.engine import compiled, in_threads
+from beltarm_env.engine.blocks import none_taken, usual_threads
 
 Memory = TypeVar("Memory")
 
@@ -125,13 +124,14 @@ class ArmIdentifier:
         self.uncertainty = uncertainty or Uncertainty()
         self.design = filter_design(params, self.uncertainty, felt)
         self._felt = felt
-        self._rooms: list[tuple[Workspace, Floats]] = []  # of each thread
+        self._rooms: tuple[Workspace, Floats] | None = None  # of the threads so far
 
     def table(self, belief: Belief) -> Floats:
         """Estimated constants of the arms, columns as `ArmParams`, shape (n, len(FIELDS))."""
         table = np.empty((len(belief.count), len(FIELDS)))
-        ((work, _), *_), _ = self._shared(1)
-        write_believed(belief.tracks.mean, self.design.nominal, work.filter.simulation, table)
+        (works, _), _ = self._shared(1)
+        room = Simulation(*(part[0] for part in works.filter.simulation))
+        write_believed(belief.tracks.mean, self.design.nominal, room, table)
         return table
 
     def update(self, belief: Belief | None, reading: Reading, begins: Flags) -> Belief:
@@ -156,8 +156,8 @@ class ArmIdentifier:
             inputs = inputs._replace(begins=np.ones(count, np.bool_))
         before = notes if belief is None else belief.notes
         rooms, taken = self._shared(count)
-        same = self.design, inputs, before, belief is not None, notes, taken
-        share_blocks(lambda thread: identify_all(*same, thread, *rooms[thread]), taken)
+        same = self.design, inputs, before, belief is not None, notes, taken, *rooms
+        in_threads(identify_all, len(taken), *same)
         tracks = notes.tracks
         if self._felt:
             tracks = tracks._replace(mean=tracks.mean[:, :size].copy())
@@ -175,9 +175,9 @@ class ArmIdentifier:
     def estimate(self, belief: Belief) -> Estimate:
         """Estimates that follow from a belief."""
         result = empty_estimate(len(belief.count))
-        rooms, taken = self._shared(len(belief.count))
-        same = self.design, belief.notes, result, taken
-        share_blocks(lambda thread: estimate_all(*same, thread, rooms[thread][0]), taken)
+        (works, _), taken = self._shared(len(belief.count))
+        same = self.design, belief.notes, result, taken, works
+        in_threads(estimate_all, len(taken), *same)
         return result
 
     def other_torques(self, belief: Belief, states: Floats) -> Floats:
@@ -191,9 +191,9 @@ class ArmIdentifier:
         _write_other_torques(belief.tracks.mean, states, torques)
         return torques
 
-    def _shared(self, count: int) -> tuple[list[tuple[Workspace, Floats]], Integers]:
-        """Return room for each of the threads that work for a number of arms, and what they have taken: nothing."""
+    def _shared(self, count: int) -> tuple[tuple[Workspace, Floats], Integers]:
+        """Return room for the threads that work for a number of arms, and what they have taken: nothing."""
         threads = usual_threads(count // ARMS)
-        while len(self._rooms) < threads:
-            self._rooms.append(vector_workspace(self._felt))
+        if self._rooms is None or len(self._rooms[1]) < threads:
+            self._rooms = vector_workspaces(threads, self._felt)
         return self._rooms, none_taken(threads)

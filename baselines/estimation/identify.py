@@ -21,13 +21,13 @@ from baselines.estimation.arm_ekf import begin_track, correct
 from baselines.estimation.believed_arm import ARMS, DELAY, HISTORY, LOGS
 from baselines.estimation.believed_lanes import load, write_table
 from baselines.estimation.believed_motion import move_on, simulate
-from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for, vector_room
+from baselines.estimation.filter_design import Design, Inputs, Room, Tracks, room_for, room_of, vector_rooms
 from baselines.estimation.observer import QUANTUM
 from beltarm_env.arm import FIELDS
 from beltarm_env.arrays import Floats, Integers
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
+from beltarm_env.engine.blocks import take_block
 from beltarm_env.kernels.layout import LANES
-from beltarm_env.threads.blocks import take_block
 
 COARSEST = 8 * QUANTUM
 """Assumed resolution of an encoder that has not moved yet [rad]."""
@@ -64,10 +64,16 @@ def workspace_for(count: int) -> Workspace:
     return Workspace(room_for(count), np.zeros(count))
 
 
-def vector_workspace(felt: bool) -> tuple[Workspace, Floats]:
-    """Return room for a thread of `identify_all`, with accelerometers if `felt`, and that for a covariance."""
-    room, covariance = vector_room(felt)
-    return Workspace(room, np.zeros(ARMS)), covariance
+def vector_workspaces(threads: int, felt: bool) -> tuple[Workspace, Floats]:
+    """Return room for the threads of `identify_all`, with accelerometers if `felt`, and that for covariances."""
+    rooms, covariances = vector_rooms(threads, felt)
+    return Workspace(rooms, np.zeros((threads, ARMS))), covariances
+
+
+@compiled
+def _workspace_of(works: Workspace, thread: int) -> Workspace:
+    """Room of one thread, see `vector_rooms`."""
+    return Workspace(room_of(works.filter, thread), works.resolution[thread])
 
 
 def empty_notes(count: int, size: int, more: int = 0, empty: Callable[..., Floats] = np.zeros) -> Notes:
@@ -187,31 +193,32 @@ def _copy_square(source: Floats, target: Floats, size: int) -> None:
 
 @compiled
 def identify_all(
+    thread: int,
     design: Design,
     inputs: Inputs,
     before: Notes,
     begun: bool,
     notes: Notes,
     taken: Integers,
-    thread: int,
-    work: Workspace,
-    covariance: Floats,
+    works: Workspace,
+    covariances: Floats,
 ) -> None:
     """Bring what is known of any number of arms up to this sample, as `identify`: some at a time, which caches hold.
 
     Several threads may do so at a time, each with room of its own.
 
     Args:
+        thread: Index of this one.
         design: Of the filters.
         inputs: Of this sample.
         before: Up to the last sample; z without room for more entries.
         begun: Whether anything is known.
         notes: Up to this sample, written; with an accelerometer, z has room for AXES more entries.
         taken: What has been taken of each thread's share, see `take_block`.
-        thread: Index of this one.
-        work: With rows of whole vectors, changed.
-        covariance: Room for that of one arm, with its AXES; changed.
+        works: Room of each thread, with rows of whole vectors; changed.
+        covariances: Room of each thread for that of one arm, with its AXES; changed.
     """
+    work, covariance = _workspace_of(works, thread), covariances[thread]
     size, count = len(design.mean), len(inputs.begins)
     while True:
         low = take_block(taken, thread, -(-count // ARMS)) * ARMS
@@ -278,9 +285,12 @@ def estimate(design: Design, notes: Notes, work: Workspace, result: Estimate) ->
 
 
 @compiled
-def estimate_all(design: Design, notes: Notes, result: Estimate, taken: Integers, thread: int, work: Workspace) -> None:
+def estimate_all(
+    thread: int, design: Design, notes: Notes, result: Estimate, taken: Integers, works: Workspace
+) -> None:
     """Write what controllers need to know of any number of arms, as `estimate`; in threads as `identify_all`."""
     states, delay, logs, table = result
+    work = _workspace_of(works, thread)
     while True:
         low = take_block(taken, thread, -(-len(delay) // ARMS)) * ARMS
         if low < 0:

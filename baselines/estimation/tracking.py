@@ -13,7 +13,7 @@ from baselines.models.linear import between, place
 from baselines.reading import Sample
 from beltarm_env.arm import COLUMN
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import allocating, compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.kernels.simulate import (
     Room,
@@ -95,7 +95,7 @@ def correct(design: ObserverDesign, state: Floats, disturbance: float, motor_ang
     return limited(disturbance + gain * innovation, LARGEST_TORQUE)
 
 
-@allocating
+@compiled
 def track_arm(design: ObserverDesign, now: Sample, begins: bool, track: Track) -> None:
     """Bring the estimate of one arm up to this sample, see `StickSlipObserver.update`."""
     limit, command = float(design.row[COLUMN.torque_limit]), 0.0 if begins else now.last_command

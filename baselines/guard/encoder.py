@@ -24,7 +24,7 @@ from typing import NamedTuple
 from baselines.guard.settings import GuardDesign
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 
 # Places in the guard's memory.
 ANGLE = 0  # shown at the last sample [rad]

@@ -25,7 +25,7 @@ from typing import NamedTuple
 from baselines.guard.encoder import ENCODER_SIZE, Seen, begin_encoder, finite, watch_encoder
 from baselines.guard.settings import GuardDesign
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 
 # Places in the guard's memory, after the encoder's.
 LEVEL = ENCODER_SIZE

@@ -19,14 +19,14 @@ adds near w = pi / T, of which nothing is left at the frequencies where |L| = 1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from baselines.loops.models import Loop, Poles, closed_poles, open_poles
 from beltarm_env import CONTROL_PERIOD
-from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.arrays import Flags, Floats, Integers
 
 _TURNS = np.append(np.geomspace(0.05 * CONTROL_PERIOD, 0.9999 * np.pi, 300), np.pi)
 """Frequencies w T at which every loop is looked at [rad]."""
@@ -55,105 +55,97 @@ def margins(loop: Loop) -> Margins:
 def margins_from_poles(open_z: Poles, closed_z: Poles) -> Margins:
     """Margins of loops with these poles z before and after closing, each of shape (..., m)."""
     front, size = open_z.shape[:-1], open_z.shape[-1]
-    found = _margins(np.ascontiguousarray(open_z.reshape(-1, size)), np.ascontiguousarray(closed_z.reshape(-1, size)))
-    return Margins(np.abs(closed_z).max(axis=-1) < 1, *(column.reshape(front) for column in found))
+    opened, closed = (poles.reshape(-1, size).T for poles in (open_z, closed_z))
+    turns = _grid(opened, closed)
+    distances = _one_plus_loop(turns, opened[..., None], closed[..., None])
+    up, down = _gain_margins(turns, distances, opened, closed)
+    phase, delay = _lags(turns, distances, opened, closed)
+    modulus = _least_distance(turns, np.abs(distances), opened, closed)
+    columns = up, down, np.degrees(phase), delay, modulus
+    return Margins(np.abs(closed_z).max(axis=-1) < 1, *(column.reshape(front) for column in columns))
 
 
-@inlined
-def _ratio(turn: float, open_z: Poles, closed_z: Poles) -> complex:
-    """1 + L at w T = turn."""
-    z, total = complex(np.cos(turn), np.sin(turn)), complex(1.0, 0.0)
-    for i in range(len(open_z)):
-        total *= (z - closed_z[i]) / (z - open_z[i])
+def _one_plus_loop(turns: Floats, open_z: Poles, closed_z: Poles) -> Poles:
+    """1 + L at w T = turns, of poles along the first axis."""
+    z = np.exp(1j * turns)
+    total = np.ones_like(z)
+    for opened, closed in zip(open_z, closed_z, strict=True):
+        total *= (z - closed) / (z - opened)
     return total
 
 
-@inlined
-def _located(low: float, high: float, open_z: Poles, closed_z: Poles, on_circle: bool) -> float:
-    """The w T between two others at which L crosses the unit circle, or the real axis, by bisection."""
-    start = _beyond(_ratio(low, open_z, closed_z) - 1, on_circle)
+def _grid(open_z: Poles, closed_z: Poles) -> Floats:
+    """Frequencies w T of n loops in rising order, many near the poles, and pi as often as it takes; shape (n, k)."""
+    poles = np.concatenate([open_z, closed_z]).T
+    turn, away = np.angle(poles), np.abs(1 - np.abs(poles))
+    # Not of real poles, of the other one of a pair, nor of those so well damped that the response is smooth.
+    looked_at = (turn > 0) & (away <= 0.3 * turn)
+    near = (turn[..., None] + _BESIDE * away[..., None]).reshape(len(poles), -1)
+    within = np.repeat(looked_at, len(_BESIDE), axis=1) & (near > _TURNS[0]) & (near < _TURNS[-2])
+    everywhere = np.broadcast_to(_TURNS, (len(poles), len(_TURNS)))
+    turns = np.sort(np.hstack([everywhere, np.where(within, near, np.pi)]))
+    return turns[:, : len(_TURNS) + within.sum(axis=1).max()]
+
+
+def _on_circle(distance: Poles) -> Floats:
+    """What changes its sign where L crosses the unit circle."""
+    return np.abs(distance - 1) - 1
+
+
+def _on_axis(distance: Poles) -> Floats:
+    """What changes its sign where L crosses the real axis."""
+    return distance.imag
+
+
+def _crossings(
+    beyond: Callable[[Poles], Floats], turns: Floats, distances: Poles, open_z: Poles, closed_z: Poles
+) -> tuple[Integers, Floats]:
+    """Find, by bisection, where the sign of a function of 1 + L changes: loops, and w T below pi."""
+    signs = np.sign(beyond(distances))
+    loops, k = np.nonzero((signs[:, :-1] * signs[:, 1:] < 0) & (turns[:, 1:] < np.pi))  # at pi L is real
+    low, high, start = turns[loops, k], turns[loops, k + 1], signs[loops, k]
+    opened, closed = open_z[:, loops], closed_z[:, loops]
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if start * _beyond(_ratio(middle, open_z, closed_z) - 1, on_circle) > 0:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+        same = start * beyond(_one_plus_loop(middle, opened, closed)) > 0
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return loops, 0.5 * (low + high)
 
 
-@inlined
-def _beyond(response: complex, on_circle: bool) -> float:
-    """What changes its sign where L crosses the unit circle, or the real axis."""
-    return abs(response) - 1 if on_circle else response.imag
+def _gain_margins(turns: Floats, distances: Poles, open_z: Poles, closed_z: Poles) -> tuple[Floats, Floats]:
+    """Gain margins up and down: from where L is real, at 0 and pi too."""
+    count = len(turns)
+    crossing, at = _crossings(_on_axis, turns, distances, open_z, closed_z)
+    finite = np.flatnonzero(np.abs(open_z - 1).min(axis=0) > _INTEGRATES)
+    loops = np.concatenate([crossing, np.arange(count), finite])
+    places = np.concatenate([at, np.full(count, np.pi), np.zeros(len(finite))])
+    with np.errstate(divide="ignore"):
+        factors = -1 / (_one_plus_loop(places, open_z[:, loops], closed_z[:, loops]).real - 1)
+    up, down = np.full(count, np.inf), np.zeros(count)
+    np.minimum.at(up, loops, np.where(factors > 1, factors, np.inf))
+    np.maximum.at(down, loops, np.where(factors < 1, factors, 0.0))
+    return up, down
 
 
-@inlined
-def _tightened(factors: tuple[float, float], real: float) -> tuple[float, float]:
-    """Gain margins up and down, as far as L allows that is real somewhere."""
-    up, down = factors
-    factor = -1 / real
-    return (min(up, factor) if factor > 1 else up), (max(down, factor) if 0 < factor < 1 else down)
+def _lags(turns: Floats, distances: Poles, open_z: Poles, closed_z: Poles) -> tuple[Floats, Floats]:
+    """Phase margins [rad] and delay margins [samples]."""
+    loops, at = _crossings(_on_circle, turns, distances, open_z, closed_z)
+    lags = np.angle(1 - _one_plus_loop(at, open_z[:, loops], closed_z[:, loops]))
+    phase, delay = np.full(len(turns), np.pi), np.full(len(turns), np.inf)
+    np.minimum.at(phase, loops, np.abs(lags))
+    np.minimum.at(delay, loops, lags % (2 * np.pi) / at)
+    return phase, delay
 
 
-@allocating
-def _grid(open_z: Poles, closed_z: Poles) -> Floats:
-    """Frequencies w T in rising order, many near the poles; the last one is pi."""
-    near = np.empty(len(_TURNS) + 2 * len(open_z) * len(_BESIDE))
-    near[: len(_TURNS)], count = _TURNS, len(_TURNS)
-    for poles in (open_z, closed_z):
-        for i in range(len(poles)):
-            turn, away = np.angle(poles[i]), abs(1 - abs(poles[i]))
-            if turn <= 0 or away > 0.3 * turn:
-                continue  # real, the other one of a pair, or so well damped that the response is smooth
-            for beside in _BESIDE:
-                place = turn + beside * away
-                if _TURNS[0] < place < _TURNS[-2]:
-                    near[count] = place
-                    count += 1
-    return np.sort(near[:count])
-
-
-@allocating
-def _margins(open_z: Poles, closed_z: Poles) -> Floats:
-    """Rows of `Margins` but the first, shape (5, n), of loops with poles of shape (n, m)."""
-    result = np.empty((5, len(open_z)))
-    for n in range(len(open_z)):
-        opened, closed = open_z[n], closed_z[n]
-        turns = _grid(opened, closed)
-        distances = np.empty(len(turns), np.complex128)
-        for i in range(len(turns)):
-            distances[i] = _ratio(turns[i], opened, closed)
-        phase, delay = np.pi, np.inf
-        factors = _tightened((np.inf, 0.0), distances[-1].real - 1)
-        if np.abs(opened - 1).min() > _INTEGRATES:
-            factors = _tightened(factors, _ratio(0.0, opened, closed).real - 1)
-        for i in range(len(turns) - 2):  # up to the last but one: at pi L is real
-            before, after = distances[i] - 1, distances[i + 1] - 1
-            if _beyond(before, True) * _beyond(after, True) < 0:
-                turn = _located(turns[i], turns[i + 1], opened, closed, True)
-                lag = np.angle(1 - _ratio(turn, opened, closed))
-                phase, delay = min(phase, abs(lag)), min(delay, (lag % (2 * np.pi)) / turn)
-            if _beyond(before, False) * _beyond(after, False) < 0:
-                turn = _located(turns[i], turns[i + 1], opened, closed, False)
-                factors = _tightened(factors, _ratio(turn, opened, closed).real - 1)
-        result[0, n], result[1, n] = factors
-        result[2, n], result[3, n] = np.degrees(phase), delay
-        result[4, n] = _least_distance(turns, np.abs(distances), opened, closed)
-    return result
-
-
-@inlined
-def _least_distance(turns: Floats, distances: Floats, open_z: Poles, closed_z: Poles) -> float:
+def _least_distance(turns: Floats, distances: Floats, open_z: Poles, closed_z: Poles) -> Floats:
     """Least |1 + L|: that on the grid, refined by a golden section between its neighbours."""
-    least = distances.argmin()
-    low, high = turns[max(least - 1, 0)], turns[min(least + 1, len(turns) - 1)]
-    best, share = distances[least], 0.5 * (np.sqrt(5.0) - 1)
+    loops, least = np.arange(len(turns)), distances.argmin(axis=1)
+    low = turns[loops, np.maximum(least - 1, 0)]
+    high = turns[loops, np.minimum(least + 1, turns.shape[1] - 1)]
+    best, share = distances[loops, least], 0.5 * (np.sqrt(5.0) - 1)
     for _ in range(_BISECTIONS):
         left, right = high - share * (high - low), low + share * (high - low)
-        at_left, at_right = abs(_ratio(left, open_z, closed_z)), abs(_ratio(right, open_z, closed_z))
-        best = min(best, at_left, at_right)
-        if at_left < at_right:
-            high = right
-        else:
-            low = left
+        at_left, at_right = (np.abs(_one_plus_loop(place, open_z, closed_z)) for place in (left, right))
+        best = np.minimum(best, np.minimum(at_left, at_right))
+        low, high = np.where(at_left < at_right, low, left), np.where(at_left < at_right, right, high)
     return best

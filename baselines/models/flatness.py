@@ -40,7 +40,7 @@ from baselines.models.modes import held_mode
 from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.trigonometry import exponential, sine_cosine
 from beltarm_env.task.reference import MoveShape
 

@@ -35,7 +35,7 @@ from baselines.gains import Gains, tunable
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import angles_of, coupling, drive_of
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.reference import Reference
@@ -134,7 +134,7 @@ def smooth_friction(by: SmoothCompensation, motor_speed: float, torque: float) -
     return by.share * friction_level(by.friction, motor_speed) * direction
 
 
-@allocating
+@compiled
 def smooth_frictions(by: SmoothCompensation, motor_speeds: Floats, torques: Floats) -> Floats:
     """Return `smooth_friction` of n arms; arrays of shape (n,)."""
     result = np.empty(len(torques))
@@ -157,7 +157,7 @@ def sliding_torque(row: Any, state: Floats) -> tuple[float, float]:
     return plant.coulomb_friction * coupled.friction, coupled.ripple
 
 
-@allocating
+@compiled
 def sliding_torques(table: Floats, states: Floats) -> tuple[Floats, Floats]:
     """Return `sliding_torque` of n arms, two arrays of shape (n,); table and states with a row for each."""
     friction, ripple = np.empty(len(states)), np.empty(len(states))

@@ -9,7 +9,7 @@ import numpy as np
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant, params_table, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.linear import write_sampled_models
 from beltarm_env.physics.trigonometry import sine_cosine
 
@@ -28,7 +28,7 @@ class LinearArms(NamedTuple):
     by_acceleration: Floats  # e, shape (n, 46, 4): of a torsional acceleration alpha [rad/s^2], held
 
 
-@allocating
+@compiled
 def write_linear_arm(row: Any, arm: LinearArms) -> None:
     """Write the linear model of one arm, the belt with its mean stiffness, from its row of constants.
 
@@ -82,7 +82,7 @@ def at_angle(table: Floats, angle: Floats) -> Floats:
     return _interpolated(table.reshape(len(table), -1), angle).reshape(len(angle), *table.shape[1:])
 
 
-@allocating
+@compiled
 def _interpolated(table: Floats, angle: Floats) -> Floats:
     result = np.empty((len(angle), table.shape[1]))
     for n in range(len(angle)):

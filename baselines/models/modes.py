@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from baselines.models.linear import turning_load
 from beltarm_env.arm import Plant
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.physics.trigonometry import exponential
 
 

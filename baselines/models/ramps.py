@@ -11,7 +11,7 @@ from typing import NamedTuple
 from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, linear_ramp, reference_at, smooth_ramp
 
 

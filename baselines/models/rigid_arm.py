@@ -14,7 +14,7 @@ from __future__ import annotations
 from baselines.models.linear import turning_load
 from baselines.reading import Sample
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.task.reference import Reference
 
 

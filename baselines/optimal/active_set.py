@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from baselines.planning.riccati import free_input, no_cost, slope_in_input, step_back
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 
 SIZE = 5
 """Entries of z."""
@@ -47,7 +47,7 @@ class Problem(NamedTuple):
     slope: Floats  # half the cost's slope in v is slope[:5] z + slope[5] + slope[6] v    (N, 7)
 
 
-@allocating
+@compiled
 def empty_problem(steps: int) -> Problem:
     """Unset problem over a number of steps."""
     return Problem(
@@ -76,7 +76,7 @@ def _choose(p: Problem, k: int) -> None:
         p.constant[k] = p.high[k] if p.fixed[k] > 0 else p.low[k]
 
 
-@allocating
+@compiled
 def _backward(p: Problem, change_weight: float) -> None:
     """Compute the laws for v at all steps."""
     to_go, by_input = no_cost(SIZE), np.empty(SIZE)
@@ -102,7 +102,7 @@ def _wanted(p: Problem, k: int, u: float, slope: float) -> int:
     return int(p.fixed[k]) if p.fixed[k] * slope <= 0.0 else 0
 
 
-@allocating
+@compiled
 def _forward(p: Problem, first: Floats, u: Floats) -> int:
     """Simulate the laws from z = first: write u, update which are fixed, and return the number of changes."""
     changed = 0
@@ -125,7 +125,7 @@ def _forward(p: Problem, first: Floats, u: Floats) -> int:
     return changed
 
 
-@allocating
+@compiled
 def minimise(p: Problem, change_weight: float, first: Floats, u: Floats) -> int:
     """Write the inputs u that minimise the cost from z = `first`, and return the number of rounds."""
     for k in range(len(u)):

@@ -33,7 +33,7 @@ from baselines.reading import Sample
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arm import FIELDS, plant_of
 from beltarm_env.arrays import Floats, Integers
-from beltarm_env.jit import allocating, compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import MoveShape
 
 
@@ -131,7 +131,7 @@ def arm_memory() -> ArmMemory:
     return ArmMemory(empty_notes(1, SIZE), logs, plan, inputs, found, workspace_for(1), plan_room())
 
 
-@allocating
+@compiled
 def begun(design: AdaptiveDesign | SpreadDesign, now: Sample, begins: bool, memory: ArmMemory | SpreadMemory) -> None:
     """Identify the arm; where an episode begins, plan its move, which takes much longer than a sample."""
     memory.inputs.angle[0], memory.inputs.command[0] = now.motor_angle, now.last_command
@@ -155,7 +155,7 @@ def torque(design: AdaptiveDesign | SpreadDesign, now: Sample, memory: ArmMemory
     return motor_torque(design.compensation, planned, found.table[0], memory.notes.tracks.mean[0], found.states[0])
 
 
-@allocating
+@compiled
 def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
     """Plan the move anew where the plan is stale; it acts from the next sample on, so there is time for it."""
     found = memory.found
@@ -166,7 +166,7 @@ def renewed(design: AdaptiveDesign, now: Sample, memory: ArmMemory) -> None:
             memory.logs[k] = found.logs[0, k]
 
 
-@allocating
+@compiled
 def law(design: AdaptiveDesign, now: Sample, begins: bool, memory: ArmMemory) -> float:
     """Torque [N m] of one sample, before it is cut at its limit."""
     begun(design, now, begins, memory)
@@ -205,7 +205,7 @@ def spread_memory() -> SpreadMemory:
     return SpreadMemory(*arm_memory(), no_cost(5), np.zeros(len(FIELDS)), np.zeros(1, np.intp))
 
 
-@allocating
+@compiled
 def spread_law(design: SpreadDesign, now: Sample, begins: bool, memory: SpreadMemory) -> float:
     """As `law`, with plans made anew over several samples: for processors on which one takes longer than a sample.
 

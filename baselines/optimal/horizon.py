@@ -36,7 +36,7 @@ from baselines.planning.tip_error import ErrorWeights, add_tip_cost, error_weigh
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, compiled
+from beltarm_env.engine import compiled
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
 
 STEPS = np.repeat([1, 2, 4, 8], [8, 6, 6, 20])
@@ -87,7 +87,7 @@ def horizon(params: ArmParams, weights: Weights, lengths: NDArray[np.int64] = ST
     )
 
 
-@allocating
+@compiled
 def _set_step(p: Problem, k: int, ahead: Horizon, start: Reference, middle: Reference, end: Reference) -> None:
     """Set dynamics and weight of step k, between two references."""
     row, weight = place(middle.angle)
@@ -128,7 +128,7 @@ def _set_end(p: Problem, ahead: Horizon, end: Reference) -> None:
     p.target[4] = rigid + load * plant.inverse_gear
 
 
-@allocating
+@compiled
 def _set_up(p: Problem, ahead: Horizon, move: MoveShape, time: float, friction: float) -> None:
     """Set up the problem of an arm."""
     start = reference_at(TRAPEZOID, move, time)
@@ -144,7 +144,7 @@ def _set_up(p: Problem, ahead: Horizon, move: MoveShape, time: float, friction: 
     _set_end(p, ahead, start)
 
 
-@allocating
+@compiled
 def plan(ahead: Horizon, states: Floats, last_torques: Floats, times: Floats, moves: Floats, friction: float) -> Floats:
     """Net torques that minimise the cost over the horizon.
 

@@ -39,7 +39,7 @@ from baselines.reading import Reading, Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats, Integers
-from beltarm_env.jit import allocating, compiled
+from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
 
 
@@ -116,7 +116,7 @@ def _torques(
     return deviation, held.torque + friction - disturbance
 
 
-@allocating
+@compiled
 def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: LqgArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
     track = memory.track
@@ -130,7 +130,7 @@ def lqg_law(design: LqgDesign, now: Sample, begins: bool, memory: LqgArm) -> flo
     return deviation + added
 
 
-@allocating
+@compiled
 def _law_of_arms(
     design: LqgDesign,
     moves: Floats,

@@ -38,7 +38,7 @@ from baselines.reading import Reading, Sample
 from beltarm_env import EPISODE_STEPS, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import MoveShape
 
 
@@ -97,7 +97,7 @@ def _torques(
     return torque, smooth_friction(design.friction, ahead[1], torque) - disturbance
 
 
-@allocating
+@compiled
 def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: PreviewArm) -> float:
     """Torque [N m] of one sample of one arm, see `LawKernel`."""
     track = memory.track
@@ -113,7 +113,7 @@ def preview_law(design: PreviewDesign, now: Sample, begins: bool, memory: Previe
     return torque + added
 
 
-@allocating
+@compiled
 def _law_of_arms(
     design: PreviewDesign,
     pairs: Floats,

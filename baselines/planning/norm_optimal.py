@@ -45,7 +45,7 @@ from baselines.planning.riccati import no_cost
 from beltarm_env import ArmParams
 from beltarm_env.arm import COLUMN, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, compiled
+from beltarm_env.engine import compiled
 from beltarm_env.physics.drive import built_drive
 from beltarm_env.physics.kinematics import tip_errors
 from beltarm_env.simulation import DRIVE_STATES, ArmSimulation, X
@@ -106,7 +106,7 @@ def curved_change(
     return change, gain, curvature
 
 
-@allocating
+@compiled
 def _solve(
     trial: Trial,
     weights: Weights,
@@ -124,7 +124,7 @@ def _solve(
         _solve_sized(states + 1, trial, weights, torque, limit, before, change, gain, curvature)
 
 
-@allocating
+@compiled
 def _solve_sized(
     size: int,
     trial: Trial,
@@ -164,7 +164,7 @@ def followed(trial: Trial, change: Floats, gain: Floats) -> tuple[Floats, Floats
     return changes, away
 
 
-@allocating
+@compiled
 def _follow(trial: Trial, change: Floats, gain: Floats, changes: Floats, away: Floats) -> None:
     states = trial.by_torque.shape[1]
     now, last = np.zeros(states), 0.0

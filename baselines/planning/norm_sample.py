@@ -9,7 +9,7 @@ import numpy as np
 
 from baselines.planning.riccati import CostToGo, free_input, slope_in_input, step_back
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
 
 
@@ -25,7 +25,7 @@ class Sample(NamedTuple):
     slope: Floats  # of the cost, shape (n + 3,)
 
 
-@allocating
+@compiled
 def empty_sample(size: int) -> Sample:
     """Room for the problem of one sample; `size` is n + 1, a literal."""
     return Sample(

@@ -30,9 +30,9 @@ from baselines.planning.tip_error import ErrorWeights, add_tip_cost, bounded_sin
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import Plant, plant_of
 from beltarm_env.arrays import Flags, Floats, Integers
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
+from beltarm_env.engine.threads import each_in_threads
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, Reference, reference_at
-from beltarm_env.threads.calls import each_in_threads
 
 GAIN, TORQUE = 4, 9
 """Columns of a plan's row at which the gain and the torque begin; the reference comes first."""
@@ -78,7 +78,7 @@ def set_step(
     d[1] -= plant.gear * after.speed
 
 
-@allocating
+@compiled
 def plan_backwards(
     move: MoveShape,
     plant: Plant,
@@ -123,7 +123,7 @@ def plan_backwards(
         after = now
 
 
-@allocating
+@compiled
 def plan_rows(move: MoveShape, plant: Plant, model: LinearArms, cost: PlanCost, first: int, rows: Floats) -> None:
     """Plan a move at once, from a sample on, see `plan_backwards`; earlier rows are not written."""
     plan_backwards(move, plant, model, cost, no_cost(5), first, rows.shape[0], rows)
@@ -209,7 +209,7 @@ def replaced(plans: Plans | None, which: Flags, plan: Callable[[int], Floats]) -
     return merged
 
 
-@allocating
+@compiled
 def _steps_of_plans(time: Floats) -> Integers:
     steps = np.empty(len(time), np.intp)
     for i in range(len(time)):
@@ -222,7 +222,7 @@ def rows_at(plans: Plans, time: Floats) -> Floats:
     return np.array([plan[k : k + 2] for plan, k in zip(plans, _steps_of_plans(time).tolist(), strict=True)])
 
 
-@allocating
+@compiled
 def _planned_torques(pairs: Floats, time: Floats, ahead: Floats, last: Floats) -> Floats:
     torques = np.empty(len(time))
     for i in range(len(time)):

@@ -20,7 +20,7 @@ from baselines.planning.plan import PLAN_COLUMNS, Plans, Weights, plan_cost, pla
 from baselines.planning.task_plan import plan_room, plan_task
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Flags, Floats, Integers
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
 
 STEPS = 6

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 
 
 class CostToGo(NamedTuple):
@@ -36,7 +36,7 @@ class CostToGo(NamedTuple):
     by_offset: Floats  # y = S h + s    (n,)
 
 
-@allocating
+@compiled
 def no_cost(size: int) -> CostToGo:
     """Cost-to-go of zero."""
     return CostToGo(np.zeros((size, size)), np.zeros(size), np.empty((size, size)), np.empty(size), np.empty(size))

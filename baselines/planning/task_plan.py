@@ -40,7 +40,7 @@ from baselines.planning.tip_error import bounded_sine, write_tip_errors
 from beltarm_env import CONTROL_PERIOD, EPISODE_STEPS
 from beltarm_env.arm import COLUMN, Plant, plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.kinematics import tip_error, tip_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.task.cost import POSITION_SCALE, TORQUE_RATE_WEIGHT, VELOCITY_SCALE
@@ -104,7 +104,7 @@ def _charge(errors: Floats, jump: float, plant: Plant) -> float:
     return charge + TORQUE_RATE_WEIGHT * abs(jump) / plant.torque_limit
 
 
-@allocating
+@compiled
 def _cost(rows: Floats, steps: Floats, first: int, share: float, problem: Problem) -> float:
     """Sum up what the task charges from a sample on, a share of a step along."""
     total, errors = 0.0, np.empty(4)
@@ -121,7 +121,7 @@ def _cost(rows: Floats, steps: Floats, first: int, share: float, problem: Proble
     return total
 
 
-@allocating
+@compiled
 def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: LinearArms) -> None:
     """Write down where the law of a plan leads to from a state: within the torque limit, that leaves the law as it is.
 
@@ -158,7 +158,7 @@ def anchor(rows: Floats, time: float, state: Floats, problem: Problem, model: Li
                 z[i] = following[i]
 
 
-@allocating
+@compiled
 def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, model: LinearArms, sample: Sample) -> float:
     """Write the law of a step of improvement, and return what the task charges for the plan as it is.
 
@@ -188,7 +188,7 @@ def _solve(rows: Floats, steps: Floats, first: int, problem: Problem, model: Lin
     return total
 
 
-@allocating
+@compiled
 def _follow(steps: Floats, first: int, problem: Problem, model: LinearArms, sample: Sample) -> None:
     """Replace the law of a step by what it changes: the state after each sample, and the torque."""
     away, following, last = np.zeros(4), np.zeros(4), 0.0
@@ -204,7 +204,7 @@ def _follow(steps: Floats, first: int, problem: Problem, model: LinearArms, samp
         now = after
 
 
-@allocating
+@compiled
 def improve(rows: Floats, first: int, problem: Problem, room: PlanRoom) -> bool:
     """Improve a plan from a sample on; tell whether there was anything to gain.
 
@@ -229,7 +229,7 @@ def improve(rows: Floats, first: int, problem: Problem, room: PlanRoom) -> bool:
     return False
 
 
-@allocating
+@compiled
 def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, first: int, room: PlanRoom, rows: Floats) -> None:
     """Plan a move for squares, from a sample on.
 
@@ -245,7 +245,7 @@ def plan_squares(move: MoveShape, row: Floats, cost: PlanCost, first: int, room:
     plan_rows(move, plant_of(row), room.model, cost, first, rows)
 
 
-@allocating
+@compiled
 def plan_task(
     move: MoveShape,
     row: Floats,

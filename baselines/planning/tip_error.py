@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.trigonometry import sine_cosine
 from beltarm_env.task.cost import POSITION_SCALE, VELOCITY_SCALE
 

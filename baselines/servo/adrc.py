@@ -44,7 +44,7 @@ from baselines.servo.flat import held_torque, joint_motion
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.timing import MAX_LATENCY
 
 _LATEST = dead_time(ArmParams(current_loop_time_constant=0.01, command_latency=MAX_LATENCY))

@@ -46,7 +46,7 @@ from baselines.reading import Reading, Sample, sample_of
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 
 LOAD, FAST_LOAD, MOTOR_SPEED, KNOWN, HELD = range(5)
 """Entries of the memory: tau_d passed by g and by g_r [N m], the motor's speed at the last sample [rad/s], the known

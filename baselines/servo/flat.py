@@ -30,7 +30,7 @@ from baselines.servo.pid import INTEGRAL, PLAN, PidDesign, PidGains, PidServo, p
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import Reference
 
 _MOVE = slice(PLAN, PLAN + CORNERS)  # of the memory: the smoothed move

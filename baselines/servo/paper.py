@@ -31,7 +31,7 @@ from baselines.reading import Reading, Sample, sample_of
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.trigonometry import exponential, sine_cosine
 
 TORSION, TORSION_RATE, JOINT_SPEED = range(3)

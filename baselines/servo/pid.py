@@ -29,7 +29,7 @@ from baselines.reading import Sample
 from beltarm_env import CONTROL_PERIOD, ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.task.reference import Reference
 
 INTEGRAL, PLAN = 0, 1

@@ -38,7 +38,7 @@ from baselines.servo.paper import PaperController, simulated_rate
 from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from baselines.reading import Reading, Sample, sample_of
 from baselines.servo.pid import INTEGRAL, ONSETS, RAMPS_END, SPEEDS, TIMES, PidDesign, PidGains, PidServo, ramp_torque
 from beltarm_env import ArmParams
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.task.reference import MoveShape
 
 

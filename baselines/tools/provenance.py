@@ -16,7 +16,7 @@ from beltarm_env.sources import sources_digest
 
 _ROOT = Path(__file__).resolve().parents[2]
 _OF_ANOTHER = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY")  # as hooks set
-_PACKAGES = ("gymnasium", "numba", "numpy", "optuna", "sb3-contrib", "scipy", "stable-baselines3", "torch")
+_PACKAGES = ("gymnasium", "ziglang", "numpy", "optuna", "sb3-contrib", "scipy", "stable-baselines3", "torch")
 
 
 def command_line() -> str:

@@ -34,7 +34,7 @@ from baselines.planning.norm_optimal import Linearisation, norm_weights, optimal
 from beltarm_env import ArmParams
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Singles
-from beltarm_env.jit import allocating
+from beltarm_env.engine import compiled
 from beltarm_env.physics.drive import Drive, built_drive
 from beltarm_env.physics.kinematics import tip_motion
 from beltarm_env.physics.state import ArmState
@@ -114,7 +114,7 @@ class _Arm:
         return np.array(changes), np.array(gains)
 
 
-@allocating
+@compiled
 def _costs(states: Floats, actions: Floats, task: Floats, plant: Plant, drive: Drive | None) -> Floats:
     """Cost of n motions, shape (n,)."""
     costs = np.zeros(len(states))

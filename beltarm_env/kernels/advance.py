@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, shared
+from beltarm_env.engine import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state, whole_vectors
 from beltarm_env.kernels.runge_kutta import DIRECTION, DT, NEXT, RK4_ROWS, TORQUE, rk4_steps
@@ -31,7 +31,7 @@ _REST = _SIDE + 1  # time that is left once the mode has changed [s]
 WORK_ROWS = _REST + 1
 
 
-@shared
+@compiled
 def advance_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
     """Advance the first `count` arms of a block by one control period.
 

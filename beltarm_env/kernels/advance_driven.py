@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, Plant
-from beltarm_env.jit import compiled, inlined, shared
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import WORK_ROWS, advance_block
 from beltarm_env.kernels.driven_pieces import AFTER, BEFORE, PIECE_ROWS, WHOLE, either, take_part, take_pieces
@@ -118,11 +118,11 @@ def advance_driven_block(block: Floats, work: Floats, actions: Floats, count: in
                 store_state(block, at.STATE, j, load_state(kept, 0, j))
 
 
-@shared
+@compiled
 def advance_built_block(block: Floats, work: Floats, actions: Floats, count: int, model: Model) -> None:
     """Advance the first `count` arms of a block by one control period, none of which has an ideal drive.
 
-    Where that is known, ideal drives need not be compiled. Arguments are those of `advance_driven_block`, with room for
+    Its C has no equations of ideal drives. Arguments are those of `advance_driven_block`, with room for
     BUILT_WORK_ROWS rows.
     """
     _take_whole_step(block, work, actions, count, model)

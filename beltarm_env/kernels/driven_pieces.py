@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.exits import EXIT, EXIT_ROWS, find_exits, load_margin, store_margin
 from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_state, whole_vectors

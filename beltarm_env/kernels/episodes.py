@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import plant_of
-from beltarm_env.jit import allocating, compiled, inlined, shared
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import begin_drive
 from beltarm_env.kernels.layout import (
@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-@shared
+@compiled
 def begin_episodes(
     blocks: Floats,
     arms: NDArray[np.intp],
@@ -89,7 +89,7 @@ def begin_episodes(
     return more
 
 
-@allocating
+@compiled
 def restart_episodes(
     blocks: Floats,
     arms: NDArray[np.intp],
@@ -148,9 +148,7 @@ def episode_totals(blocks: Floats, arms: NDArray[np.intp], terminated: Flags, to
         totals: Cost, its position, velocity and torque-rate terms, steps, RMS and largest tip error [m], shape (7, N).
     """
     for arm in arms:
-        of_arm = totals_so_far(blocks[arm // LANES], arm % LANES, bool(terminated[arm]))
-        for k in range(len(of_arm)):
-            totals[k, arm] = of_arm[k]
+        totals[:, arm] = totals_so_far(blocks[arm // LANES], arm % LANES, bool(terminated[arm]))
 
 
 @compiled

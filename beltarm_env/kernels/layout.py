@@ -1,20 +1,22 @@
 """Memory layout of a batch of arms: blocks of `LANES` arms, one row per quantity.
 
 A block is a flat float64 array in which quantity `row` of lane `j` sits at `row * LANES + j`. The constant distance
-between rows lets LLVM prove that they do not overlap, and hence vectorise a loop over lanes that reads and writes
-dozens of them; it also keeps a block's working set together in the cache. A single arm is lane 0 of one block.
+between rows lets the compiler prove that they do not overlap, and hence vectorise a loop over lanes that reads and
+writes dozens of them; it also keeps a block's working set together in the cache. A single arm is a block of one lane,
+for which there are kernels of their own, see `for_lanes`.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from collections.abc import Callable
+from typing import Annotated, Final, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined, with_constants
 from beltarm_env.physics.drive import Drive
 from beltarm_env.physics.driven.torque import Stages
 from beltarm_env.physics.state import ArmState
@@ -24,6 +26,8 @@ from beltarm_env.timing import LATENCY_SAMPLES
 LANES = 136
 Rows = Annotated[Floats, "rows of LANES"]
 """Arrays of rows, one after the other, with a number for each lane; in a program for one arm a row is one number."""
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 STATE = 0
 PLANT = STATE + len(ArmState._fields)
@@ -86,23 +90,29 @@ def aligned_rows(count: int, size: int) -> NDArray[np.float64]:
     return aligned_zeros(count * width).reshape(count, width)
 
 
-def empty_blocks(num_arms: int) -> NDArray[np.float64]:
-    """Allocate zeroed blocks for `num_arms` arms, shape (blocks, ROWS * LANES)."""
-    blocks = -(-num_arms // LANES)
-    return aligned_zeros(blocks * ROWS * LANES).reshape(blocks, ROWS * LANES)
+def empty_blocks(num_arms: int, lanes: int = LANES) -> NDArray[np.float64]:
+    """Allocate zeroed blocks for `num_arms` arms, shape (blocks, ROWS * lanes)."""
+    blocks = -(-num_arms // lanes)
+    return aligned_zeros(blocks * ROWS * lanes).reshape(blocks, ROWS * lanes)
+
+
+def for_lanes(kernel: Callable[_P, _R], lanes: int) -> Callable[_P, _R]:
+    """Return a kernel for blocks of so many lanes."""
+    return kernel if lanes == LANES else with_constants(kernel, LANES=lanes)
 
 
 def rows(blocks: NDArray[np.float64], first: int, count: int, num_arms: int) -> NDArray[np.float64]:
     """Copy `count` rows from row `first` on: shape (num_arms, count)."""
-    table = blocks.reshape(len(blocks), ROWS, LANES)[:, first : first + count]
+    table = blocks.reshape(len(blocks), ROWS, -1)[:, first : first + count]
     return np.array(table.swapaxes(1, 2), order="C").reshape(-1, count)[:num_arms]
 
 
 def put_rows(blocks: NDArray[np.float64], first: int, values: NDArray[np.float64]) -> None:
     """Write rows from row `first` on, for all arms, from values of shape (arms, rows)."""
     arms = np.arange(len(values))
-    table = blocks.reshape(len(blocks), ROWS, LANES)
-    table[arms // LANES, first : first + values.shape[1], arms % LANES] = values
+    table = blocks.reshape(len(blocks), ROWS, -1)
+    lanes = table.shape[2]
+    table[arms // lanes, first : first + values.shape[1], arms % lanes] = values
 
 
 @inlined

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, inlined, shared
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, Driven, load_move, load_plant
 from beltarm_env.kernels.sense import encoder_reading, put_tier_entries
@@ -28,7 +28,7 @@ _LAST_COMMAND = index("last_command")
 def _put_common_entries(block: Floats, tile: Singles, lane: int, profile: int) -> None:
     """Put what all sensor tiers observe of an arm, but for the last command.
 
-    In the order of `observation.ENTRIES`: LLVM stores a group at once only if nothing else is stored between.
+    In the order of `observation.ENTRIES`: the compiler stores a group at once only if nothing else is stored between.
     """
     move, time = load_move(block, lane), block[at.STEP * LANES + lane] * CONTROL_PERIOD
     reference = reference_at(profile, move, time)
@@ -76,11 +76,11 @@ def _put_last_entries(block: Floats, tile: Singles, count: int, tier: int, drive
 
 @inlined
 def _put_all(block: Floats, tile: Singles, count: int, profile: int) -> None:
-    for j in range(min(count, LANES)):  # a bound, without which LLVM fears that places in the tile overflow
+    for j in range(min(count, LANES)):  # a bound, without which the compiler fears that places in the tile overflow
         _put_common_entries(block, tile, j, profile)
 
 
-@shared
+@compiled
 def observe_block(block: Floats, tile: Singles, observations: Singles, profile: int, tier: int, driven: Driven) -> None:
     """Write the scaled and clipped observations of the first arms of a block.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_plant, load_state, store_state
 from beltarm_env.physics.integrator import moved, slope_of, weighted

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, Driven, drive_among, load_plant, load_state, store_state
 from beltarm_env.kernels.tile import OWN_ROW, put

@@ -14,7 +14,7 @@ import numpy as np
 
 from beltarm_env.arm import plant_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, begin_drive
@@ -138,7 +138,7 @@ def move_towards(x: Floats, before: Floats, after: Floats, samples: float, k: in
         x[i] += share * (after[i] - before[i])
 
 
-@allocating
+@compiled
 def look_ahead(
     room: Room, state: Floats, torque: float, limit: float, samples: float, model: Model, x: Floats, moved: Floats
 ) -> None:
@@ -202,14 +202,14 @@ def advance_arms(room: Room, states: Floats, torques: Floats, limits: Floats, mo
             _take(block, i - low, result[i])
 
 
-@allocating
+@compiled
 def look_ahead_arms(
     room: Room, states: Floats, torques: Floats, limits: Floats, samples: Floats, model: Model, ahead: Floats
 ) -> None:
     """Write x of n arms at times to come, shape (n, 4); see `ArmSimulation.ahead`."""
     count, size = states.shape
     before, after, longest = np.empty((count, size)), np.empty((count, size)), 0.0
-    for i in range(count):  # entry by entry: copies and slices of whole arrays take numba long to translate
+    for i in range(count):
         for column in range(size):
             before[i, column] = states[i, column]
         for column in range(X):

@@ -1,8 +1,8 @@
 """One control sample for a block of arms, from the torque commands to the observations.
 
 `step_arms` serves a batch and `step_arm` a single arm; both run `_step_block`, so there is one copy of the dynamics, of
-the sensors, of the cost and of the observation. Each phase is a flat loop over the lanes of a block that LLVM
-vectorises.
+the sensors, of the cost and of the observation. Each phase is a flat loop over the lanes of a block that the
+compiler vectorises.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, inlined, shared
+from beltarm_env.engine import compiled, inlined
+from beltarm_env.engine.blocks import take_block
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance import advance_block
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block
@@ -32,8 +33,6 @@ from beltarm_env.physics.kinematics import outside_workspace, tip_motion
 from beltarm_env.physics.models import Model
 from beltarm_env.task.cost import MAX_COST, step_cost
 from beltarm_env.task.reference import TRAPEZOID, reference_at
-from beltarm_env.threads.blocks import take_block
-from beltarm_env.threads.standby import share
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 Floats = NDArray[np.float64]
@@ -51,10 +50,10 @@ _WORK = TRUNCATED + 1  # rows of `advance`
 SCRATCH_ROWS = _WORK + DRIVEN_WORK_ROWS
 
 
-def new_scratch(threads: int) -> tuple[Floats, Singles]:
+def new_scratch(threads: int, lanes: int = LANES) -> tuple[Floats, Singles]:
     """Allocate what the kernels work in, a row for each thread; once, because allocation takes time."""
-    tiles = aligned_rows(threads, -(-TILE_ROWS // 2) * LANES).view(np.float32)
-    return aligned_rows(threads, SCRATCH_ROWS * LANES), tiles
+    tiles = aligned_rows(threads, -(-TILE_ROWS // 2) * lanes).view(np.float32)
+    return aligned_rows(threads, SCRATCH_ROWS * lanes), tiles
 
 
 @inlined
@@ -104,7 +103,7 @@ def charge(block: Floats, scratch: Floats, count: int, profile: int, driven: Dri
         _charge_profile(block, scratch, count, profile, driven)
 
 
-@shared
+@compiled
 def _step_block(
     block: Floats,
     scratch: Floats,
@@ -131,9 +130,9 @@ def _step_block(
 
 @compiled
 def step_arms(
+    thread: int,
     blocks: Floats,
     taken: Integers,
-    boxes: Integers,
     scratches: Floats,
     tiles: Singles,
     actions: Floats,
@@ -148,12 +147,12 @@ def step_arms(
     driven: Driven,
     integrate: bool,
 ) -> None:
-    """Step N arms by one control period, results written in place.
+    """Step N arms by one control period, those of the blocks that a thread takes; results are written in place.
 
     Args:
+        thread: Index of the thread.
         blocks: The arms, as `layout` describes.
         taken: Of `none_taken`, for as many threads as there are.
-        boxes: Of `standing_by`: the threads that share the work with this one.
         scratches: From `new_scratch`.
         tiles: From `new_scratch`.
         actions: Torque over the torque limit, shape (N,), cut to [-1, 1].
@@ -168,26 +167,7 @@ def step_arms(
         driven: Whether drives as they are built are among the arms.
         integrate: Whether to move the arms; not where another engine has moved them.
     """
-    into = observations, rewards, terminated, truncated, terms
-    settings = profile, tier, model, driven, integrate
-    share(_step_some, (blocks, taken, scratches, tiles, actions, into, settings), taken, boxes)
-
-
-@compiled
-def _step_some(
-    thread: int,
-    blocks: Floats,
-    taken: Integers,
-    scratches: Floats,
-    tiles: Singles,
-    actions: Floats,
-    into: tuple[Singles, Floats, Flags, Flags, Floats],
-    settings: tuple[int, int, Model, Driven, bool],
-) -> None:
-    """Step the arms of the blocks that one of the threads takes."""
     scratch, tile = scratches[thread], tiles[thread]
-    observations, rewards, terminated, truncated, terms = into
-    profile, tier, model, driven, integrate = settings
     while True:
         k = take_block(taken, thread, len(blocks))
         if k < 0:

@@ -7,16 +7,11 @@ group is copied to the observation at once. Entries that do not fill a group, an
 from __future__ import annotations
 
 from itertools import chain
-from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core.cgutils import get_item_pointer
-from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels.layout import LANES
 from beltarm_env.observation import ENTRIES, SENSORS
 
@@ -49,37 +44,11 @@ def put(tile: Singles, lane: int, row: int, value: float) -> None:
     tile[_place(row, lane)] = min(max(scaled, -bound), bound)
 
 
+@inlined
 def _copy_group(observations: Singles, arm: int, entry: int, tile: Singles, place: int) -> None:
     """Copy a group from its place in a tile to an arm's observation, from an entry on."""
     for k in range(GROUP):
         observations[arm, entry + k] = tile[place + k]
-
-
-@intrinsic
-def _copy_vector(_: Any, observations: Any, arm: Any, entry: Any, tile: Any, place: Any) -> Any:
-    """Copy a group as one vector, into which LLVM does not merge eight copies by itself."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        def vector_at(array: int, indices: list[Any]) -> Any:
-            of = signature.args[array]
-            where = get_item_pointer(
-                context, builder, of, context.make_array(of)(context, builder, values[array]), indices
-            )
-            return builder.bitcast(where, ir.VectorType(ir.FloatType(), GROUP).as_pointer())
-
-        source, target = vector_at(3, [values[4]]), vector_at(0, [values[1], values[2]])
-        builder.store(builder.load(source, align=4), target, align=4)
-        return context.get_dummy_value()
-
-    return types.void(observations, types.intp, types.intp, tile, types.intp), generate
-
-
-@overload(_copy_group, inline="always")
-def _copy_group_compiled(observations: Any, arm: Any, entry: Any, tile: Any, place: Any) -> Any:
-    def copy(observations: Any, arm: Any, entry: Any, tile: Any, place: Any) -> None:
-        _copy_vector(observations, arm, entry, tile, place)  # pyright: ignore[reportCallIssue]
-
-    return copy
 
 
 @compiled

@@ -9,18 +9,20 @@ from numpy.typing import ArrayLike
 
 from beltarm_env.arm import ArmParams, Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating
+from beltarm_env.engine import compiled
 from beltarm_env.physics.drive import Drive, built_drive
 from beltarm_env.physics.models import MODELS, Model, accelerations, sliding_direction
 from beltarm_env.physics.state import ArmState
 
 
-@allocating
+@compiled
 def _derivative(x: Floats, torque: float, plant: Plant, drive: Drive | None, model: Model) -> Floats:
     state = ArmState(x[0], x[1], x[2], x[3])
     direction = sliding_direction(state, torque, plant, model, drive)
     motor, torsional = accelerations(state, torque, direction, plant, model, drive)
-    return np.array([state.motor_speed, motor, state.torsion_speed, torsional])
+    slope = np.empty(4)
+    slope[0], slope[1], slope[2], slope[3] = state.motor_speed, motor, state.torsion_speed, torsional
+    return slope
 
 
 @lru_cache(maxsize=64)

@@ -20,7 +20,7 @@ import numpy as np
 
 from beltarm_env.arm import COLUMN, DRIVE_EFFECTS, FIELDS, Plant
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.state import ArmState, belt_torque
 from beltarm_env.physics.trigonometry import sin_cos, sine_cosine, wrapped
 
@@ -164,7 +164,7 @@ def belt_motion(x: ArmState, plant: Plant, drive: Drive | None) -> tuple[float, 
     return belt_torsion(x, transmission(angles_of(x, plant, drive), plant, drive), plant)
 
 
-@allocating
+@compiled
 def belt_motions(states: Floats, plant: Plant, drive: Drive | None) -> Floats:
     """Return torsion of the belt [rad] and its rate [rad/s], shape (n, 2), of states x, shape (n, 4), of one arm."""
     motions = np.empty((len(states), 2))

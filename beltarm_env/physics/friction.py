@@ -20,7 +20,7 @@ vanished.
 from __future__ import annotations
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, transmission
 
 

@@ -23,7 +23,7 @@ theta_1'' - g' omega_a^2, and theta_1 - phi the place of theta_s.
 from __future__ import annotations
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling, transmission
 from beltarm_env.physics.friction import friction_torque
 from beltarm_env.physics.state import ArmState

@@ -9,7 +9,7 @@ instant, where the sample is split.
 from __future__ import annotations
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics import friction
 from beltarm_env.physics.drive import angles_of
 from beltarm_env.physics.models import Model, accelerations, driving_torque, driving_torque_rate

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.drive import Drive, belt_motion
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import sin_cos
@@ -68,8 +68,8 @@ def tip_error(tip: TipMotion, angle: float, speed: float, plant: Plant) -> TipMo
     return TipMotion(tip.x - x, tip.y, tip.x_speed - x_speed, tip.y_speed)
 
 
-@allocating
-def tip_errors(states: Floats, references: Floats, plant: Plant, drive: Drive | None = None) -> Floats:
+@compiled
+def tip_errors(states: Floats, references: Floats, plant: Plant, drive: Drive | None) -> Floats:
     """Errors of the tip as `TipMotion` has them, shape (n, 4), for n states of arms that are alike.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, ArmParams, Plant, plant_of
-from beltarm_env.jit import allocating, compiled
+from beltarm_env.engine import compiled
 from beltarm_env.physics.models import LUMPED, MODELS, Model, inverse_inertia
 from beltarm_env.physics.trigonometry import sine_cosine
 from beltarm_env.timing import SHORTEST_LAG
@@ -37,7 +37,7 @@ def _slack_stiffness(row: Any) -> float:
     return row[COLUMN.belt_stiffness] * (1 - row[COLUMN.belt_stiffening])
 
 
-@allocating
+@compiled
 def write_exponential(matrix: Floats, scale: float, result: Floats) -> None:
     """Write the first m rows of exp(scale * matrix) by its Taylor series, for small arguments.
 
@@ -68,7 +68,7 @@ def exponential(matrix: Floats, scale: float) -> Floats:
     return result
 
 
-@allocating
+@compiled
 def write_sampled_models(
     plant: Plant,
     stiffness: float,
@@ -100,7 +100,7 @@ def write_sampled_models(
             by_torque[k, i], by_acceleration[k, i] = stepped[i, 4], stepped[i, 5]
 
 
-@allocating
+@compiled
 def sample_models(table: Floats, angles: Floats, period: float) -> tuple[Floats, Floats, Floats]:
     """Compute linear models of n lumped arms behind an ideal drive from one sample to the next, at m joint angles.
 

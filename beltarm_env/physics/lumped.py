@@ -15,7 +15,7 @@ tau_b becomes g.
 from __future__ import annotations
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, belt_torque_rate, coupling
 from beltarm_env.physics.friction import friction_torque
 from beltarm_env.physics.state import ArmState

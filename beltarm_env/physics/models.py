@@ -1,8 +1,7 @@
 """The two models of the arm: `lumped`, the paper's two masses, and `full_arm`, the two links' Lagrangian.
 
-A kernel that takes a `model` is compiled anew for each, without a choice in its loops, and for the full arm only if
-that is used: numba tells arguments apart by type and prunes `model is LUMPED` as it compiles. The types that a call
-tells apart without delay are those of None and True, hence the values.
+A kernel that takes a `model` is translated anew for each, without a choice in its loops, and for the full arm only if
+that is used. Types of a call tell None and True apart, hence the values: `model is LUMPED` is known in translation.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from typing import Final, Literal
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics import friction, full_arm, lumped
 from beltarm_env.physics.drive import Angles, Drive, angles_of
 from beltarm_env.physics.state import ArmState

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 
 
 class ArmState(NamedTuple):

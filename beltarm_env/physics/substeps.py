@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arm import COLUMN, Plant, plant_of
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.physics.driven.step import FRICTION_STEPS
 from beltarm_env.physics.models import Model, inverse_inertia
 from beltarm_env.timing import CONTROL_PERIOD

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 
 _TURN = 2 * math.pi
 ROUNDER = 1.5 * 2.0**52

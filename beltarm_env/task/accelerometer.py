@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.kinematics import TipMotion
 from beltarm_env.timing import CONTROL_PERIOD
 

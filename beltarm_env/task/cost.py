@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.kinematics import TipMotion, tip_error
 
 POSITION_SCALE = 0.010  # [m]

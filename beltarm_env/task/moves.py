@@ -8,7 +8,7 @@ import numpy as np
 
 from beltarm_env.arm import NOMINAL
 from beltarm_env.arrays import Flags, Floats
-from beltarm_env.jit import allocating, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.task.reference import (
     QUINTIC,
     QUINTIC_PEAK_ACCELERATION,
@@ -122,7 +122,7 @@ def _draw_ends(uniforms: Floats, start: float, goal: float, longest: float) -> t
     return (low, low + length) if uniforms[2] < 0.5 else (low + length, low)
 
 
-@allocating
+@compiled
 def draw_moves(profile: int, uniforms: Floats, given: Floats) -> Floats:
     """Draw moves, feasible wherever what is given allows it.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from beltarm_env.arm import FIELDS, NOMINAL, WHOLE, ArmParams, params_table
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.task.draws import OF_ARM
 from beltarm_env.timing import CONTROL_PERIOD
 

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.timing import CONTROL_PERIOD, EPISODE_STEPS
 
 Profile = Literal["trapezoid", "scurve", "quintic"]

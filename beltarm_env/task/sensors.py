@@ -13,7 +13,7 @@ fourth derivative.
 
 from __future__ import annotations
 
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.state import ArmState
 from beltarm_env.physics.trigonometry import ROUNDER, sin_cos, wrapped
 from beltarm_env.timing import CONTROL_PERIOD

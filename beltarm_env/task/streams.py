@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltarm_env.arrays import Floats, Integers
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 
 Streams = NDArray[np.uint64]
 """State and increment of each stream, both as high and low half: shape (n, 4)."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,13 @@ from baselines.engines import parallel
 from baselines.engines.carrying import Carried
 from baselines.optimal import kept as kept_gains
 from baselines.tools.files import read_arrays, sha256_of, write_arrays
+from beltarm_env.arm import NOMINAL
+from beltarm_env.arrays import Flags, Floats
 from beltarm_env.metrics import METRICS
-from beltarm_env.rollout import rollout
+from beltarm_env.rollout import Controller, nominal_params, rollout
 from beltarm_env.sources import sources_digest
-from eval.comparison.failures import Failure, attempt, explained, run_controller
 from eval.comparison.methods import LARGEST_BATCH, Method
-from eval.comparison.perturbation import Perturbed, sensitive
+from eval.comparison.rollouts import Failure, attempt, explained, run_controller
 from eval.comparison.splits import EDITION, EPISODES, VERSION, Split, side_by_side
 
 Metrics = dict[str, NDArray[np.float64]]
@@ -43,9 +45,9 @@ Metrics = dict[str, NDArray[np.float64]]
 LEFT = "left_workspace"
 """Beside the metrics: 1 where the arm left the workspace."""
 SENSITIVE = "sensitive"
-"""Of perturbed parts, beside the metrics: 1 where the cost changes, see `eval.comparison.perturbation`."""
+"""Of perturbed parts, beside the metrics: 1 where the cost changes, see `sensitive`."""
 FOLDER = "parts"
-_PACKAGES = ("numpy", "numba", "scipy", "torch", "gymnasium")
+_PACKAGES = ("numpy", "ziglang", "scipy", "gymnasium")
 """Packages whose version the numbers may depend on."""
 
 
@@ -238,3 +240,47 @@ def _run_task(parts: list[Part], belongings: dict[str, Carried], _: parallel.Cha
         if not isinstance(together, Failure):
             return list(together)
     return [run_controller(part.method, part.split.name, partial(measure, part)) for part in there]
+
+
+# Perturbed episodes
+
+PERTURBATION = 1e-9
+"""Difference of the first torque in a perturbed episode [N m]."""
+CHANGE = 0.01
+"""Share of its cost by which an episode has to change to count as sensitive."""
+
+
+class Perturbed:
+    """Controller whose first torques differ by `PERTURBATION`.
+
+    Whether a motor sticks is decided by a hair, and what follows is another motion. Where a controller and its arm
+    amplify such a difference, a single episode says little, and on a real arm the same move is not made twice.
+
+    Args:
+        controller: Whose torques they are.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.params = nominal_params(controller)
+        self._difference = PERTURBATION / (self.params or NOMINAL).torque_limit
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: tuple[Any] | None = None,
+        episode_start: Flags | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, tuple[Any]]:
+        """Torques over their limit, shape (n, 1); the first in double precision, which holds the difference."""
+        own = None if state is None else state[0]
+        action, following = self._controller.predict(observation, own, episode_start, deterministic)
+        if state is None:
+            first = np.clip(action.astype(np.float64), -1, 1)
+            action = np.where(first > 0, first - self._difference, first + self._difference)  # within the limits
+        return action, (following,)
+
+
+def sensitive(cost: Floats, perturbed: Floats) -> Floats:
+    """1.0 where the costs of an episode and of the perturbed one differ by more than `CHANGE`, else 0.0."""
+    return (np.abs(perturbed - cost) > CHANGE * cost).astype(np.float64)

@@ -24,8 +24,8 @@ from beltarm_env.observation import Sensors
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import PROTOCOL_CHECK
 from eval.comparison import custom
-from eval.comparison.failures import Failure, place, run_controller, trace
 from eval.comparison.methods import Method
+from eval.comparison.rollouts import Failure, place, run_controller, trace
 
 ActionTimes = tuple[float, float]
 """Median and 99th percentile of the time per action for one arm [us]."""

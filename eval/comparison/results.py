@@ -14,24 +14,12 @@ from numpy.typing import NDArray
 
 from beltarm_env import __version__
 from beltarm_env.metrics import METRICS, NOT_ARRIVED, OF_ARRIVED, SHOWN
-from eval.comparison import splits
+from eval.comparison import splits, statistics
 from eval.comparison.cache import LEFT, Metrics
-from eval.comparison.failures import Failure
 from eval.comparison.methods import PRIMARY, Method, policies_of
 from eval.comparison.provenance import provenance as about
+from eval.comparison.rollouts import Failure
 from eval.comparison.sets import SetLabel
-from eval.comparison.statistics import (
-    LEAST_SCENARIOS,
-    NOTHING,
-    Estimate,
-    Floats,
-    Paired,
-    all_paired,
-    estimates,
-    holm,
-    interquartile_mean,
-    together,
-)
 
 MEASURES, STARTS = "eval.comparison.run", ("choose_methods", "compare")
 """Module and functions that measure a comparison, for the digest of the code."""
@@ -53,7 +41,7 @@ class MethodOutcome:
     method: Method
     split: str
     metrics: Metrics  # each (seeds, episodes)
-    estimates: dict[str, Estimate]  # of `OF_ARRIVED` over scenarios in which all seeds arrive; not numbers for none
+    estimates: dict[str, statistics.Estimate]  # of `OF_ARRIVED` where all seeds arrive; not numbers for none
     action_times: tuple[float, float]  # median, 99th percentile [us]
 
     @property
@@ -91,7 +79,7 @@ class MethodOutcome:
     @property
     def median_seed(self) -> int:
         """Training seed of median cost."""
-        costs = [interquartile_mean(of_seed) for of_seed in self.metrics["cost"]]
+        costs = [statistics.interquartile_mean(of_seed) for of_seed in self.metrics["cost"]]
         return int(np.argsort(costs)[len(costs) // 2])
 
 
@@ -100,24 +88,24 @@ def arrived(metrics: Metrics) -> NDArray[np.bool_]:
     return ~np.any(metrics[NOT_ARRIVED], axis=0)
 
 
-def estimated(measured: Sequence[Metrics]) -> list[dict[str, Estimate]]:
+def estimated(measured: Sequence[Metrics]) -> list[dict[str, statistics.Estimate]]:
     """Estimate the metrics that are shown, each of several methods and splits; see `MethodOutcome.estimates`."""
-    by_name = [dict.fromkeys(SHOWN, NOTHING) for _ in measured]
+    by_name = [dict.fromkeys(SHOWN, statistics.NOTHING) for _ in measured]
     for share in (False, True):
-        cells: list[tuple[int, str, Floats]] = []
+        cells: list[tuple[int, str, statistics.Floats]] = []
         for k, metrics in enumerate(measured):
             there = arrived(metrics)
             for name in SHOWN:
                 values = metrics[name][:, there] if name in OF_ARRIVED else metrics[name]
                 if METRICS[name].share == share and values.shape[1] > 1:
                     cells.append((k, name, values))
-        of_cells = together([values for _, _, values in cells], partial(estimates, mean=share))
+        of_cells = statistics.together([values for _, _, values in cells], partial(statistics.estimates, mean=share))
         for (k, name, _), estimate in zip(cells, of_cells, strict=True):
             by_name[k][name] = estimate
     return by_name
 
 
-def tables_of(method: MethodOutcome, other: MethodOutcome, name: str) -> tuple[Floats, Floats]:
+def tables_of(method: MethodOutcome, other: MethodOutcome, name: str) -> tuple[statistics.Floats, statistics.Floats]:
     """Values of two methods in the scenarios in which they are compared: for `OF_ARRIVED` those where both arrive."""
     if name not in OF_ARRIVED:
         return method.metrics[name], other.metrics[name]
@@ -132,7 +120,7 @@ class Pair:
     outcome: MethodOutcome
     other: MethodOutcome
     against: Against
-    metrics: dict[str, Paired]  # of `PAIRED_METRICS`
+    metrics: dict[str, statistics.Paired]  # of `PAIRED_METRICS`
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +210,7 @@ def _pairs(
         for outcome in outcomes
         if outcome.ranked and (other := other_of(outcome, outcomes)) and other is not outcome
     ]
-    compared = iter(all_paired([tables_of(*pair, name) for pair in both for name in PAIRED_METRICS]))
+    compared = iter(statistics.all_paired([tables_of(*pair, name) for pair in both for name in PAIRED_METRICS]))
     pairs = [Pair(*pair, against, {name: next(compared) for name in PAIRED_METRICS}) for pair in both]
     for split, name in product(by_split, PAIRED_METRICS):
         family = [pair.metrics for pair in pairs if pair.outcome.split == split]
@@ -231,9 +219,9 @@ def _pairs(
     return pairs
 
 
-def _corrected(family: Sequence[Paired]) -> list[Paired]:
+def _corrected(family: Sequence[statistics.Paired]) -> list[statistics.Paired]:
     """A family of comparisons after Holm's correction."""
-    adjusted = holm([pair.p for pair in family])
+    adjusted = statistics.holm([pair.p for pair in family])
     return [replace(pair, p_holm=p) for pair, p in zip(family, adjusted, strict=True)]
 
 
@@ -245,14 +233,14 @@ def _marks(outcomes: list[MethodOutcome], name: str, against_best: list[Pair]) -
     ranked = [outcome for outcome in outcomes if outcome.ranked]
     shown = [outcome for outcome in ranked if name not in OF_ARRIVED or outcome.not_arrived <= 1 - MOSTLY]
     best = min(shown, key=lambda outcome: outcome.estimates[name].iqm, default=None)
-    if best is None or best.metrics[name].shape[1] < LEAST_SCENARIOS:
+    if best is None or best.metrics[name].shape[1] < statistics.LEAST_SCENARIOS:
         return {}
     pairs = {pair.outcome.name: pair.metrics[name] for pair in against_best if pair.outcome.split == best.split}
     classical = best_classical(outcomes)
     if best is not classical:
         same = pairs.get(best.name)
         others = [outcome for outcome in ranked if outcome is not best]
-        compared = all_paired([tables_of(other, best, name) for other in others])
+        compared = statistics.all_paired([tables_of(other, best, name) for other in others])
         pairs = {other.name: pair for other, pair in zip(others, compared, strict=True)}
         if classical and same:  # a pair has one p value
             pairs[classical.name] = replace(pairs[classical.name], p=same.p)
@@ -267,7 +255,7 @@ def provenance(
     command: str, seconds: float, methods: Sequence[Method], chosen: dict[str, splits.Split]
 ) -> dict[str, Any]:
     """Provenance of the results: command, commit, digest of the code, scenarios, policies, packages."""
-    packages = ("numpy", "numba", "gymnasium", "stable-baselines3", "torch")
+    packages = ("numpy", "scipy", "ziglang", "gymnasium")
     return {
         **about(MEASURES, seconds, STARTS),
         "command": command,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import time
 from collections.abc import Callable, Sequence
@@ -21,7 +20,6 @@ from baselines.tools.provenance import command_line
 from eval.comparison.cache import Metrics, kept_count, parts_of, run_parts
 from eval.comparison.check import ActionTimes, times_of
 from eval.comparison.custom import TIME_LIMIT
-from eval.comparison.failures import Failure
 from eval.comparison.methods import (
     PRIVILEGED,
     Method,
@@ -34,9 +32,9 @@ from eval.comparison.methods import (
     shipped_policies,
 )
 from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison, provenance
-from eval.comparison.scenarios import choose_set, require_same_physics
+from eval.comparison.rollouts import Failure
 from eval.comparison.schema import read_results, to_json
-from eval.comparison.sets import ScenarioSet, SetLabel
+from eval.comparison.sets import ScenarioSet, require_same_physics, set_of
 from eval.comparison.splits import main_split
 
 
@@ -258,14 +256,8 @@ def _claimed_scenarios(claimed: dict[str, Any], path: Path) -> ScenarioSet:
     commit = claimed["provenance"]["commit"]
     if commit == "unknown" or commit.endswith("-dirty"):
         raise ValueError(f"{path} was measured with files that no commit has ({commit}): commit them, and run it again")
-    label = SetLabel(**claimed["scenario_set"])
-    fresh = re.fullmatch(r"seed (\d+)", label.name)
-    known = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)
-    if known.label != label:
-        raise ValueError(
-            f"{path} is of other scenarios than this checkout's {known.label.title}: they differ in SHA-256"
-        )
-    return known.only(list(dict.fromkeys(row["split"] for row in claimed["rows"])), claimed["rows"][0]["episodes"])
+    names = list(dict.fromkeys(row["split"] for row in claimed["rows"]))
+    return set_of(claimed, path).only(names, claimed["rows"][0]["episodes"])
 
 
 def _quantities(row: dict[str, Any]) -> dict[str, float]:

@@ -2,24 +2,39 @@
 
     development   drawn on the fly; controllers and agents may be chosen on it: its numbers are no test results
     test          drawn once, after controllers, agents and protocol are frozen, from seeds that the hash of the
-                  protocol's commit chooses, and kept in a file (`eval.comparison.scenarios`)
+                  protocol's commit chooses, and kept in `eval/comparison/scenarios.json`
     seed N        drawn on the fly by the rules of the test set, from seeds that nothing else uses; the only one with
                   further scenarios, as many as anybody wants
 
-All are made alike, each from a range of seeds of its own (`beltarm_env.task.seeds`).
+All are made alike, each from a range of seeds of its own (`beltarm_env.task.seeds`). The file of the test set also has
+a few motions, by which a changed physics is noticed.
 """
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.tools.files import read_text, write_text
+from baselines.tools.provenance import last_commit_of
+from baselines.tools.schema import in_a_line, loads
+from beltarm_env.arm import FIELDS, NOMINAL, params_columns
+from beltarm_env.observation import index
+from beltarm_env.rollout import rollout
+from beltarm_env.task.moves import MOVE_FIELDS
 from beltarm_env.task.seeds import (
     DEVELOPMENT,
     MAX_FRESH_SEED,
     SeedRange,
+    arms_chosen_by,
     fresh_arms,
     further_arms,
 )
@@ -29,10 +44,13 @@ from eval.comparison.splits import (
     SPLITS,
     VERSION,
     Split,
+    beside_one_another,
     digest_of,
     draw,
     draw_arms,
     first_seed,
+    make_split,
+    side_by_side,
 )
 
 DEVELOPMENT_NAME, TEST_NAME = "development", "test"
@@ -130,3 +148,189 @@ def fresh_scenarios(number: int, split: str, chosen: Sequence[int]) -> Split:
 def _require_seeds(number: int) -> None:
     if not 0 <= number <= MAX_FRESH_SEED:
         raise ValueError(f"--scenario-seed must lie within 0 and {MAX_FRESH_SEED}, got {number}")
+
+
+# File of the test set
+
+FILE = Path(__file__).with_name("scenarios.json")
+PROTOCOL = Path(__file__).resolve().parents[2] / "docs" / "benchmark" / "protocol.md"
+_FORMAT, _REMEDY = "beltarm-scenarios", "restore scenarios.json from the repository"
+_CHECKED = 3  # scenarios of a split whose motion is kept, to notice a changed physics
+_AGREEMENT = 1e-6  # relative, of kept and fresh numbers: far above rounding, far below any change that matters
+
+
+def choose_set(name: str | None = None, seed: int | None = None) -> ScenarioSet:
+    """Choose a set of scenarios: by its name, by a seed of the user's, or the test set as soon as it is there.
+
+    Raises:
+        ValueError: If both are given, the name is unknown, or the file of the test set is missing or damaged.
+    """
+    if seed is not None:
+        if name is not None:
+            raise ValueError(f"--scenario-seed {seed} draws a set of its own: leave out --scenarios {name}")
+        return fresh_set(seed)
+    name = name or (TEST_NAME if FILE.exists() else DEVELOPMENT_NAME)
+    if name not in (DEVELOPMENT_NAME, TEST_NAME):
+        raise ValueError(f"--scenarios must be {DEVELOPMENT_NAME} or {TEST_NAME}, got {name!r}")
+    return development_set() if name == DEVELOPMENT_NAME else load(FILE)
+
+
+def set_of(results: dict[str, Any], path: Path) -> ScenarioSet:
+    """Choose the set that results are of, which this checkout must have.
+
+    Args:
+        results: Content of a results.json.
+        path: Its name for the message.
+
+    Raises:
+        ValueError: If the set has other scenarios here.
+    """
+    label = SetLabel(**results["scenario_set"])
+    fresh = re.fullmatch(r"seed (\d+)", label.name)
+    known = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)
+    if known.label != label:
+        raise ValueError(
+            f"{path} is of other scenarios than this checkout's {known.label.title}: run the comparison again"
+        )
+    return known
+
+
+class _Probe:
+    """Weak servo with a slow wave on top: moves arms by what their sensors say."""
+
+    _ANGLE, _SPEED, _TIME = index("motor_angle_error"), index("motor_speed_error"), index("elapsed_time")
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        """Torque over its limit; see `Controller`."""
+        wave = 0.2 * np.sin(20 * observation[:, self._TIME])
+        action = 0.1 * observation[:, self._ANGLE] + 0.05 * observation[:, self._SPEED] + wave
+        return action[:, None].astype(np.float32), None
+
+
+def motions(splits: Sequence[Split]) -> list[list[list[float]]]:
+    """Last state, cost and RMS tip error of each split's first scenarios under a fixed simple controller."""
+    by_place: dict[int, list[list[float]]] = {}
+    for group in beside_one_another(splits):
+        together = side_by_side([(splits[k], slice(_CHECKED)) for k in group])
+        run = rollout(_Probe(), len(together.table), **together.arguments(slice(None)))
+        rows = np.column_stack([run.state[-1], run.cost, run.metrics()["tip_rms_mm"]])
+        by_place |= zip(group, rows.reshape(len(group), _CHECKED, -1).tolist(), strict=True)
+    return [by_place[k] for k in range(len(splits))]
+
+
+def content_of(scenarios: ScenarioSet, protocol: str) -> dict[str, Any]:
+    """Content of the file of the test set, with the protocol's commit."""
+    splits = list(scenarios.splits.values())
+    entries = {
+        split.name: {
+            "description": SPLITS[split.name].description,
+            "seed": split.seed,
+            "settings": split.settings,
+            "columns": _columns(split),
+            "motions": moved,
+            "sha256": split.digest,
+        }
+        for split, moved in zip(splits, motions(splits), strict=True)
+    }
+    origin = {"command": "python eval/scenarios.py --freeze-test", "protocol": protocol}
+    content = {"format": _FORMAT, "edition": EDITION, "version": VERSION, **origin, "splits": entries}
+    return {**content, "sha256": digest_of(content)}
+
+
+def _columns(split: Split) -> dict[str, list[float]]:
+    """Columns of a split by name, without the constants that are nominal in all its scenarios."""
+    constants = {k: v for k, v in params_columns(split.table).items() if np.any(v != getattr(NOMINAL, k))}
+    columns = {**constants, **dict(zip(MOVE_FIELDS, split.moves.T, strict=True)), "delay": split.delays}
+    return {name: values.tolist() for name, values in columns.items()}
+
+
+def text_of(content: dict[str, Any]) -> str:
+    """JSON with a line for each list of numbers."""
+    lists = re.compile(r"\[[^][{}]*\]")
+    return lists.sub(lambda numbers: " ".join(numbers[0].split()), json.dumps(content, indent=1)) + "\n"
+
+
+def freeze_test_set(path: Path) -> None:
+    """Draw the test set from the hash of the last commit of the protocol, and write its file.
+
+    Raises:
+        ValueError: If the file is there already, or the protocol is not committed.
+    """
+    if path.exists():
+        raise ValueError(f"{path} is there already: the test set is drawn once, and not again")
+    protocol = last_commit_of(PROTOCOL)
+    write_text(path, text_of(content_of(draw_set(TEST_NAME, arms_chosen_by(protocol)), protocol)))
+
+
+def load(path: Path) -> ScenarioSet:
+    """Read the test set from its file.
+
+    Raises:
+        ValueError: If the file is missing, damaged, changed by hand, of another version, or not of the seeds that its
+            protocol's commit chooses.
+    """
+    content = _read(path)
+    try:
+        seeds = arms_chosen_by(content["protocol"])
+        splits = {name: _split_of(name, entry) for name, entry in content["splits"].items()}
+        if wrong := [name for name, split in splits.items() if split.seed != first_seed(name, seeds)]:
+            raise ValueError(f"the seed of {wrong[0]} is not the one that the protocol's commit chooses")
+        return make_set(TEST_NAME, splits)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} does not hold what it should ({in_a_line(repr(error), 120)}): {_REMEDY}") from None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Content of the file of the test set, of this version and as it was written."""
+    try:
+        content = loads(read_text(path))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read ({in_a_line(error)}): {_REMEDY}") from None
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise ValueError(f"{path} is no file of {_FORMAT}: {_REMEDY}")
+    if content.get("version") != VERSION:
+        version = in_a_line(repr(content.get("version")), 80)
+        raise ValueError(f"{path} has version {version}, this checkout needs {VERSION}: {_REMEDY}")
+    if content.get("sha256") != digest_of({key: value for key, value in content.items() if key != "sha256"}):
+        raise ValueError(f"{path} was changed after it was written, its SHA-256 does not match: {_REMEDY}")
+    return content
+
+
+def _split_of(name: str, entry: dict[str, Any]) -> Split:
+    columns = {key: _numbers(key, values) for key, values in entry["columns"].items()}
+    moves = np.column_stack([columns[key] for key in MOVE_FIELDS])
+    table = np.column_stack([columns.get(key, np.full(len(moves), getattr(NOMINAL, key))) for key in FIELDS])
+    split = make_split(name, TEST_NAME, entry["seed"], entry["settings"], table, moves, columns["delay"])
+    if split.digest != entry["sha256"]:
+        raise ValueError(f"the SHA-256 of {name} does not match")
+    return split
+
+
+def _numbers(key: str, values: list[Any]) -> NDArray[np.float64]:
+    # Of words, NumPy would make an array in which each takes as much memory as the longest.
+    if not {type(value) for value in values} <= {float, int}:
+        raise TypeError(f"{key} has entries that are no numbers")
+    return np.array(values, np.float64)
+
+
+def require_same_physics(scenarios: ScenarioSet) -> None:
+    """Check that the arms still move as they did when the test set was written, on the splits of some scenarios.
+
+    Raises:
+        ValueError: Naming the first split in which they do not.
+    """
+    if not FILE.exists():
+        return
+    entries = _read(FILE)["splits"]
+    known = scenarios if scenarios.label.name == TEST_NAME else load(FILE)
+    splits = [known.splits[name] for name in scenarios.splits if name in entries]
+    for split, moved in zip(splits, motions(splits), strict=True):
+        fresh, kept = np.array(moved), np.array(entries[split.name]["motions"])
+        if not np.allclose(fresh, kept, rtol=_AGREEMENT, atol=_AGREEMENT):
+            raise ValueError(
+                f"on split {split.name} the arms move otherwise than when {FILE.name} was written, by up to "
+                f"{np.abs(fresh - kept).max():.2g}: the physics, the sensors or the cost has changed; raise VERSION in "
+                "eval/comparison/splits.py"
+            )

@@ -188,7 +188,7 @@ def _fill(options: Options, done: Callable[[int, int], object]) -> list[dict[str
         "controllers": {name: method.identity for name, method in methods.items()},
         "disturbed": options.disturbed,
         "noise": NOISE,
-        "software": software("gymnasium", "h5py", "minari", "numba", "numpy", "torch"),
+        "software": software("gymnasium", "h5py", "minari", "ziglang", "numpy", "torch"),
     }
     dataset: minari.MinariDataset | None = None
     written: list[dict[str, Any]] = []

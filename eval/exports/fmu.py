@@ -24,6 +24,8 @@ from typing import Any, NamedTuple
 from baselines.tools.files import write_atomically
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
 from beltarm_env.arm import FIELDS, bounds_of
+from beltarm_env.engine.translation.program import Program
+from beltarm_env.engine.translation.types import BOOL, INT, REAL, Scalar
 from beltarm_env.physics.kinematics import HIGHEST, LOWEST
 from beltarm_env.task.sensors import ENCODER_COUNTS
 from beltarm_env.timing import EPISODE_TIME
@@ -31,8 +33,6 @@ from eval.exports.compilers import Toolchain, native
 from eval.exports.folder import require_free, write_export
 from eval.exports.plant import OUTPUTS, REFUSALS, begin, empty_memory, look, refusal, step
 from eval.exports.source import MOST_COUNTS, SINGLE_LANE, TAKEN, TEMPLATES, body, fields_of, members, parts_of
-from eval.translation.program import Program
-from eval.translation.types import BOOL, INT, REAL, Scalar
 
 _UNITS = {
     "rad": {"rad": 1},

@@ -59,7 +59,7 @@ def write_export(folder: Path, name: str, title: str, params: ArmParams, files: 
         "gear_ratio": params.gear_ratio,
         "torque_limit": params.torque_limit,
         "command": command_line(),
-        "software": software("numpy", "numba"),
+        "software": software("numpy", "ziglang"),
         "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(files.items())},
     }
     write_folder(folder, {**files, MANIFEST: (json.dumps(manifest, indent=2) + "\n").encode()})

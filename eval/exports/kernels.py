@@ -28,7 +28,7 @@ from baselines.guard.guard import ASKS, CHANGED, GuardInputs, guarded_torque
 from baselines.reading import Sample, sample_from
 from beltarm_env.arm import Plant
 from beltarm_env.arrays import Floats, Integers, Singles
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import IDEAL, LANES, store_plant
 from beltarm_env.kernels.observe import observe_block

@@ -16,7 +16,7 @@ import numpy as np
 
 from beltarm_env.arm import FIELDS, bounds_of
 from beltarm_env.arrays import Floats
-from beltarm_env.jit import compiled
+from beltarm_env.engine import compiled
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.advance_driven import DRIVEN_WORK_ROWS, advance_driven_block, advance_part
 from beltarm_env.kernels.layout import BUILT, LANES, drive_among, load_drive, load_plant, load_state, store_state

@@ -6,6 +6,7 @@ bit. docs/guide/export.md tells how to use it.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,12 +22,13 @@ from baselines.controller import LawKernel
 from baselines.estimation.believed_arm import SIZE
 from baselines.estimation.filter_design import inputs_of
 from baselines.estimation.identify import empty_notes, workspace_for
-from baselines.guard.controller import guarded, servo_for
+from baselines.guard.controller import GuardedController, servo_for
 from baselines.guard.guard import GUARD_SIZE
 from baselines.guard.settings import GuardSettings
 from baselines.optimal.adaptive import AdaptiveController
 from baselines.tools.command import require_bounds, require_known
 from beltarm_env import ArmParams
+from eval.comparison import custom
 from eval.comparison.sets import development_set
 from eval.comparison.splits import main_split
 from eval.exports.compilers import FLAGS, footprint, native, processors_for
@@ -49,7 +51,7 @@ class Options:
     """Write a controller or policy as C."""
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER|POLICY")]
-    """Name of a classical controller, or folder of a policy."""
+    """Name of a classical controller, folder of a policy, or a controller of your own, `path/to/file.py:Class`."""
     out: Path
     """Folder to write: a new or empty one, or one of an earlier export."""
     name: str = ""
@@ -109,7 +111,7 @@ def write_program(folder: Path, loop: Loop) -> None:
 
 
 def exportable() -> list[str]:
-    """Names of the classical controllers that are kernels for one arm."""
+    """Names of the classical controllers whose law is a kernel for one arm."""
     return [name for name, make in CONTROLLERS.items() if hasattr(make(), "kernel")]
 
 
@@ -117,17 +119,18 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     """Make the loop of a controller.
 
     Args:
-        source: Name of a classical controller, or folder of a policy.
+        source: Name of a classical controller, folder of a policy, or `path/to/file.py:Class`.
         guard: Whether the guard stands between it and the motor.
         plan_samples: Over how many samples a plan that is made anew is spread, where `adaptive` plans.
 
     Raises:
         ValueError: If there is no such controller, it is no kernel for one arm, or the policy is missing or damaged.
     """
-    if source in CONTROLLERS:
-        name, base_name, residual, base = source, source, 0.0, CONTROLLERS[source]()
-        title, params = f"Controller {source!r} of beltarm", base.params
+    if _is_classical(source):
+        name, base_name, residual, base = _name_of(source), source, 0.0, _classical(source)
+        title = f"Controller {name!r} of beltarm" if source in CONTROLLERS else f"Controller {name!r}"
         kernel, identifies = _kernel(base, source, plan_samples), isinstance(base, AdaptiveController)
+        params = base.params
         propose, design, memory = classical(kernel.law, identifies), kernel.design, kernel.memory
     else:
         if not (Path(source) / MANIFEST).is_file():
@@ -154,6 +157,20 @@ def loop_of(source: str, guard: bool = True, plan_samples: int = 1) -> Loop:
     return Loop(name, title, params, step, design, memory, identifies, isinstance(base, AdaptiveController))
 
 
+def _is_classical(source: str) -> bool:
+    """Tell whether a source is a controller of the project or of a file, not a policy."""
+    return source in CONTROLLERS or (":" in source and not (Path(source) / MANIFEST).is_file())
+
+
+def _classical(source: str) -> Any:
+    return CONTROLLERS[source]() if source in CONTROLLERS else custom.make(source)
+
+
+def _name_of(source: str) -> str:
+    """Name for functions of C: `MyServo` becomes `my_servo`."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", source.rpartition(":")[2]).lower()
+
+
 def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
     """Law of a controller for one arm.
 
@@ -162,7 +179,7 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
     """
     if not hasattr(controller, "kernel"):
         able = ", ".join(exportable())
-        raise ValueError(f"{name!r} is no kernel for one arm and cannot be exported; these can: {able}")
+        raise ValueError(f"{name!r} has no `kernel()`, a law for one arm, and cannot be exported; these can: {able}")
     if plan_samples != 1 and not isinstance(controller, AdaptiveController):
         raise ValueError(f"{name!r} makes no plan while the arm moves: leave out --plan-samples {plan_samples}")
     try:
@@ -173,7 +190,7 @@ def _kernel(controller: Any, name: str, plan_samples: int) -> LawKernel:
 
 def controller_of(source: str, guard: bool = True) -> Any:
     """Make the controller in Python whose loop `loop_of` makes."""
-    if source in CONTROLLERS:
-        return guarded(source) if guard else CONTROLLERS[source]()
+    if _is_classical(source):
+        return GuardedController(_classical(source), servo_for(source)) if guard else _classical(source)
     controller = load_controller(Path(source))
     return GuardedResidualController(controller, servo_for(read_spec(Path(source))[0].base)) if guard else controller

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,9 +20,8 @@ from beltarm_env.metrics import METRICS, NOT_ARRIVED, heading
 from beltarm_env.rollout import rollout
 from eval.comparison.methods import shipped_policies
 from eval.comparison.results import PAIRED_METRICS
-from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import AGAINST, read_results
-from eval.comparison.sets import SetLabel
+from eval.comparison.sets import SetLabel, set_of
 from eval.comparison.splits import main_split
 from eval.exports.source import TEMPLATES
 from eval.report.text import cell, markdown_table
@@ -107,11 +105,7 @@ def scores_of(policy: Path, content_hash: str, path: Path) -> Scores | None:
     method = _method_of(content_hash, results, path)
     if method is None:
         return None
-    label = SetLabel(**results["scenario_set"])
-    fresh = re.fullmatch(r"seed (\d+)", label.name)
-    scenarios = choose_set(None, int(fresh[1])) if fresh else choose_set(label.name)
-    if scenarios.label != label:
-        raise ValueError(f"{path} is of other scenarios than this checkout's {label.title}: run the comparison again")
+    scenarios = set_of(results, path)
     scores = Scores(results, sha256_of(path), method, np.empty(0))
     home, row = next(iter(scores.rows.items()))
     arguments = scenarios.splits[home].arguments(slice(row["episodes"]))

@@ -12,23 +12,39 @@ from typing import Any, get_type_hints
 import jinja2
 import numpy as np
 
+from baselines.models.friction import RESTING
 from beltarm_env import CONTROL_PERIOD, ArmParams, __version__
+from beltarm_env.engine.translation import header
+from beltarm_env.engine.translation.arrays import contiguous
+from beltarm_env.engine.translation.numbers import IN_SINGLE
+from beltarm_env.engine.translation.program import Function, Program
+from beltarm_env.engine.translation.scope import RESERVED
+from beltarm_env.engine.translation.types import (
+    REAL,
+    SMALL,
+    Array,
+    Const,
+    Group,
+    Scalar,
+    TranslationError,
+    Value,
+    dtype_of,
+)
 from beltarm_env.kernels.layout import LANES, Rows
+from beltarm_env.physics.driven.events import CLOSE, NEGLIGIBLE
+from beltarm_env.physics.driven.step import ROUNDING
 from beltarm_env.task.reference import MoveShape
 from eval.exports.kernels import begin, empty_device
-from eval.translation.arrays import contiguous
-from eval.translation.program import Function, Program
-from eval.translation.scope import RESERVED
-from eval.translation.types import REAL, SMALL, Array, Const, Group, Scalar, TranslationError, Value, dtype_of
 
 SINGLE_LANE = {"LANES": 1, "_VECTOR": 1}
-"""Constants that differ from the kernels in Python, which are compiled for many arms side by side."""
+"""Constants that differ from the kernels in Python, which work on many arms side by side."""
 TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
     keep_trailing_newline=True,
     undefined=jinja2.StrictUndefined,
     trim_blocks=True,
 )
+IN_SINGLE.update({CLOSE: 1e-6, NEGLIGIBLE: 1e-5, ROUNDING: 1e-5, RESTING: 5e-6})
 MOST_COUNTS = 10_000_000
 """Most counts of an encoder per turn of the motor."""
 FAULTS = {
@@ -45,7 +61,10 @@ FAULTS = {
 }
 """Why a program gives no torque; its functions return the number of the fault, from 1."""
 TEMPLATES.globals.update(
-    fault=lambda name: 1 + list(FAULTS).index(name), faults=list(FAULTS.values()), most_counts=MOST_COUNTS
+    arithmetic=header("arithmetic.h"),
+    fault=lambda name: 1 + list(FAULTS).index(name),
+    faults=list(FAULTS.values()),
+    most_counts=MOST_COUNTS,
 )
 _CPP = (
     "alignas alignof and and_eq asm bitand bitor catch char8_t char16_t char32_t class co_await co_return "

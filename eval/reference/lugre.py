@@ -31,13 +31,14 @@ from numpy.typing import NDArray
 from beltarm_env.arm import COLUMN, Plant
 from beltarm_env.arrays import Floats, Integers
 from beltarm_env.batch import ArmBatch
-from beltarm_env.jit import compiled, inlined
+from beltarm_env.engine import compiled, inlined
 from beltarm_env.kernels import layout as at
 from beltarm_env.kernels.layout import LANES, load_drive, load_plant, load_state, store_state
 from beltarm_env.physics import lumped
 from beltarm_env.physics.drive import Drive, angles_of, coupling
 from beltarm_env.physics.integrator import moved, weighted
 from beltarm_env.physics.state import ArmState
+from beltarm_env.physics.trigonometry import exponential
 from beltarm_env.timing import CONTROL_PERIOD, LATENCY_SAMPLES
 
 STEPS = 60
@@ -136,7 +137,7 @@ def advance_bristles(
                 longest = min(CONTROL_PERIOD / least, _LARGEST_STEP / max(rate, 1e-9))
                 count = math.ceil(remaining / longest - 1e-9)
                 dt = remaining / count if count > 1 else remaining
-                half = math.exp(-0.5 * lag * dt) if lag > 0.0 else 0.0
+                half = exponential(-0.5 * lag * dt) if lag > 0.0 else 0.0
                 torque = torque if lag > 0.0 else target
                 middle, last = target + (torque - target) * half, target + (torque - target) * half * half
                 x, z = _rk4_step(x, z, (torque, middle, last), dt, bristle, plant, drive)

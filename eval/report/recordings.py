@@ -11,10 +11,9 @@ import numpy as np
 
 from beltarm_env.rollout import Recording, rollout
 from beltarm_env.task.reference import TRAPEZOID, MoveShape, reference_at
-from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
 from eval.comparison.results import Comparison, MethodOutcome
-from eval.comparison.rollouts import calls_side_by_side
+from eval.comparison.rollouts import Failure, calls_side_by_side, run_controller
 from eval.comparison.splits import EPISODES, Split, beside_one_another, side_by_side
 from eval.report.style import COLOURS
 

@@ -24,8 +24,8 @@ from beltarm_env.arm import COLUMN, ArmParams
 from beltarm_env.rendering.renderer import HEIGHT, WIDTH, Renderer
 from beltarm_env.rendering.window import Window, import_pygame
 from beltarm_env.rollout import Recording
-from eval.comparison.failures import Failure, run_controller
 from eval.comparison.methods import Method
+from eval.comparison.rollouts import Failure, run_controller
 from eval.comparison.splits import Split
 from eval.report.recordings import play, reference_angles
 

@@ -7,36 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
-from beltarm_env.metrics import (
-    ARRIVAL_BOUND,
-    METRICS,
-    NOT_ARRIVED,
-    REVERSAL_SWING,
-    SHOWN,
-    TORQUE_QUALITY,
-    TORQUES,
-    heading,
-)
-from eval.comparison.perturbation import CHANGE, PERTURBATION
+from beltarm_env import metrics
+from eval.comparison.cache import CHANGE, PERTURBATION
 from eval.comparison.results import MOSTLY, PAIRED_METRICS
 from eval.comparison.schema import AGAINST
 from eval.comparison.splits import EDITION, SPLITS
 from eval.comparison.statistics import LEAST_OF_TAIL, LEAST_P, LEAST_SCENARIOS, RESAMPLES
 from eval.report.table import Results, Table, difference_texts, to_markdown
-from eval.report.text import cell, markdown_table
+from eval.report.text import markdown_table
 
 _RESULTS = {"better": "**better**", "worse": "**worse**", "open": "no difference shown"}
-_README = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", NOT_ARRIVED, *TORQUE_QUALITY)
+_README = ("tip_rms_mm", "residual_pp_mm", "settling_s", "failure_share", metrics.NOT_ARRIVED, *metrics.TORQUE_QUALITY)
 _ANSWERED = {
     "cost": "cost",
     "tip_rms_mm": "error of the arm's end, RMS (mm)",
     "residual_pp_mm": "vibration after the move, peak to peak (mm)",
 }
 CONSTANTS: dict[str, Any] = {
-    "arrival_mm": 1000 * ARRIVAL_BOUND,
+    "arrival_mm": 1000 * metrics.ARRIVAL_BOUND,
     "mostly": MOSTLY,
     "resamples": RESAMPLES,
     "least_p": LEAST_P,
@@ -44,7 +34,7 @@ CONSTANTS: dict[str, Any] = {
     "least_of_tail": LEAST_OF_TAIL,
     "change": CHANGE,
     "perturbation": PERTURBATION,
-    "reversal_swing": REVERSAL_SWING,
+    "reversal_swing": metrics.REVERSAL_SWING,
 }
 """Numbers of the method, for page and report."""
 _ROWS = 5  # of the answer's table
@@ -58,12 +48,13 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
         "costs": to_markdown(results.across_splits("cost")),
         "tails": to_markdown(results.tails()),
         "torques": to_markdown(results.torques()),
-        "primary": _primary(content["primary"]),
+        "answers": _RESULTS,
+        "titles": {name: metrics.METRICS[name].title for name in PAIRED_METRICS},
         "splits": [
             {
                 "name": split,
                 "description": SPLITS[split].description,
-                "table": to_markdown(results.of_split(split, SHOWN)),
+                "table": to_markdown(results.of_split(split, metrics.SHOWN)),
                 "pairs": _pairs(results, split),
             }
             for split in results.splits
@@ -75,33 +66,14 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
         "seed_note": results.seed_note(row["method"] for row in results.methods),
         "compared": _listed(PAIRED_METRICS),
         "edition": EDITION,
-        "torque_names": _listed(TORQUES),
+        "torque_names": _listed(metrics.TORQUES),
         **CONSTANTS,
     }
 
 
-def _listed(metrics: Sequence[str]) -> str:
-    *first, last = (METRICS[name].title for name in metrics)
+def _listed(names: Sequence[str]) -> str:
+    *first, last = (metrics.METRICS[name].title for name in names)
     return f"{', '.join(first)} and {last}"
-
-
-def _primary(rows: list[dict[str, Any]]) -> str:
-    """Pairwise tests of the primary comparison, metric by metric and split by split."""
-    cells = [
-        [
-            METRICS[row["metric"]].title,
-            row["split"],
-            _RESULTS[row["result"]],
-            cell(row["metric"], SimpleNamespace(**row)),
-            f"{100 * row['relative']:+.0f} %",
-            f"{row['p_holm']:.3f}",
-            cell(row["metric"], SimpleNamespace(iqm=row["mean"], low=row["mean_low"], high=row["mean_high"])),
-        ]
-        for row in rows
-    ]
-    return markdown_table(
-        ["metric", "split", "result", "difference", "share", "p", "mean difference"], cells, "lllrrrr"
-    )
 
 
 def _pairs(results: Results, split: str) -> str:
@@ -111,7 +83,7 @@ def _pairs(results: Results, split: str) -> str:
         for word, suffix in zip(AGAINST, ("", ", its base"), strict=True)
         for name, pair in results.against(word, split).items()
     ]
-    titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (heading(name), "improves"))]
+    titles = ["method", "against", *(part for name in PAIRED_METRICS for part in (metrics.heading(name), "improves"))]
     return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS)) if rows else ""
 
 

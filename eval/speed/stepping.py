@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -26,10 +27,10 @@ from baselines.optimal.adaptive import AdaptiveController
 from baselines.servo.paper import PaperController
 from beltarm_env import EPISODE_STEPS, BeltArmVectorEnv
 from beltarm_env.arrays import Floats
+from beltarm_env.engine.blocks import usual_threads
 from beltarm_env.rollout import Controller, rollout
 from beltarm_env.task.ranges import Randomization
 from beltarm_env.task.seeds import training_arms
-from beltarm_env.threads.blocks import usual_threads
 
 if TYPE_CHECKING:
     from agents.learners.ppo import PpoConfig
@@ -43,36 +44,33 @@ _PER_SINGLE_ARM = 100  # steps of a single arm for one of a batch
 _ROLLED_OUT = 1024  # arms
 _SINGLE_ARMS = 64  # beside the batch of a training
 _MOST_STARTS, _MOST_TRAININGS = 3, 3
-_MANY = 100_000  # arms whose memory is measured
+_FEW, _SOME, _MANY = 100, 1000, 100_000  # arms whose memory is measured: before, single ones, and of a batch
 _FIRST_STEP = """
-import time
+import importlib, sys, time
 began = time.perf_counter()
-import beltarm_env
-imported = time.perf_counter()
-import gymnasium, numpy
-env = gymnasium.make("BeltArm-v0")
+importlib.import_module(sys.argv[1])
+import gymnasium
+env = gymnasium.make(sys.argv[2])
 env.reset(seed=0)
-env.step(numpy.zeros(1, numpy.float32))
-print(imported - began, time.perf_counter() - imported)
-"""
-_EMPTY_FUNCTION = """
-import time
-began = time.perf_counter()
-import numba
-numba.njit(lambda x: x)(1.0)
+env.step(env.action_space.sample())
 print(time.perf_counter() - began)
 """
 _MEMORY = """
 import pathlib, re, sys, gymnasium, beltarm_env
-most = []
-for arms in (100, int(sys.argv[2])):
-    env = gymnasium.make_vec(sys.argv[1], num_envs=arms, vectorization_mode="vector_entry_point")
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(env.action_space.sample())
-    most.append(int(re.search(r"VmHWM:\\s*(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]) / 1000)
-print(most[1] - most[0])
+name, vector, counts = sys.argv[1], sys.argv[2] == "vector", [int(word) for word in sys.argv[3:]]
+most, envs = [], []
+for count in counts:
+    if vector:
+        envs.append(gymnasium.make_vec(name, num_envs=count, vectorization_mode="vector_entry_point"))
+    else:
+        envs += [gymnasium.make(name) for _ in range(count)]
+    for env in envs:
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(env.action_space.sample())
+    most.append(int(re.search(r"VmHWM:\\s*(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]))
+print((most[1] - most[0]) * 1024 / counts[1])
 """
 
 
@@ -81,7 +79,7 @@ class Row(NamedTuple):
 
     what: str
     measured: float
-    unit: str  # "steps/s", "s" or "MB"
+    unit: str  # "steps/s", "s", "kB" or "MB"
     peer: str | None = None
     of_peer: float | None = None
     ratios: tuple[float, ...] = ()  # how many times as good: lower quartile, median and upper quartile, or one
@@ -253,23 +251,36 @@ def numbers(code: str, *words: str, **environment: str) -> list[float]:
 
 
 def start_up_rows(repetitions: int) -> list[Row]:
-    """Time of the import, and of the first step with a warm and a cold cache of kernels."""
-    starts = min(repetitions, _MOST_STARTS)
+    """Time of a process from the import to the first step, with kernels that are built and in a copy without any."""
+    starts = range(min(repetitions, _MOST_STARTS))
     with tempfile.TemporaryDirectory() as folder:
-        _, cold = numbers(_FIRST_STEP, NUMBA_CACHE_DIR=folder)
-        warm = [numbers(_FIRST_STEP, NUMBA_CACHE_DIR=folder) for _ in range(starts)]
-    imported, first = (min(times) for times in zip(*warm, strict=True))
-    numba, peer = min(numbers(_EMPTY_FUNCTION)[0] for _ in range(starts)), "numba, empty function"
+        built = shutil.ignore_patterns("__pycache__", "built", "_glue.*")
+        shutil.copytree(ROOT / "beltarm_env", Path(folder, "beltarm_env"), ignore=built)
+        places = {"PYTHONPATH": folder, "BELTARM_CACHE_DIR": str(Path(folder, "kernels"))}
+
+        def started(package: str, name: str) -> float:
+            return numbers(_FIRST_STEP, package, name, **places)[0]
+
+        cold = started("beltarm_env", "BeltArm-v0")
+        times = [(started("beltarm_env", "BeltArm-v0"), started("gymnasium", _PEER)) for _ in starts]
+    warm, cart = (min(taken) for taken in zip(*times, strict=True))
     return [
-        Row("import beltarm_env", imported, "s"),
-        Row("make, reset, first step: warm cache", first, "s", peer, numba, (numba / first,)),
-        Row("make, reset, first step: cold cache", cold, "s", peer, numba, (numba / cold,)),
+        Row(f"import, make, reset, first step{state}", taken, "s", _PEER, cart, (cart / taken,))
+        for state, taken in (("", warm), (", kernels not built", cold))
     ]
 
 
 def memory_rows() -> list[Row]:
-    """Most memory that a batch of arms ever has, made, reset and stepped, beside as many CartPoles; on Linux."""
+    """Most memory that arms ever need, made, reset and stepped, beside as many CartPoles; on Linux."""
     if sys.platform != "linux":
         return []
-    arms, carts = (max(numbers(_MEMORY, name, str(_MANY))) for name in ("BeltArm-v0", _PEER))
-    return [Row(f"memory of a batch, N = {_MANY}", arms, "MB", _PEER, carts, (carts / arms,))]
+
+    def of_one(kind: str, name: str) -> float:
+        return max(numbers(_MEMORY, name, kind, str(_FEW), str(_MANY if kind == "vector" else _SOME))[0], 1.0)
+
+    arm, cart = (of_one("single", name) / 1e3 for name in ("BeltArm-v0", _PEER))
+    arms, carts = (of_one("vector", name) * _MANY / 1e6 for name in ("BeltArm-v0", _PEER))
+    return [
+        Row("memory of one arm", arm, "kB", _PEER, cart, (cart / arm,)),
+        Row(f"memory of a batch, N = {_MANY}", arms, "MB", _PEER, carts, (carts / arms,)),
+    ]

@@ -7,7 +7,7 @@ A study is a module (or a folder, by its `__init__`) of `eval.studies` with thes
     QUICK           options of a first try, which takes seconds
     measure         measures all data; from `Options` to what `plain` turns into JSON
     tables          texts and numbers for the template, from the data alone
-    pictures        functions that draw figures from the data alone, by the name of the file
+    pictures        if any, functions that draw figures from the data alone, by the name of the file
 
 Data and words are apart, so that a page is rendered again in a second, and no fact stands in a program.
 """
@@ -45,8 +45,8 @@ _DIGITS = 7  # significant ones, of what is written
 _PLACES = ("out", "jobs", "runs", "engine", "address", "storage")  # options that change no number
 
 
-class Bounds(dict[str, tuple[int, int | None]]):
-    """Least and largest value of options that are numbers, by name."""
+Bounds = dict[str, tuple[int, int | None]]
+"""Least and largest value of options that are numbers, by name."""
 
 
 @dataclass(frozen=True)

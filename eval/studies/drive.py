@@ -24,10 +24,8 @@ from beltarm_env.task.seeds import DRIVE_SIZES
 from eval.comparison.methods import Method, chosen
 from eval.comparison.rollouts import shipped_controller, shipped_methods, side_by_side
 from eval.comparison.statistics import average, estimates
-from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, mark_one_two_five
-from eval.studies._arms import drawn
-from eval.studies._drawing import below, panels
-from eval.studies._effects import ALL, EFFECTS, IDEAL, heading, with_effect
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, below, mark_one_two_five, panels
+from eval.studies._arms import ALL, EFFECTS, IDEAL, drawn, heading, with_effect
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 4, "controllers": ("paper", "student"), "effects": ("command_latency",), "jobs": 1}

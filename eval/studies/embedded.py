@@ -26,7 +26,7 @@ from eval.exports.compilers import PROCESSORS, SINGLE, Footprint, footprint, nat
 from eval.exports.in_the_loop import Agreement, compare, program_for
 from eval.exports.program import controller_of, exportable, loop_of, write_program
 from eval.exports.source import Loop
-from eval.studies._frame import Bounds, Pictures, StudyOptions
+from eval.studies._frame import Bounds, StudyOptions
 
 QUICK = {"controllers": ("smooth",), "splits": ("nominal",), "episodes": 1}
 PLAN_SAMPLES = 8
@@ -160,8 +160,3 @@ def tables(data: dict[str, Any]) -> dict[str, Any]:
 def _holds(row: dict[str, Any]) -> bool:
     """Tell whether single precision does for a controller."""
     return row["single"]["errors"][1] <= _AGREES and abs(row["single"]["cost"]) <= _COSTS
-
-
-def pictures(data: dict[str, Any]) -> Pictures:
-    """No pictures: the page has tables alone."""
-    return {}

@@ -26,8 +26,7 @@ from beltarm_env.rollout import Controller, rollout
 from eval.comparison.methods import chosen
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
-from eval.report.style import BLUE, GREEN, ORANGE
-from eval.studies._drawing import below, name_rows
+from eval.report.style import BLUE, GREEN, ORANGE, below, name_rows
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}

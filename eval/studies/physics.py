@@ -25,8 +25,7 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import CROSSCHECK
 from eval.reference.event_located import MODELS, EventLocatedArm, tip
-from eval.report.style import COLOURS
-from eval.studies._drawing import below
+from eval.report.style import COLOURS, below
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"arms": 1, "samples": 40}

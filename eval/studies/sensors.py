@@ -25,8 +25,7 @@ from eval.comparison.rollouts import Recorder
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES, Split, main_split
 from eval.comparison.statistics import average, paired
-from eval.report.style import BLUE, GREEN, ORANGE
-from eval.studies._drawing import below, name_rows
+from eval.report.style import BLUE, GREEN, ORANGE, below, name_rows
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 QUICK = {"episodes": 4, "splits": ("randomized",)}

@@ -21,9 +21,8 @@ from beltarm_env.rollout import rollout
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.methods import PRIVILEGED
 from eval.comparison.statistics import average, worst_mean
-from eval.report.style import BLUE, GREEN, VERMILION
+from eval.report.style import BLUE, GREEN, VERMILION, name_rows
 from eval.studies._arms import believing, identifying_nothing, privileged
-from eval.studies._drawing import name_rows
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 SHOWN = ("cost", "tip_rms_mm", "residual_pp_mm", *TORQUE_QUALITY)

@@ -27,17 +27,15 @@ from beltarm_env.metrics import ARRIVAL_BOUND, NOT_ARRIVED, OF_ARRIVED, TORQUE_Q
 from beltarm_env.metrics import METRICS as KNOWN
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval.comparison.cache import LEFT, Part, parts_of, run_parts
-from eval.comparison.failures import Failure
 from eval.comparison.methods import Method
 from eval.comparison.provenance import ROOT
+from eval.comparison.rollouts import Failure
 from eval.comparison.run import choose_methods
-from eval.comparison.scenarios import require_same_physics
-from eval.comparison.sets import SetLabel, development_set, fresh_scenarios
+from eval.comparison.sets import SetLabel, development_set, fresh_scenarios, require_same_physics
 from eval.comparison.splits import EPISODES, SPLITS, Split
 from eval.comparison.statistics import CONFIDENCE, holm, interquartile_mean
-from eval.report.style import COLOURS, mark_one_two_five
+from eval.report.style import COLOURS, below, mark_one_two_five
 from eval.report.text import rounded
-from eval.studies._drawing import below
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 
 Floats = NDArray[np.float64]

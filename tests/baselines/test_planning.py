@@ -136,7 +136,7 @@ def simulated_costs(plans) -> np.ndarray:
         torque = np.clip(torque, -ARM.torque_limit, ARM.torque_limit)
         states = simulation.advance(states, torque)
         for i in range(len(MOVES)):
-            (error,) = tip_errors(states[i : i + 1], tasks[i, k + 1 : k + 2, :2], plant_of(TABLE[i]))
+            (error,) = tip_errors(states[i : i + 1], tasks[i, k + 1 : k + 2, :2], plant_of(TABLE[i]), None)
             costs[i] += np.hypot(error[0], error[1]) / POSITION_SCALE + np.hypot(error[2], error[3]) / VELOCITY_SCALE
         costs += TORQUE_RATE_WEIGHT * np.abs(torque - last) / ARM.torque_limit
         last = torque

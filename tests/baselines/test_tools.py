@@ -34,7 +34,7 @@ from baselines.tools.files import (
 )
 from baselines.tools.progress import progress_count, progress_over, progress_rows
 from baselines.tools.schema import FLAG, INTEGER, NUMBER, TEXT, check, in_a_line, list_of, mapping_of, object_of, parse
-from eval.comparison import scenarios
+from eval.comparison import sets
 from eval.comparison.schema import read_results
 
 
@@ -106,7 +106,7 @@ class TestWriting:
     ("name", "read"),
     [
         ("results.json", read_results),
-        ("scenarios.json", scenarios.load),
+        ("scenarios.json", sets.load),
         ("gains.json", lambda path: tuned("zv", TUNABLE["zv"].gains, path)),
         ("sealed", read_sealed),
     ],

@@ -28,7 +28,7 @@ from baselines.tuning.race import MIN_BUDGET, RUNGS, charged, estimate, hopeless
 from baselines.tuning.search import SearchProgress, search
 from baselines.tuning.study import begin_anew, open_study, own, rounded, space
 from beltarm_env import EPISODE_STEPS
-from beltarm_env.jit import ANNOUNCEMENT
+from beltarm_env.engine.library import ANNOUNCEMENT
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = tuple(TUNABLE)[:2]

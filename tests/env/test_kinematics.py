@@ -36,7 +36,7 @@ def test_motion_of_the_tip_is_that_of_the_linkage(
     state = np.array([params.gear_ratio * joint, params.gear_ratio * speed, torsion, torsion_speed])
     step = 1e-5 * np.array([state[1], 0, state[3], 0])
     velocity = (tip(params, state + step) - tip(params, state - step)) / 2e-5
-    motion = tip_motion(ArmState(*state.tolist()), params.plant())
+    motion = tip_motion(ArmState(*state.tolist()), params.plant(), None)
     np.testing.assert_allclose(motion[:2], tip(params, state), atol=1e-14)
     np.testing.assert_allclose(motion[2:], velocity, atol=1e-5)
 

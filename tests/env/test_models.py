@@ -87,7 +87,7 @@ class TestIntegrationLimits:
         arm = ArmParams(**{**params, "belt_damping_ratio": 0.0, "motor_viscous_friction": 0.0})
         for name, model in (("lumped", LUMPED), ("lagrangian", FULL_ARM)):
             ends = [np.abs(np.linalg.eigvals(state_space(arm, angle, name)[0])).max() for angle in (0.0, DEG_90)]
-            assert fastest_rate(arm.plant(), model) == pytest.approx(max(ends), rel=1e-9)
+            assert fastest_rate(arm.plant(), model, 0.0) == pytest.approx(max(ends), rel=1e-9)
         stiff = replace(arm, belt_stiffness=3e4)
         steps = substeps.integration_substeps(stiff.plant(), FULL_ARM)
         angles = np.linspace(0, DEG_90, 7)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from beltarm_env import BeltArmVectorEnv
+from beltarm_env.sources import source_files
 from beltarm_env.task import seeds
 from beltarm_env.task.streams import checked_seed, draw, seeded, wrapping
 
@@ -55,7 +56,7 @@ def test_no_other_module_has_a_range_of_its_own():
     lines = [
         f"{path.name}: {line.strip()}"
         for package in ("beltarm_env", "baselines", "agents", "train", "eval")
-        for path in (ROOT / package).rglob("*.py")
+        for path in source_files(ROOT / package)
         for line in path.read_text(encoding="utf-8").splitlines()
         if path.name != "seeds.py" and number.search(line) and not no_seed.search(line)
     ]

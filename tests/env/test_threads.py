@@ -13,10 +13,11 @@ import pytest
 
 from agents.policy.bundle import load_controller
 from beltarm_env import BeltArmVectorEnv
-from beltarm_env.jit import PLAIN
+from beltarm_env.engine import blocks, compiled, in_threads, threads
+from beltarm_env.engine.blocks import none_taken, take_block
+from beltarm_env.engine.threads import each_in_threads, in_python_threads
+from beltarm_env.engine.words import Integers
 from beltarm_env.rollout import rollout
-from beltarm_env.threads import blocks, calls, standby
-from beltarm_env.threads.blocks import none_taken, take_block
 
 ARMS = 700  # six blocks
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
@@ -66,22 +67,13 @@ class TestResults:
         with multiprocessing.get_context("fork").Pool(1) as pool:
             assert pool.apply_async(played, (env,)).get(timeout=60) == alone
 
-    def test_where_the_system_allows_no_thread_the_numbers_are_the_same(self, monkeypatch: pytest.MonkeyPatch):
-        def states() -> bytes:
+    def test_a_policy_drives_arms_the_same_whatever_their_number(self, monkeypatch: pytest.MonkeyPatch):
+        states = []
+        for number in ("1", "3"):
+            monkeypatch.setenv("OMP_NUM_THREADS", number)
             controller = load_controller(POLICIES / "student" / "seed0")
-            return rollout(controller, 30, seed=3, randomization="train").state.tobytes()
-
-        def refuse(_: Thread) -> None:
-            raise RuntimeError("can't start new thread")  # what Python says
-
-        monkeypatch.setenv("OMP_NUM_THREADS", "1")
-        before = played(BeltArmVectorEnv(ARMS, num_threads=3)), states()
-        monkeypatch.setenv("OMP_NUM_THREADS", "3")
-        assert states() == before[1], "a policy drives arms the same whatever their number"
-        monkeypatch.setattr(os, "getpid", lambda: 0)  # a process that has no threads yet
-        monkeypatch.setattr(Thread, "start", refuse)
-        assert (played(BeltArmVectorEnv(ARMS, num_threads=3)), states()) == before
-        assert PLAIN or standby._bell(0, 1) is None, "none was begun"
+            states.append(rollout(controller, 30, seed=3, randomization="train").state.tobytes())
+        assert states[0] == states[1]
 
 
 def test_what_tells_no_number_is_a_thread_for_each_core(monkeypatch: pytest.MonkeyPatch):
@@ -92,7 +84,39 @@ def test_what_tells_no_number_is_a_thread_for_each_core(monkeypatch: pytest.Monk
     assert [blocks.usual_threads(most) for most in (0, 1, 3, 9999)] == [1, 1, 3, blocks.MAX_THREADS]
 
 
-class TestCalls:
+def test_small_batches_have_fewer_threads(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.undo()
+    for built in (False, True):
+        found = [blocks.threads_for(count, built, seldom=False, most=3) for count in range(100)]
+        assert found == sorted(found) and (found[0], found[-1]) == (1, 3)
+    assert blocks.threads_for(16, False, True, 9) <= blocks.threads_for(16, False, False, 9) <= 9
+
+
+@compiled
+def mark_blocks(thread: int, taken: Integers, marks: Integers) -> None:
+    """Take blocks until none is left, and note by whom."""
+    for _ in range(len(marks) + 1):
+        block = take_block(taken, thread, len(marks))
+        if block < 0:
+            return
+        marks[block] += 1 + 1000 * thread
+
+
+class TestBlocks:
+    @pytest.mark.parametrize("threads", [1, 2, 5])
+    @pytest.mark.parametrize("count", [0, 1, 7, 4000])
+    def test_each_is_taken_once(self, threads: int, count: int):
+        marks = np.zeros(count, np.int64)
+        in_threads(mark_blocks, threads, none_taken(threads), marks)
+        assert (marks % 1000 == 1).all() and (marks // 1000 < threads).all()
+
+    def test_a_thread_takes_its_own_in_their_order_and_then_what_is_left_of_others(self):
+        taken = none_taken(2)
+        assert [take_block(taken, 1, 6) for _ in range(4)] == [3, 4, 5, 2]
+        assert [take_block(taken, 0, 6) for _ in range(3)] == [0, 1, -1] and take_block(taken, 1, 6) == -1
+
+
+class TestPythonThreads:
     def test_what_another_thread_raises_is_raised_here_once_all_are_done(self):
         begun, done = Event(), list[int]()
 
@@ -106,85 +130,36 @@ class TestCalls:
             raise ValueError(f"of thread {thread}")
 
         with pytest.raises(KeyError, match="of this thread"):
-            calls.in_threads(work, 2)
+            in_python_threads(work, 2)
         assert done == [1], "nobody works on while the caller goes on"
         begun.clear()
         with pytest.raises(ValueError, match="of thread 1"):
-            calls.in_threads(lambda thread: work(thread) if thread else begun.wait(60), 2)
+            in_python_threads(lambda thread: work(thread) if thread else begun.wait(60), 2)
 
-    def test_a_thread_that_is_late_finds_nothing_left(self):
-        begun, over, done = Event(), Event(), list[int]()
-
-        def occupy(thread: int) -> None:
-            if thread:
-                begun.set()
-            (over if thread else begun).wait(60)
-
-        with ThreadPoolExecutor(1) as pool:
-            occupied = pool.submit(calls.in_threads, occupy, 2)
-            assert begun.wait(60)
-            calls.in_threads(done.append, 2)
+    def test_a_thread_that_is_late_is_not_waited_for(self, monkeypatch: pytest.MonkeyPatch):
+        over, done = Event(), list[int]()
+        with ThreadPoolExecutor(1) as executor:
+            executor.submit(over.wait, 60)
+            monkeypatch.setattr(threads, "_executor", lambda _: executor)
+            in_python_threads(done.append, 2)
             over.set()
-            occupied.result()
-        calls.in_threads(lambda thread: over.wait(60), 2)
-        assert done == [0], "its share is not waited for, and not begun later"
+        assert done == [0], "its share is not begun later"
 
-    def test_a_thread_is_waited_for_while_it_has_a_block(self):
-        begun, done, taken = Event(), list[int](), none_taken(2)
+    def test_where_the_system_allows_no_thread_the_caller_does_all(self, monkeypatch: pytest.MonkeyPatch):
+        def refuse(_: Thread) -> None:
+            raise RuntimeError("can't start new thread")  # what Python says
 
-        def work(thread: int) -> None:
-            if thread == 0:
-                assert begun.wait(60)
-                return
-            taken[2 + thread] = 1
-            begun.set()
-            time.sleep(0.1)
-            taken[2 + thread] = 0
-            done.append(thread)
-
-        calls.share_blocks(work, taken)
-        assert done == [1]
+        monkeypatch.setattr(threads, "_executor", lambda _: ThreadPoolExecutor(2))
+        monkeypatch.setattr(Thread, "start", refuse)
+        done: list[int] = []
+        in_python_threads(done.append, 3)
+        assert done == [0]
 
     def test_each_item_is_worked_on_once(self, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setenv("OMP_NUM_THREADS", "4")
         for count in (0, 1, 500):
             done: list[int] = []
-            calls.each_in_threads(done.append, range(count))
+            each_in_threads(done.append, range(count))
             assert sorted(done) == list(range(count))
         with pytest.raises(ZeroDivisionError):
-            calls.each_in_threads(lambda item: 1 // item, [3, 2, 1, 0])
-
-
-@pytest.mark.skipif(PLAIN, reason="kernels that are not compiled have one thread")
-class TestStandby:
-    def test_a_kernel_waits_a_little_and_not_for_ever(self):
-        taken = none_taken(2)
-        taken[3] = 1  # a thread that another program keeps from its core
-        places = [take_block(taken, 0, 5) for _ in range(6)]
-        assert sorted(places) == [-1, 0, 1, 2, 3, 4] and places[-1] == -1
-        assert taken[2:].tolist() == [0, 1, 0, 0]
-        assert take_block(taken, 1, 5) == -1 and taken[2:].tolist() == [0, 0, 0, 0]
-
-    def test_they_sleep_when_no_call_comes_and_are_woken_again(self):
-        env, box = BeltArmVectorEnv(ARMS, num_threads=2), standby._boxes(os.getpid())[1]
-        env.reset(seed=0)
-        for _ in range(3):
-            played(env, 5)
-            deadline = time.monotonic() + 60
-            while box[standby._AWAKE] or box[standby._OFFER] != standby._NONE:
-                assert time.monotonic() < deadline
-                time.sleep(1e-4)
-            assert len(standby.standing_by(2)) == 1 and box[standby._AWAKE]
-
-    def test_none_is_within_a_kernel_once_python_ends(self):
-        """Where it would run on while its code is taken away."""
-        boxes = np.zeros((2, standby._WORDS), np.int64)
-        standby._serve(boxes[0], 0, 1)  # compiled before the clock runs
-        boxes[1, standby._AWAKE] = 1
-        thread = Thread(target=standby._serve, args=(boxes[1], 1, 1 << 60), daemon=True)
-        thread.start()
-        thread.join(0.05)
-        assert thread.is_alive()
-        standby._dismiss(os.getpid(), boxes)
-        thread.join(60)
-        assert not thread.is_alive() and boxes[1, standby._AWAKE] == 0
+            each_in_threads(lambda item: 1 // item, [3, 2, 1, 0])

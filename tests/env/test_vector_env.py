@@ -424,7 +424,7 @@ def test_without_compiler_the_very_same_numbers_and_types(tmp_path: Path):
     ran = subprocess.run(
         [sys.executable, "-W", "error", "-c", STICK_SLIP + PLAIN],
         cwd=tmp_path,
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "BELTARM_ENGINE": "plain", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
     )

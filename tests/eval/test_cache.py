@@ -25,10 +25,19 @@ from beltarm_env.observation import index, size
 from beltarm_env.task.moves import MOVE_FIELDS
 from eval import compare
 from eval.comparison import cache, provenance
-from eval.comparison.cache import Metrics, Part, measure, parts_of, read_kept, run_parts
-from eval.comparison.failures import Failure
+from eval.comparison.cache import (
+    PERTURBATION,
+    Metrics,
+    Part,
+    Perturbed,
+    measure,
+    parts_of,
+    read_kept,
+    run_parts,
+    sensitive,
+)
 from eval.comparison.methods import classical_methods, learned_methods, privileged_method, shipped_policies
-from eval.comparison.perturbation import PERTURBATION, Perturbed, sensitive
+from eval.comparison.rollouts import Failure
 from eval.comparison.run import choose_methods
 from eval.comparison.schema import read_results
 from eval.comparison.sets import development_set, fresh_set

@@ -21,10 +21,10 @@ from beltarm_env.metrics import TORQUES
 from eval import compare
 from eval.comparison import provenance
 from eval.comparison.methods import shipped_policies
-from eval.comparison.scenarios import choose_set
 from eval.comparison.schema import SCHEMA, read_results
+from eval.comparison.sets import choose_set
 from eval.comparison.splits import EDITION, SPLITS, VERSION
-from eval.report.page import LARGEST
+from eval.report.publish import LARGEST
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEDS = len([folder for folder in shipped_policies() if folder.parent.name == "ppo"])

@@ -19,7 +19,7 @@ from baselines.tools.options import parse
 from beltarm_env import EPISODE_STEPS
 from eval import study
 from eval.studies import learning
-from eval.studies.learning import page, runs
+from eval.studies.learning import COLUMNS, runs
 from eval.studies.learning.runs import DEFAULT, FACTORS, VARIANTS, Run, Variant, score, training_digest
 
 BY_NAME = {variant.name: variant for variant in VARIANTS}
@@ -71,7 +71,7 @@ def test_every_variant_simulates_as_many_samples(tmp_path: Path):
 
 def test_scores_are_the_same_again():
     scores = score(PaperController(), 4)
-    assert scores == score(PaperController(), 4) and scores["left_percent"] == 0 and set(page.COLUMNS) <= set(scores)
+    assert scores == score(PaperController(), 4) and scores["left_percent"] == 0 and set(COLUMNS) <= set(scores)
 
 
 def test_finished_runs_are_read_and_interrupted_ones_go_on(

@@ -15,7 +15,7 @@ from beltarm_env import CONTROL_PERIOD, ArmParams, BeltArmVectorEnv, observation
 from beltarm_env.arrays import Floats
 from beltarm_env.rollout import rollout
 from eval.studies import paper
-from eval.studies._effects import ALL, IDEAL
+from eval.studies._arms import ALL, IDEAL
 from eval.studies.paper import ALTERNATIVES, DRIVES, compare, linear, run_drives, runs, vary
 from eval.studies.paper.linear import PAPER_ARM, TABLE_2, digital_poles, dominant_damping, locus, poles
 from eval.studies.paper.runs import ANALYSED, AS_ANALYSED, FRICTION, MAIN, SIMULATED, Conditions, ringing, run_moves

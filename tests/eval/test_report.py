@@ -23,14 +23,14 @@ from baselines.servo.paper import PaperController
 from beltarm_env import ArmParams
 from beltarm_env.rollout import Recording, rollout
 from eval.comparison.cache import Part, measure
-from eval.comparison.failures import Failure
 from eval.comparison.methods import classical_methods
 from eval.comparison.results import MethodOutcome
+from eval.comparison.rollouts import Failure
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
 from eval.report import summary
 from eval.report.figures import spectrum
-from eval.report.page import EVERY, animation, render, without_paths
+from eval.report.publish import EVERY, animation, render, without_paths
 from eval.report.recordings import Scene, record, record_scenes
 from eval.report.table import Results, to_markdown
 from eval.studies._frame import page

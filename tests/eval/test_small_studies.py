@@ -29,7 +29,7 @@ from eval.comparison.rollouts import shipped_methods
 from eval.comparison.sets import development_set
 from eval.comparison.splits import Split
 from eval.studies import _frame, drive, presliding
-from eval.studies._effects import ALL, EFFECTS, IDEAL, with_effect
+from eval.studies._arms import ALL, EFFECTS, IDEAL, with_effect
 from eval.studies.guard import NAN, Options, measure, worse_measures
 from eval.studies.guard.faults import FaultyArms
 from eval.studies.iterative import metrics_of, repeated

@@ -13,9 +13,9 @@ from rich.console import Console
 
 import eval.report.verdict
 from beltarm_env.metrics import NOT_ARRIVED, OF_ARRIVED, SHOWN
-from eval.comparison.failures import Failure
 from eval.comparison.methods import Method
 from eval.comparison.results import PAIRED_METRICS, Comparison, MethodOutcome, make_comparison
+from eval.comparison.rollouts import Failure
 from eval.comparison.schema import check
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import Estimate, Paired

@@ -8,9 +8,9 @@ import numpy as np
 
 from beltarm_env.metrics import SHOWN
 from eval.comparison.cache import LEFT, Metrics
-from eval.comparison.failures import Failure
 from eval.comparison.methods import Kind, Method
 from eval.comparison.results import Comparison, MethodOutcome, estimated, make_comparison
+from eval.comparison.rollouts import Failure
 from eval.comparison.schema import to_json
 from eval.comparison.sets import SetLabel
 from eval.comparison.statistics import Paired

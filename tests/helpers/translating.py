@@ -8,17 +8,28 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
+from beltarm_env.engine.translation import header
+from beltarm_env.engine.translation.arrays import contiguous
+from beltarm_env.engine.translation.function import Function
+from beltarm_env.engine.translation.program import Program
+from beltarm_env.engine.translation.tidy import without_unused
+from beltarm_env.engine.translation.types import (
+    BOOL,
+    INT,
+    REAL,
+    SINGLE,
+    Array,
+    Const,
+    Group,
+    Scalar,
+    Value,
+    dtype_of,
+    parts_of,
+)
 from eval.exports.compilers import SANITISED, Toolchain, native
-from eval.exports.source import TEMPLATES
-from eval.translation.arrays import contiguous
-from eval.translation.function import Function
-from eval.translation.program import Program
-from eval.translation.tidy import without_unused
-from eval.translation.types import BOOL, INT, REAL, SINGLE, Array, Const, Group, Scalar, Value, dtype_of, parts_of
 
 Kernel = Callable[..., Any]
 Calls = list[tuple[Any, ...]]
@@ -109,8 +120,7 @@ class Translated:
         toolchain, program = compiler(), Program()
         flags = SANITISED if SANITISE in os.environ else ()
         functions = [translate(kernel, given, program, name) for name, (kernel, given) in kernels.items()]
-        for header in ("real.h", "arithmetic.h"):
-            (folder / header).write_text(TEMPLATES.get_template(f"{header}.j2").render())
+        (folder / "arithmetic.h").write_text(header("arithmetic.h"))
         source, library = folder / "kernels.c", folder / "kernels.so"
         source.write_text(text_of(program, functions))
         toolchain.build([source], library, "-shared", "-fPIC", *flags)
@@ -162,16 +172,16 @@ def assert_same(library: Translated, name: str, reference: Kernel, arguments: tu
 class Cases(dict[str, tuple[Kernel, Kernel, Calls]]):
     """Kernels by name, each with its reference and the arguments that it is called with."""
 
-    def case(self, *calls: tuple[Any, ...], of_numba: bool = False) -> Callable[[Kernel], Kernel]:
+    def case(self, *calls: tuple[Any, ...], reference: Kernel | None = None) -> Callable[[Kernel], Kernel]:
         """Make a kernel a case.
 
         Args:
             *calls: Its arguments, for each call.
-            of_numba: Whether the reference is compiled by numba: where it has float32 beside float64, or np.sign.
+            reference: What gives its results in Python; None for the kernel itself.
         """
 
         def add(kernel: Kernel) -> Kernel:
-            self.add(kernel, list(calls), numba.njit(error_model="numpy")(kernel) if of_numba else kernel)
+            self.add(kernel, list(calls), reference)
             return kernel
 
         return add

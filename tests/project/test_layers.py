@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from beltarm_env.sources import source_files
+
 ROOT = Path(__file__).resolve().parents[2]
 FLOORS = {
     "beltarm_env": (
-        *("arrays sources timing", "jit", "threads", "arm", "physics", "observation metrics", "task", "kernels"),
+        *("sources", "engine", "arrays timing", "arm", "physics"),
+        *("observation metrics", "task", "kernels"),
         *("rendering", "mujoco", "arguments simulation batch recording", "env", "vector_env", "rollout"),
     ),
     "baselines": (
@@ -19,7 +22,7 @@ FLOORS = {
         *("iterative yardsticks loops", "registry", "guard tuning"),
     ),
     "agents": ("residual", "policy", "runs", "learners observer"),
-    "eval": ("comparison reference translation", "report", "exports", "studies", "speed"),
+    "eval": ("comparison reference", "report", "exports", "studies", "speed"),
 }
 """From the bottom up: a module may import what stands on a lower floor, and what is in its own room.
 
@@ -31,13 +34,13 @@ ABOVE = {
     "baselines": {"agents", "train", "eval"},
     "agents": {"train", "eval"},
 }
-DEPENDENCIES = {"gymnasium", "llvmlite", "numba", "numpy"}
+DEPENDENCIES = {"gymnasium", "numpy"}
 OPTIONAL = {"pygame", "mujoco", "matplotlib", "pandas", "pyarrow"}
 
 
 def modules(package: str) -> Iterator[tuple[str, Path]]:
     """Dotted names and files of a package."""
-    for path in sorted((ROOT / package).rglob("*.py")):
+    for path in (path for path in source_files(ROOT / package) if path.suffix == ".py"):
         parts = path.relative_to(ROOT).with_suffix("").parts
         yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
 

@@ -25,7 +25,8 @@ def folder(tmp_path: Path) -> Path:
     python.parent.mkdir(parents=True)
     python.write_text(MADE_AT_ONCE)
     python.chmod(0o755)
-    (tmp_path / ".venv" / ".ready").touch()
+    for stamp in (".ready-compare", ".ready"):
+        (tmp_path / ".venv" / stamp).touch()
     return tmp_path
 
 

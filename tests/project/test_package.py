@@ -12,19 +12,25 @@ from pathlib import Path
 import pytest
 
 import beltarm_env
+from beltarm_env.engine import building, shipped
+from beltarm_env.sources import source_files
 from tests.lowest import lowest_versions
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "beltarm_env"
+README = ("engine/translation/README.md",)
 HEAVY = (
     *("torch", "stable_baselines3", "control", "scipy", "matplotlib", "pandas", "pygame", "tensorboard", "tyro"),
-    *("mujoco", "sympy", "pyarrow", "h5py", "minari"),
+    *("mujoco", "sympy", "pyarrow", "h5py", "minari", "numba"),
 )
-DEPENDENCIES = {"gymnasium", "llvmlite", "numba", "numpy"}
+DEPENDENCIES = {"gymnasium", "numpy"}
 
 
-def python(code: str, folder: Path, path: Path | str = ROOT, *options: str, **environment: str) -> str:
+def python(
+    code: str, folder: Path, path: Path | str = ROOT, *options: str, stream: str = "stdout", **environment: str
+) -> str:
     """Output of a Python process of its own, without what this one has in its environment; warnings are errors."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA"))}
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "BELTARM"))}
     result = subprocess.run(
         [sys.executable, "-P", *options, "-W", "error", "-c", code],
         cwd=folder,
@@ -33,16 +39,16 @@ def python(code: str, folder: Path, path: Path | str = ROOT, *options: str, **en
         text=True,
     )
     assert result.returncode == 0, result.stderr
-    return result.stdout
+    return result.stdout if stream == "stdout" else result.stderr
 
 
 def test_import_is_light_and_registers(tmp_path: Path):
     code = f"""
 import sys, beltarm_env, gymnasium
-print([name for name in {HEAVY} if name in sys.modules], "numba" in sys.modules)
+print([name for name in {HEAVY} if name in sys.modules])
 print(gymnasium.spec("BeltArm-v0").id, gymnasium.spec("BeltArm-v0").vector_entry_point)
 """
-    expected = "[] False\nBeltArm-v0 beltarm_env.vector_env:BeltArmVectorEnv\n"
+    expected = "[]\nBeltArm-v0 beltarm_env.vector_env:BeltArmVectorEnv\n"
     assert python(code, tmp_path) == expected
 
 
@@ -53,7 +59,7 @@ print(type(gymnasium.make("beltarm_env:BeltArm-v0", model="lagrangian").unwrappe
 from beltarm_env import *
 import beltarm_env
 assert beltarm_env.__all__ and all(name in globals() for name in beltarm_env.__all__)
-print([name for name in {HEAVY} if name in sys.modules and name != "scipy"])  # numba looks whether SciPy is there
+print([name for name in {HEAVY} if name in sys.modules])
 """
     assert python(code, tmp_path) == "BeltArmEnv\n[]\n"
     with pytest.raises(AttributeError, match=r"'beltarm_env'.*'Arm'"):
@@ -82,7 +88,9 @@ def test_hashes_are_of_the_pinned_versions():
 def build(folder: Path, checkout: Path, *kinds: str, umask: int = 0o022) -> dict[str, Path]:
     """Files that `build` makes of a checkout, by suffix; without kinds the wheel is made from the source archive."""
     command = [sys.executable, "-m", "build", *kinds, "--no-isolation", "--outdir", str(folder), str(checkout)]
-    fixed = {**os.environ, "SOURCE_DATE_EPOCH": "1700000002"}
+    # A single level, and objects that were built before: to compile all of them takes a minute.
+    known = {"BELTARM_LEVEL": building.level(), "BELTARM_CACHE_DIR": str(building.cache_folder())}
+    fixed = {**os.environ, "SOURCE_DATE_EPOCH": "1700000002", **known}
     result = subprocess.run(command, cwd=folder, env=fixed, umask=umask, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr + result.stdout
     return {path.suffix: path for path in folder.iterdir()}
@@ -98,8 +106,11 @@ def test_wheel_holds_the_environment_alone_and_asks_for_its_dependencies(built: 
         names = archive.namelist()
         (metadata,) = [archive.read(name).decode() for name in names if name.endswith(".dist-info/METADATA")]
     distribution = {name for name in names if name.split("/")[0].endswith(".dist-info")}
-    modules = {str(source.relative_to(ROOT)) for source in (ROOT / "beltarm_env").rglob("*.py")}
-    assert set(names) - distribution == modules | {"beltarm_env/py.typed", "beltarm_env/mujoco/belt_arm.xml"}
+    sources = {f"beltarm_env/{source.relative_to(PACKAGE)}" for source in source_files(PACKAGE)}
+    kernels = {name for name in names if name.startswith(f"beltarm_env/engine/built/{shipped.sources()}/")}
+    data = {f"beltarm_env/{name}" for name in ("py.typed", "mujoco/belt_arm.xml", "engine/built/sources.json", *README)}
+    assert set(names) - distribution == sources | data | kernels and len(kernels) > 40
+    assert re.search(r"-cp311-abi3-\w+\.whl$", built[".whl"].name)
     assert any(name.endswith("LICENSE") for name in distribution)
     assert "\nLicense-Expression: MIT\n" in metadata
     needed = re.findall(r"^Requires-Dist: ([\w-]+)[^;\n]*$", metadata, re.MULTILINE)
@@ -109,8 +120,10 @@ def test_wheel_holds_the_environment_alone_and_asks_for_its_dependencies(built: 
 def test_the_same_sources_give_the_same_bytes(built: dict[str, Path], tmp_path: Path):
     """Whatever the folder, the times and modes of its files, and the umask."""
     checkout, made = tmp_path / "elsewhere", tmp_path / "dist"
-    shutil.copytree(ROOT / "beltarm_env", checkout / "beltarm_env", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", ".gitignore", "README.md", "LICENSE", "CHANGELOG.md"):
+    shutil.copytree(
+        ROOT / "beltarm_env", checkout / "beltarm_env", ignore=shutil.ignore_patterns("__pycache__", "built")
+    )
+    for name in ("pyproject.toml", "hatch_build.py", ".gitignore", "README.md", "LICENSE", "CHANGELOG.md"):
         shutil.copy(ROOT / name, checkout)
     for path in checkout.rglob("*"):
         path.chmod(0o700 if path.is_dir() else 0o600)
@@ -122,6 +135,12 @@ def test_the_same_sources_give_the_same_bytes(built: dict[str, Path], tmp_path: 
         assert path.name == built[suffix].name and path.read_bytes() == built[suffix].read_bytes(), path.name
 
 
+CHANGED = """
+from beltarm_env.engine import building
+building._packaged_compiler = lambda: None
+import beltarm_env
+beltarm_env.BeltArmEnv()
+"""
 EPISODE = """
 import beltarm_env, gymnasium, importlib.metadata, importlib.util, numpy
 print(beltarm_env.__file__)
@@ -141,12 +160,19 @@ print(envs.step(numpy.zeros((2, 1)))[0].shape)
 
 
 def test_installed_wheel_runs_an_episode_elsewhere(built: dict[str, Path], tmp_path: Path):
-    """Without compiling, which would take most of this suite's time and is tested everywhere else."""
+    """As C, without a compiler and a cache."""
     folder = tmp_path / "installed"
     command = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--no-compile", "--target"]
     quiet = {**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
     subprocess.run([*command, str(folder), str(built[".whl"])], env=quiet, capture_output=True, check=True)
     # Without site, whose .pth files would bring in the checkout of an editable install.
     path = f"{folder}{os.pathsep}{sysconfig.get_path('purelib')}"
-    output = python(EPISODE, tmp_path, path, "-S", NUMBA_DISABLE_JIT="1").splitlines()
+    output = python(EPISODE, tmp_path, path, "-S", "-B", BELTARM_LEVEL=building.level()).splitlines()
     assert output == [str(folder / "beltarm_env" / "__init__.py"), "True", "[]", "1200 True True", "(2, 25)"]
+    assert python(EPISODE, tmp_path, path, "-S", "-B", stream="stderr", BELTARM_LEVEL=building.level()) == ""
+    engine = folder / "beltarm_env" / "engine"
+    assert not (engine / "__pycache__").exists(), "nothing was compiled"
+    with (engine / "c" / "real.h").open("a") as file:
+        file.write("\n")
+    told = python(CHANGED, tmp_path, path, "-S", "-B", stream="stderr")
+    assert "beltarm_env/engine/c/real.h was changed" in told and told.count("\n") == 1

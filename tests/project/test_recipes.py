@@ -46,7 +46,7 @@ def test_a_controller(tmp_path: Path):
         path.write_text(
             edited(path.read_text(encoding="utf-8"), text, name) if kind == "In" else text, encoding="utf-8"
         )
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "BELTARM_ENGINE": "plain"}
     command = [sys.executable, "-c", CODE]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["True"] * 5, done.stderr[-2000:]

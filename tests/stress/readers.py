@@ -28,7 +28,7 @@ from baselines.gains import tuned
 from baselines.registry import TUNABLE
 from baselines.tools.files import sealed
 from beltarm_env.task.seeds import arms_chosen_by
-from eval.comparison import scenarios
+from eval.comparison import sets
 from eval.comparison.schema import read_results
 from eval.comparison.sets import TEST_NAME, make_set
 from eval.comparison.splits import digest_of, draw_arms, first_seed
@@ -128,15 +128,15 @@ def _checkpoint(folder: Path) -> Reader:
 
 
 def _scenarios(folder: Path) -> Reader:
-    protocol = json.loads(scenarios.FILE.read_text())["protocol"]
+    protocol = json.loads(sets.FILE.read_text())["protocol"]
     first = first_seed("nominal", arms_chosen_by(protocol))
     split = draw_arms("nominal", TEST_NAME, range(first, first + _SCENARIOS))
-    content, path = scenarios.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
+    content, path = sets.content_of(make_set(TEST_NAME, {"nominal": split}), protocol), folder / "scenarios.json"
 
     def rehash(content: dict[str, Any]) -> None:
         content["sha256"] = digest_of({key: value for key, value in content.items() if key != "sha256"})
 
-    return _of_json(lambda: scenarios.load(path).label, path, content, rehash)
+    return _of_json(lambda: sets.load(path).label, path, content, rehash)
 
 
 def _results(folder: Path) -> Reader:

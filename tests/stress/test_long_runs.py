@@ -19,6 +19,7 @@ from properties import examples
 
 from beltarm_env import BeltArmEnv, BeltArmVectorEnv
 from beltarm_env.arrays import Singles
+from beltarm_env.engine import building
 from beltarm_env.observation import SENSORS
 from beltarm_env.physics.models import MODELS
 from beltarm_env.task.reference import PROFILES
@@ -78,6 +79,6 @@ def digest() -> str:
 def test_a_processor_without_wide_vectors_gives_the_same_bits():
     code = "from tests.stress.test_long_runs import digest; print(digest())"
     path = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "helpers")))
-    known = {**os.environ, "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "PYTHONPATH": path}
+    known = {**os.environ, "BELTARM_LEVEL": building.baseline(), "PYTHONPATH": path}
     done = subprocess.run([sys.executable, "-c", code], env=known, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == digest()

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics import friction
 from beltarm_env.physics.drive import Angles, Drive, angles_near, decay
 from beltarm_env.physics.driven.step import Step

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from beltarm_env.arm import Plant
-from beltarm_env.jit import inlined
+from beltarm_env.engine import inlined
 from beltarm_env.physics.drive import Angles, Drive, angles_near, turned
 from beltarm_env.physics.driven.torque import Stages
 from beltarm_env.physics.integrator import moved, weighted

@@ -24,8 +24,7 @@ from eval.comparison.methods import chosen
 from eval.comparison.rollouts import Recorder, shipped_controller, shipped_methods, side_by_side
 from eval.comparison.sets import development_set
 from eval.comparison.splits import EPISODES
-from eval.report.style import BLUE, GREEN, VERMILION, mark_one_two_five
-from eval.studies._drawing import below, name_rows, panels
+from eval.report.style import BLUE, GREEN, VERMILION, below, mark_one_two_five, name_rows, panels
 from eval.studies._frame import Bounds, Pictures, StudyOptions
 from eval.studies.guard.faults import EARLIEST, FAULTS, LATEST, BrokenPolicy, FaultyArms
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, fields
 from functools import partial
+from itertools import product
+from math import isfinite
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from baselines import CONTROLLERS, TUNABLE
 from baselines.gains import read_file
@@ -22,15 +25,15 @@ from baselines.tools.progress import progress_over
 from baselines.yardsticks.privileged import PrivilegedController
 from beltarm_env import EPISODE_STEPS
 from beltarm_env.arrays import Floats
+from beltarm_env.metrics import TORQUES
 from beltarm_env.rollout import Controller
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.check import microseconds
 from eval.comparison.methods import chosen
-from eval.studies._frame import Bounds, StudyOptions
-from eval.studies.loops.costs import CHANGES, LIMITS, blind, measure_costs, optimum, price, worth
-from eval.studies.loops.page import pictures, tables
+from eval.report.style import BLUE, VERMILION, damping_lines, panels
+from eval.studies._frame import Bounds, Pictures, StudyOptions, shown
+from eval.studies.loops import costs
 
-__all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
 ORACLE = "privileged"
 """Name of the controller that knows arm and state; never ranked."""
 QUICK = {"names": ("paper", "ei"), "arms": 8, "batch": 2}
@@ -65,10 +68,10 @@ def measure(options: Options) -> dict[str, Any]:
     names = chosen("controller", options.names, CONTROLLERS)
     rows, built = {}, {}
     for name in progress_over("controllers", [*names, ORACLE]):
-        make = PrivilegedController if name == ORACLE else blind(CONTROLLERS[name]())
-        built[name], rows[name] = measure_costs(make, options.arms, options.arms // 4)
+        make = PrivilegedController if name == ORACLE else costs.blind(CONTROLLERS[name]())
+        built[name], rows[name] = costs.measure_costs(make, options.arms, options.arms // 4)
         if name != ORACLE:
-            about = {"loop": scan(CONTROLLERS[name]()), "price": price(name, built[name])}
+            about = {"loop": scan(CONTROLLERS[name]()), "price": costs.price(name, built[name])}
             rows[name] |= about | {"times": times(make([]), options.batch)}
     return {
         "arms": options.arms,
@@ -76,14 +79,14 @@ def measure(options: Options) -> dict[str, Any]:
         "batch": options.batch,
         "first_seed": LOOPS.first,
         "oracle": ORACLE,
-        "changes": [change.title for change in CHANGES],
-        "limits": [change.title for change in LIMITS],
+        "changes": [change.title for change in costs.CHANGES],
+        "limits": [change.title for change in costs.LIMITS],
         "corners": ARMS,
         "asked": {"modulus": MarginCondition().modulus, "delay": MarginCondition().delay},
         "controllers": rows,
         "gains": {name: gains(name) for name in names},
-        "worth": worth({name: built[name] for name in names}),
-        "optimum": optimum(),
+        "worth": costs.worth({name: built[name] for name in names}),
+        "optimum": costs.optimum(),
     }
 
 
@@ -151,3 +154,120 @@ def gains(name: str) -> dict[str, Any]:
         ],
         "tuning": origin and {key: origin[key] for key in (*shown, "measured_on")},
     }
+
+
+# Page
+
+Data = dict[str, Any]
+_MARGINS = {"gain_up": "gain up", "gain_down": "gain down", "phase": "phase (°)", "delay": "delay (samples)"}
+_MARGINS |= {"modulus": "modulus"}
+"""Title of each margin."""
+_DIGITS = {"phase": 0, "delay": 1, "modulus": 2}
+_PANELS = (
+    (("gain_up", "gain_down"), "gain (dB)", (-45.0, 45.0), (-30, 0, 30), (6.0, -6.0)),
+    (("phase",), "phase (°)", (0.0, 115.0), (0, 50, 100), (30.0,)),
+    (("delay",), "delay (samples)", (0.5, 200.0), (1, 10, 100), ()),
+    (("modulus",), "modulus", (0.0, 1.05), (0, 0.5, 1), ()),
+)
+"""Margins, title, limits and marks of the axis, and levels beside those that are asked for."""
+
+
+def tables(data: Data) -> Data:
+    """Controllers as the template names them, texts of margins and ratios, and names for its sentences."""
+    rows = data["controllers"]
+    ranked = {name: row for name, row in rows.items() if name != data["oracle"]}
+    searches = {name: entry["tuning"] for name, entry in data["gains"].items() if entry["tuning"]}
+    return {
+        "labelled": {f"*{name}* (not ranked)" if name == data["oracle"] else name: row for name, row in rows.items()},
+        "ranked": ranked,
+        "titles": _MARGINS,
+        "margin": margin_text,
+        "ratio": ratio_text,
+        "shown": costs.SHOWN_METRICS,
+        "torques": TORQUES,
+        "gap": _gap(data["optimum"], rows),
+        "unpriced": [name for name in searches if not ranked[name]["price"]],
+        "priced": {name: row["price"] for name, row in ranked.items() if row["price"]},
+        "kept": [name for name, search in searches.items() if search["cost"] == search["cost_untuned"]],
+        "identifying": costs.IDENTIFYING,
+        "worse": costs.WORSE,
+    }
+
+
+def margin_text(name: str, value: float | None) -> str:
+    """A margin as text; a dash where there is none."""
+    if name in _DIGITS:
+        return shown(value, _DIGITS[name])
+    return f"×{value:.3g}" if value and isfinite(value) else "–"
+
+
+def ratio_text(value: float, left: int = 0) -> str:
+    """A ratio of costs, and how many arms left the workspace, if any."""
+    return (f"{value:.2f}" if value < 9.95 else f"{value:.0f}") + (f" ({left} left)" if left else "")
+
+
+def _gap(optimum: Data, rows: Data) -> Data:
+    """Costs of the clairvoyant optimum, in the mean of each kind and one by one, and costs of controllers over them."""
+    kinds = np.array([name.split(":")[0] for name in optimum["names"]])
+    groups = {kind: kinds == kind for kind in dict.fromkeys(kinds.tolist())}
+
+    def means(each: list[float]) -> Floats:
+        return np.array([*(np.array(each)[group].mean() for group in groups.values()), *each])
+
+    least = means(optimum["costs"])
+    ratios = [means(row["optimum"]) / least for row in rows.values()]
+    return {"kinds": list(groups), "least": least, "ratios": ratios}
+
+
+def pictures(data: Data) -> Pictures:
+    """All pictures, by the name of their file; small letters are legible where a page is 800 pixels wide."""
+    scans = {name: row["loop"] for name, row in data["controllers"].items() if "loop" in row}
+    return {"margins.png": lambda: _margins(scans, data["asked"]), "poles.png": lambda: _poles(scans)}
+
+
+def _margins(scans: Data, asked: dict[str, float]) -> Figure:
+    """One row for each controller, one column for each margin, axes shared down the columns."""
+    figure, axes = panels(len(scans) * len(_PANELS), len(_PANELS), (2.25, 0.95), sharex=True, sharey="col")
+    for axis, ((name, scan), (margins, title, limits, marks, levels)) in zip(
+        axes, product(scans.items(), _PANELS), strict=True
+    ):
+        for margin in margins:
+            axis.plot(np.degrees(ANGLES), _drawn(margin, scan["over_arms"][margin]), color=VERMILION, lw=1.6)
+            axis.plot(np.degrees(ANGLES), _drawn(margin, scan["design"][margin]), color=BLUE, lw=1.8)
+        axis.hlines(levels or asked[margins[0]], 0, 90, color="0.55", lw=0.9, ls="--", zorder=1)
+        axis.grid(color="0.92", lw=0.6)
+        axis.tick_params(labelsize=9.5)
+        axis.set(yscale="log" if "delay" in margins else "linear", xlim=(0, 90), xticks=(0, 30, 60, 90), ylim=limits)
+        axis.set_yticks(marks, [f"{mark:g}" for mark in marks])
+        if axis in axes[: len(_PANELS)]:
+            axis.set_title(title, fontsize=11)
+        if axis in axes[:: len(_PANELS)]:
+            axis.set_ylabel(name, rotation=0, ha="right", va="center", labelpad=8, fontsize=11)
+    figure.supxlabel("joint angle (°)", fontsize=11)
+    return figure
+
+
+def _drawn(margin: str, known: list[float | None]) -> Floats:
+    """Margins as drawn: gains in dB, NaN, which is not drawn, where there is no margin."""
+    values = np.array(known, dtype=np.float64)
+    return 20 * np.log10(np.where(values > 0, values, np.nan)) if margin.startswith("gain") else values
+
+
+def _poles(scans: Data) -> Figure:
+    """Closed-loop poles in the upper half plane, coloured by the angle of the arm."""
+    figure, axes = panels(len(scans), 4, (2.25, 2.3), sharex=True, sharey=True)
+    shown_poles = None
+    for axis, (name, scan) in zip(axes, scans.items(), strict=True):
+        angles = np.repeat(np.degrees(ANGLES), [len(poles) for poles in scan["poles"]])
+        real, imaginary = np.concatenate([np.reshape(poles, (-1, 2)) for poles in scan["poles"]]).T
+        shown_poles = axis.scatter(real, imaginary, c=angles, vmin=0, vmax=90, cmap="viridis", s=7, zorder=3)
+        damping_lines(axis, 0.1, 0.3)
+        axis.set(xlim=(-62, 4), ylim=(-2, 72))
+        axis.set_title(name, fontsize=11)
+        axis.tick_params(labelsize=9.5)
+        axis.grid(color="0.94", lw=0.6)
+    figure.supxlabel("real part (1/s)", fontsize=11)
+    figure.supylabel("imaginary part (1/s)", fontsize=11)
+    if shown_poles is not None:
+        figure.colorbar(shown_poles, ax=axes, label="joint angle (°)", shrink=0.6, ticks=(0, 30, 60, 90))
+    return figure

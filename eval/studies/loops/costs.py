@@ -33,8 +33,7 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import LOOPS
 from eval.comparison.statistics import estimate, interquartile_mean, worst_mean
-from eval.studies._arms import drawn, identifying_nothing
-from eval.studies._effects import EFFECTS
+from eval.studies._arms import drawn, heading, identifying_nothing
 
 _DESIGN = design_model()
 
@@ -65,9 +64,7 @@ def _latency(title: str, samples: float) -> Change:
 
 def _drive_effect(name: str) -> Change:
     """An effect of the drive half as large again as the upper end of its training range."""
-    effect = EFFECTS[name]
-    title = f"{effect.column or effect.title} {effect.sign}{effect.shown(name, 1.5)} {effect.unit}"
-    return Change(title, {name: 1.5 * DRIVE_RANGES[name][1]})
+    return Change(heading(name, 1.5), {name: 1.5 * DRIVE_RANGES[name][1]})
 
 
 _FRICTION = ("coulomb_friction", "motor_viscous_friction")

@@ -26,31 +26,11 @@ from beltarm_env.task.ranges import DRIVE_RANGES
 from beltarm_env.task.reference import MoveShape
 from beltarm_env.task.seeds import PAPER_DRIVES, PAPER_MOVES, SeedRange
 from beltarm_env.task.sensors import ENCODER_COUNTS
-from eval.studies._arms import drawn
-from eval.studies._effects import EFFECTS, IDEAL, with_effect
+from eval.studies._arms import EFFECTS, IDEAL, drawn, with_effect
 from eval.studies._frame import Bounds, StudyOptions
+from eval.studies.paper import runs
 from eval.studies.paper.linear import TABLE_2, linear_numbers
 from eval.studies.paper.page import pictures, tables
-from eval.studies.paper.runs import (
-    BOTH_ARMS,
-    END_WINDOW,
-    MAIN,
-    PHASES,
-    PLACES,
-    REDUCED,
-    REMOVED,
-    SIGNALS,
-    STANDARD,
-    VIEWS,
-    Conditions,
-    answer,
-    ratios,
-    ringing_of,
-    run_moves,
-    signals_of,
-    summary,
-    suppression,
-)
 
 __all__ = ["QUICK", "Options", "measure", "pictures", "tables"]
 QUICK = {"draws": 1, "moves": 8}
@@ -74,17 +54,17 @@ def measure(options: Options) -> dict[str, Any]:
     """Everything that pictures, tables and sentences show."""
     random_moves = SeedRange(PAPER_MOVES.first, options.moves)
     scenes, signals = run_scenes()
-    usual = {scene["view"]: scene["phases"] for scene in scenes if scene["place"] == STANDARD}
+    usual = {scene["view"]: scene["phases"] for scene in scenes if scene["place"] == runs.STANDARD}
     return {
         "gains": asdict(TABLE_2),
-        "move": PLACES[STANDARD]._asdict(),
-        "bounds": {"removed": REMOVED, "reduced": REDUCED, "window": END_WINDOW},
+        "move": runs.PLACES[runs.STANDARD]._asdict(),
+        "bounds": {"removed": runs.REMOVED, "reduced": runs.REDUCED, "window": runs.END_WINDOW},
         "random_moves": random_moves._asdict(),
         "drawn_drives": {"first": PAPER_DRIVES.first, "size": options.draws},
         "scenes": scenes,
         "signals": signals,
         "alternatives": vary(usual),
-        "random": {view: random(suppression(under, random_moves)) for view, under in BOTH_ARMS.items()},
+        "random": {view: random(runs.suppression(under, random_moves)) for view, under in runs.BOTH_ARMS.items()},
         "linear": linear_numbers(TABLE_2),
         "drives": on_drives(options.draws),
     }
@@ -93,14 +73,14 @@ def measure(options: Options) -> dict[str, Any]:
 def run_scenes() -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Run the moves of `PLACES` under each of `VIEWS`: numbers of each, and signals over time of some."""
     scenes, signals = [], {}
-    for view, conditions in progress_over("conditions", list(VIEWS.items())):
-        pair = [run_moves(conditions, gains, list(PLACES.values())) for gains in TABLE_2.without_and_with]
-        ringing = np.array([ringing_of(run) for run in pair])
-        for k, (place, move) in enumerate(PLACES.items()):
-            shown = [signals_of(run, k) for run in pair]
+    for view, conditions in progress_over("conditions", list(runs.VIEWS.items())):
+        pair = [runs.run_moves(conditions, gains, list(runs.PLACES.values())) for gains in TABLE_2.without_and_with]
+        ringing = np.array([runs.ringing_of(run) for run in pair])
+        for k, (place, move) in enumerate(runs.PLACES.items()):
+            shown = [runs.signals_of(run, k) for run in pair]
             numbers = {"place": place, "view": view, "move": move._asdict(), **ringing_numbers(ringing[:, :, k])}
-            scenes.append({**numbers, "motions": [summary(each) for each in shown]})
-            if names := SIGNALS.get((place, view)):
+            scenes.append({**numbers, "motions": [runs.summary(each) for each in shown]})
+            if names := runs.SIGNALS.get((place, view)):
                 without, suppressed = ({name: thinned(each[name]) for name in each} for each in shown)
                 references = [f"{name}_reference" for name in names if f"{name}_reference" in without]
                 signals[f"{place}, {view}"] = {
@@ -108,7 +88,7 @@ def run_scenes() -> tuple[list[dict[str, Any]], dict[str, Any]]:
                     "without": {name: without[name] for name in names},
                     "suppressed": {name: suppressed[name] for name in names},
                 }
-    return sorted(scenes, key=lambda scene: list(PLACES).index(scene["place"])), signals
+    return sorted(scenes, key=lambda scene: list(runs.PLACES).index(scene["place"])), signals
 
 
 def ringing_numbers(pair: Floats) -> dict[str, Any]:
@@ -117,11 +97,11 @@ def ringing_numbers(pair: Floats) -> dict[str, Any]:
     Args:
         pair: Shape (2, len(PHASES)).
     """
-    left = dict(zip(PHASES, ratios(pair), strict=True))
+    left = dict(zip(runs.PHASES, runs.ratios(pair), strict=True))
     return {
-        "phases": [dict(zip(PHASES, phases, strict=True)) for phases in pair],
+        "phases": [dict(zip(runs.PHASES, phases, strict=True)) for phases in pair],
         "ratios": left,
-        "answer": answer(left["end"]),
+        "answer": runs.answer(left["end"]),
         "left": np.isinf(pair[:, 1]).tolist(),
     }
 
@@ -133,7 +113,7 @@ def thinned(values: Floats) -> list[float]:
 
 def vary(usual: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Ringing for every alternative under both main conditions, and whether it differs from the standard move's."""
-    by_view = {view: try_alternatives(ALTERNATIVES, base) for view, base in MAIN.items()}
+    by_view = {view: try_alternatives(ALTERNATIVES, base) for view, base in runs.MAIN.items()}
     rows = []
     for alternative in ALTERNATIVES:
         views = {}
@@ -155,9 +135,10 @@ def random(pair: Floats) -> dict[str, Any]:
         pair: Ringing without and with vibration feedback, shape (2, len(PHASES), n).
     """
     phases = {}
-    for phase, values in zip(PHASES, ratios(pair), strict=True):
+    for phase, values in zip(runs.PHASES, runs.ratios(pair), strict=True):
         known = np.sort(values[~np.isnan(values)])
-        kinds = {"removed": known < REMOVED, "reduced": known < REDUCED, "increased": known > 1 / REDUCED}
+        kinds = {"removed": known < runs.REMOVED, "reduced": known < runs.REDUCED}
+        kinds["increased"] = known > 1 / runs.REDUCED
         median = float(np.quantile(known, 0.5, method="inverted_cdf")) if len(known) else math.nan
         shares = {kind: np.mean(chosen) if len(known) else math.nan for kind, chosen in kinds.items()}
         phases[phase] = {**shares, "median": median, "median_left": math.isinf(median), "ratios": known}
@@ -167,16 +148,16 @@ def random(pair: Floats) -> dict[str, Any]:
 def on_drives(draws: int) -> list[dict[str, Any]]:
     """Ringing on all drives, by place and conditions."""
     rows = []
-    for view, conditions in progress_over("drives", list(MAIN.items())):
-        pair = run_drives(list(PLACES.values()), conditions, draws)
-        for (place, move), drives in zip(PLACES.items(), compare(pair, draws), strict=True):
+    for view, conditions in progress_over("drives", list(runs.MAIN.items())):
+        pair = run_drives(list(runs.PLACES.values()), conditions, draws)
+        for (place, move), drives in zip(runs.PLACES.items(), compare(pair, draws), strict=True):
             rows.append({"place": place, "view": view, "move": move._asdict(), "drives": drives})
-    return sorted(rows, key=lambda row: list(PLACES).index(row["place"]))
+    return sorted(rows, key=lambda row: list(runs.PLACES).index(row["place"]))
 
 
 # Other values of what the paper does not print, and real drives
 
-_USUAL, _TABLE_1 = PLACES[STANDARD], ArmParams()
+_USUAL, _TABLE_1 = runs.PLACES[runs.STANDARD], ArmParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,9 +174,9 @@ class Alternative:
         """The standard move with this value."""
         return _USUAL._replace(**self._of(MoveShape._fields))
 
-    def under(self, base: Conditions) -> Conditions:
+    def under(self, base: runs.Conditions) -> runs.Conditions:
         """Conditions with this value, all others as in `base`; unless `told`, the controller believes in that arm."""
-        arm, others = self._of(FIELDS), self._of(Conditions.__dataclass_fields__)
+        arm, others = self._of(FIELDS), self._of(runs.Conditions.__dataclass_fields__)
         known = base.known if self.changes.get("told", True) else base.arm
         return replace(base, arm=replace(base.arm, **arm), known=known, **others)
 
@@ -257,14 +238,14 @@ ALTERNATIVES = [Alternative(*assumption, *tried) for assumption, of_it in _TRIED
 """Other values of everything assumed, one at a time around the standard move."""
 
 
-def try_alternatives(alternatives: Sequence[Alternative], base: Conditions) -> dict[str, Floats]:
+def try_alternatives(alternatives: Sequence[Alternative], base: runs.Conditions) -> dict[str, Floats]:
     """Ringing by the label of the alternative, shape (2, len(PHASES)); equal conditions are run side by side."""
-    grouped: dict[Conditions, list[Alternative]] = {}
+    grouped: dict[runs.Conditions, list[Alternative]] = {}
     for alternative in alternatives:
         grouped.setdefault(alternative.under(base), []).append(alternative)
     results: dict[str, Floats] = {}
     for conditions, group in grouped.items():
-        ringing = suppression(conditions, [alternative.move for alternative in group])
+        ringing = runs.suppression(conditions, [alternative.move for alternative in group])
         results |= {alternative.label: ringing[:, :, k] for k, alternative in enumerate(group)}
     return results
 
@@ -273,7 +254,7 @@ DRIVES = (IDEAL, *EFFECTS)
 """Drives by name: ideal, with one effect, with all of them."""
 
 
-def run_drives(moves: list[MoveShape], conditions: Conditions, draws: int) -> list[Recording]:
+def run_drives(moves: list[MoveShape], conditions: runs.Conditions, draws: int) -> list[Recording]:
     """Run moves on `draws` drives of each kind.
 
     Returns:
@@ -285,24 +266,24 @@ def run_drives(moves: list[MoveShape], conditions: Conditions, draws: int) -> li
     table[:, columns] = drawn(draws, PAPER_DRIVES.first, DRIVE_RANGES).params_table[:, columns]
     arms = np.concatenate([with_effect(table, drive, 1.0) for _ in moves for drive in DRIVES])
     shapes = [move for move in moves for _ in range(len(DRIVES) * draws)]
-    return [run_moves(conditions, gains, shapes, arms) for gains in TABLE_2.without_and_with]
+    return [runs.run_moves(conditions, gains, shapes, arms) for gains in TABLE_2.without_and_with]
 
 
-def compare(runs: list[Recording], draws: int) -> list[list[dict[str, Any]]]:
+def compare(pair: list[Recording], draws: int) -> list[list[dict[str, Any]]]:
     """Ringing without and with vibration feedback: for each move a row for each of `DRIVES`."""
-    ringing = np.array([ringing_of(run) for run in runs]).reshape(2, len(PHASES), -1, len(DRIVES), draws)
+    ringing = np.array([runs.ringing_of(run) for run in pair]).reshape(2, len(runs.PHASES), -1, len(DRIVES), draws)
     return [[_row(drive, ringing[:, :, move, k]) for k, drive in enumerate(DRIVES)] for move in range(ringing.shape[2])]
 
 
 def _row(drive: str, ringing: Floats) -> dict[str, Any]:
     """Numbers of one drive, from its ringing, shape (2, len(PHASES), draws)."""
-    _, stop, end = ratios(ringing)
+    _, stop, end = runs.ratios(ringing)
     return {
         "drive": drive,
         "ringing": np.median(ringing[:, 1], axis=1),
         "stop": _spread(stop),
         "end": _spread(end),
-        "answers": Counter(answer(ratio) for ratio in end),
+        "answers": Counter(runs.answer(ratio) for ratio in end),
         "ratios": {"stop": stop, "end": end},
     }
 

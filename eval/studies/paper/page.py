@@ -15,38 +15,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from beltarm_env.arrays import Floats
-from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, mark_one_two_five
+from eval.report.style import BLUE, GREEN, ORANGE, PINK, VERMILION, below, damping_lines, mark_one_two_five
 from eval.report.text import degrees, poles_text
-from eval.studies._drawing import below, damping_lines
-from eval.studies._effects import ALL, IDEAL, heading
+from eval.studies._arms import ALL, IDEAL, heading
 from eval.studies._frame import Pictures
-from eval.studies.paper.linear import (
-    MARKED_ARMS,
-    PAPER_ARM,
-    ServoGains,
-    closed_loop,
-    damping_map,
-    locus,
-    poles,
-)
-from eval.studies.paper.runs import (
-    ANSWERS,
-    AS_ANALYSED,
-    BOTH_ARMS,
-    FRICTION,
-    MAIN,
-    PHASES,
-    SIGNALS,
-    STANDARD,
-    TO_0,
-)
+from eval.studies.paper import linear, runs
 
 Data = dict[str, Any]
 _COLOURS = (ORANGE, BLUE)  # of K4 = 0 and of the gain given
 _PHASE_SHADE = "#F0F0F0"
-_STYLES: dict[str, dict[str, Any]] = {AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, FRICTION: {"lw": 1.5}}
+_STYLES: dict[str, dict[str, Any]] = {runs.AS_ANALYSED: {"lw": 4.5, "alpha": 0.35}, runs.FRICTION: {"lw": 1.5}}
 """Lines as analysed and with friction: both can be seen where they coincide."""
-_MARKS = {AS_ANALYSED: (GREEN, "o", -0.17), FRICTION: (PINK, "D", 0.17)}
+_MARKS = {runs.AS_ANALYSED: (GREEN, "o", -0.17), runs.FRICTION: (PINK, "D", 0.17)}
 """Colour, marker and shift of marks, by conditions."""
 _LABELS = {
     "motor_speed": "motor speed (rad/s)",
@@ -64,19 +44,19 @@ def tables(data: Data) -> Data:
     scenes: dict[str, Data] = {}
     for scene in data["scenes"]:
         scenes.setdefault(scene["view"], {})[scene["place"]] = scene
-    standard = {row["view"]: row for row in data["drives"] if row["place"] == STANDARD}
+    standard = {row["view"]: row for row in data["drives"] if row["place"] == runs.STANDARD}
     return {
-        "counts": {view: counts(data, view) for view in MAIN},
+        "counts": {view: counts(data, view) for view in runs.MAIN},
         "scene": scenes,
         "tried": {row["label"]: row["views"] for row in data["alternatives"]},
         "chosen": {row["assumption"]: row["chosen"] for row in data["alternatives"]},
-        "answers": ANSWERS,
-        "phases": PHASES,
-        "main": tuple(MAIN),
-        "both_arms": tuple(BOTH_ARMS),
+        "answers": runs.ANSWERS,
+        "phases": runs.PHASES,
+        "main": tuple(runs.MAIN),
+        "both_arms": tuple(runs.BOTH_ARMS),
         "effect": heading,
         "pole_pairs": pole_pairs,
-        "verdicts": [_verdict(standard[view]) for view in (AS_ANALYSED, FRICTION)],
+        "verdicts": [_verdict(standard[view]) for view in (runs.AS_ANALYSED, runs.FRICTION)],
     }
 
 
@@ -95,7 +75,7 @@ def _verdict(row: Data) -> Data:
     """Whether K4 still suppresses the vibration of the standard move with all effects together."""
     by_name = {drive["drive"]: drive for drive in row["drives"]}
     ideal, driven = by_name[IDEAL], by_name[ALL]
-    answers = {answer: driven["answers"].get(answer, 0) for answer in ANSWERS[:3]}
+    answers = {answer: driven["answers"].get(answer, 0) for answer in runs.ANSWERS[:3]}
     draws, usual = sum(ideal["answers"].values()), max(ideal["answers"], key=ideal["answers"].get)
     reduced = answers["yes"] + answers["in part"]
     as_good = {"yes": answers["yes"], "in part": reduced}.get(usual)
@@ -118,11 +98,11 @@ def _verdict(row: Data) -> Data:
 
 def pictures(data: Data) -> Pictures:
     """All pictures, by the name of their file; those of the linear loop follow from the gains."""
-    gains = ServoGains(**data["gains"])
+    gains = linear.ServoGains(**data["gains"])
     return {
-        "responses_standard.png": lambda: _responses(data, STANDARD, FRICTION),
-        "responses_standard_as_analysed.png": lambda: _responses(data, STANDARD, AS_ANALYSED),
-        "responses_to_0.png": lambda: _responses(data, TO_0, FRICTION),
+        "responses_standard.png": lambda: _responses(data, runs.STANDARD, runs.FRICTION),
+        "responses_standard_as_analysed.png": lambda: _responses(data, runs.STANDARD, runs.AS_ANALYSED),
+        "responses_to_0.png": lambda: _responses(data, runs.TO_0, runs.FRICTION),
         "root_locus_90.png": lambda: _root_loci(gains, 90.0),
         "root_locus_0.png": lambda: _root_loci(gains, 0.0),
         "damping_map.png": lambda: _damping(gains),
@@ -139,7 +119,7 @@ def _array(values: Sequence[Any]) -> Floats:
 def _responses(data: Data, place: str, view: str) -> Figure:
     """Motor and tip over time, Figs. 4(b) and 8(b) side by side."""
     (move,) = [scene["move"] for scene in data["scenes"] if (scene["place"], scene["view"]) == (place, view)]
-    signals, names = data["signals"][f"{place}, {view}"], SIGNALS[place, view]
+    signals, names = data["signals"][f"{place}, {view}"], runs.SIGNALS[place, view]
     time, size = signals["time"], (9, 1.0 + 1.9 * len(names))
     figure, axes = plt.subplots(len(names), 2, figsize=size, layout="constrained", sharex=True, sharey="row")
     titles = ("K4 = 0 (as Fig. 4b)", f"K4 = {data['gains']['k4']:g} (as Fig. 8b)")
@@ -163,7 +143,7 @@ def _responses(data: Data, place: str, view: str) -> Figure:
 
 def _assumptions(data: Data) -> Figure:
     """Ratio of ringing with to without vibration feedback, one row per value of each assumption."""
-    usual = {scene["view"]: scene for scene in data["scenes"] if scene["place"] == STANDARD}
+    usual = {scene["view"]: scene for scene in data["scenes"] if scene["place"] == runs.STANDARD}
     rows = [{"assumption": "", "label": "standard move", "views": usual}, *data["alternatives"]]
     changes = [k for k in range(1, len(rows)) if rows[k]["assumption"] != rows[k - 1]["assumption"]]
     ratios = {view: [row["views"][view]["ratios"] for row in rows] for view in _MARKS}
@@ -172,8 +152,8 @@ def _assumptions(data: Data) -> Figure:
 
 def _drive_ratios(data: Data) -> Figure:
     """Ratio of ringing with to without vibration feedback, a row for each effect, a mark for each drive."""
-    rows = {row["view"]: row["drives"] for row in data["drives"] if row["place"] == STANDARD}
-    names = [heading(drive["drive"]) for drive in rows[FRICTION]]
+    rows = {row["view"]: row["drives"] for row in data["drives"] if row["place"] == runs.STANDARD}
+    names = [heading(drive["drive"]) for drive in rows[runs.FRICTION]]
     ratios = {view: [drive["ratios"] for drive in rows[view]] for view in _MARKS}
     return _ratios(data, names, ratios, list(range(1, len(names))), 5.2)
 
@@ -203,7 +183,7 @@ def _ratios(data: Data, names: list[str], ratios: Data, lines: list[int], height
         for bound in (data["bounds"]["removed"], data["bounds"]["reduced"]):
             axis.axvline(bound, color="0.4", lw=1, ls=":")
         axis.axvline(1, color="0.4", lw=1)
-        axis.set(xscale="log", title=PHASES[phase], xlabel=_RATIO.format(**data["gains"]))
+        axis.set(xscale="log", title=runs.PHASES[phase], xlabel=_RATIO.format(**data["gains"]))
         mark_one_two_five(axis.xaxis)
         axis.xaxis.set_minor_locator(NullLocator())
     axes[0].set_yticks(range(len(names)), names, fontsize=9)
@@ -219,7 +199,7 @@ def _moves(data: Data) -> Figure:
         for phase, colour in (("cruise", GREEN), ("stop", PINK)):
             ratios = _array(data["random"][view]["phases"][phase]["ratios"])
             share = 100 * (np.arange(len(ratios)) + 1) / max(len(ratios), 1)
-            axis.plot(ratios, share, color=colour, label=f"{PHASES[phase]}, {view}", **style)
+            axis.plot(ratios, share, color=colour, label=f"{runs.PHASES[phase]}, {view}", **style)
     reduced = data["bounds"]["reduced"]
     axis.axvline(1, color="0.5", lw=1, ls=":")
     axis.axvspan(reduced, 1 / reduced, color=_PHASE_SHADE, zorder=0)
@@ -232,15 +212,15 @@ def _moves(data: Data) -> Figure:
     return figure
 
 
-def _root_loci(gains: ServoGains, angle_deg: float) -> Figure:
+def _root_loci(gains: linear.ServoGains, angle_deg: float) -> Figure:
     """Root loci over K_4 and over omega_n at one joint angle, the poles at the gains given marked."""
     parameters = {
         "k4": (np.linspace(0, _K4_SHOWN, 241), "$K_4$ (N m s/rad)"),
         "natural_frequency": (np.linspace(0.1, 15.0, 241), "$\\omega_n$ (rad/s)"),
     }
     angle = np.radians(angle_deg)
-    loci = [locus(angle, gains, name, values) for name, (values, _) in parameters.items()]
-    chosen = poles(closed_loop(PAPER_ARM, angle, gains))
+    loci = [linear.locus(angle, gains, name, values) for name, (values, _) in parameters.items()]
+    chosen = linear.poles(linear.closed_loop(linear.PAPER_ARM, angle, gains))
     top = 1.12 * max(25.0, *(float(each.imag.max()) for each in loci))
     titles = (
         f"(a) over $K_4$; $\\omega_n$ = {gains.natural_frequency:g} rad/s, $\\xi$ = {gains.damping:g}",
@@ -262,10 +242,10 @@ def _root_loci(gains: ServoGains, angle_deg: float) -> Figure:
     return figure
 
 
-def _damping(gains: ServoGains) -> Figure:
+def _damping(gains: linear.ServoGains) -> Figure:
     """Map of the dominant damping over K_4 and M2: left of the line of best gains more K_4 helps, right of it hurts."""
     k4, m2 = np.linspace(0, _K4_SHOWN, 501), np.linspace(0.008, 0.14, 133)
-    damping = damping_map(gains, k4, m2)
+    damping = linear.damping_map(gains, k4, m2)
     best = k4[damping.argmax(axis=1)]
     figure, axis = plt.subplots(figsize=(9, 5.2), layout="constrained")
     levels = np.arange(0.05 * np.floor(20 * damping.min()), damping.max() + 0.05, 0.05)
@@ -276,10 +256,10 @@ def _damping(gains: ServoGains) -> Figure:
     axis.plot(best, m2, color=VERMILION, lw=2.2, label="best K4: left of it more helps, right of it hurts")
     axis.axvline(gains.k4, color="black", lw=1.8, ls="--", label=f"K4 = {gains.k4:g}")
     axis.set(xlabel="$K_4$ (N m s/rad)", ylabel="$M_2$ (kg m²)", xlim=(0, k4[-1]), ylim=(m2[0], m2[-1]))
-    for value in MARKED_ARMS.values():
+    for value in linear.MARKED_ARMS.values():
         axis.axhline(value, color="white", lw=1.6, ls=":")
-    names = [name.replace(", ", ",\n").replace("payload ", "payload\n") for name in MARKED_ARMS]
-    axis.secondary_yaxis("right").set_yticks(list(MARKED_ARMS.values()), names)
+    names = [name.replace(", ", ",\n").replace("payload ", "payload\n") for name in linear.MARKED_ARMS]
+    axis.secondary_yaxis("right").set_yticks(list(linear.MARKED_ARMS.values()), names)
     figure.colorbar(shown, ax=axis, label="smallest damping ratio of any pole")
     below(figure, axis, 2)
     return figure

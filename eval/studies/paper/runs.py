@@ -197,7 +197,7 @@ def signals_of(recording: Recording, episode: int = 0) -> dict[str, Floats]:
     """
     plant, move = plant_of(recording.params[episode]), MoveShape(*recording.moves[episode].tolist())
     states = recording.state[:, episode]
-    tips = np.array([tip_motion(ArmState(*row), plant) for row in states])
+    tips = np.array([tip_motion(ArmState(*row), plant, None) for row in states])
     there = np.where(recording.finished[episode] | (states != states[-1]).any(axis=1), 1.0, np.nan)
     references = [reference_at(TRAPEZOID, move, time) for time in recording.time]
     signals = {

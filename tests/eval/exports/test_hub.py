@@ -32,7 +32,7 @@ from agents.policy.bundle import (
 from agents.residual.controller import ResidualSettings
 from beltarm_env.rollout import rollout
 from eval import export
-from eval.comparison.scenarios import choose_set
+from eval.comparison.sets import choose_set
 from eval.exports import hub
 from eval.exports.hub import CONFIG, EXCERPT, FILM, MODEL, PUBLISHED, bibtex
 from eval.exports.scores import losses

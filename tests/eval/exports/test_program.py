@@ -18,6 +18,7 @@ from refusals import refused
 
 from baselines import CONTROLLERS
 from baselines.guard.guard import LEVEL
+from beltarm_env.engine.translation.types import TranslationError
 from beltarm_env.kernels.layout import LANES, Rows
 from eval import export
 from eval.comparison.sets import development_set
@@ -25,9 +26,9 @@ from eval.exports.compilers import FLAGS, PROCESSORS, SANITISED, Toolchain, foot
 from eval.exports.folder import FORMAT, MANIFEST
 from eval.exports.program import exportable, loop_of, write_program
 from eval.exports.source import for_one_lane
-from eval.translation.types import TranslationError
 
 ROOT = Path(__file__).resolve().parents[3]
+EXAMPLES = ROOT / "docs" / "examples"
 PAGE = (ROOT / "docs/guide/export.md").read_text(encoding="utf-8")
 STUDENT, PPO = (str(ROOT / "agents" / "policies" / name / "seed0") for name in ("student", "ppo"))
 SPLITS = list(development_set().splits)
@@ -176,6 +177,12 @@ def test_the_command(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
 
 
+def test_a_law_in_a_file_of_its_own(compiler: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    manifest = write(f"{EXAMPLES / 'my_servo.py'}:MyServo", "--episodes", "1", cwd=tmp_path)
+    assert re.search(r"(\d+) of \1 torques", capsys.readouterr().out)
+    assert manifest["name"] == "my_servo" and "k_my_law" in (tmp_path / "made" / "my_servo.c").read_text()
+
+
 def test_users_files_are_not_replaced(tmp_path: Path):
     (tmp_path / "work").mkdir()
     for file in (tmp_path / "work" / "thesis.tex", tmp_path / "file"):
@@ -192,6 +199,8 @@ def test_users_files_are_not_replaced(tmp_path: Path):
         (("adaptiv",), ("'adaptiv'", "'adaptive'")),
         (("warp",), ("'warp'",)),
         (("mpc",), ("'mpc'", *exportable())),
+        ((f"{EXAMPLES / 'my_controller.py'}:MyController",), ("MyController", "kernel()")),
+        (("warp.py:Servo",), ("warp.py",)),
         (("ei", "--episodes", "0"), ("--episodes", "200")),
         (("ei", "--plan-samples", "20"), ("--plan-samples", "19")),
         *((("ei", "--name", name), ("--name", repr(name))) for name in ("a-b", "class", "real", "a__b", "begin")),

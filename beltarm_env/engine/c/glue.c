@@ -1,0 +1,330 @@
+/* Calls of compiled kernels from Python, without Python's lock: the module _glue.
+ *
+ * A kernel has variants, compiled functions for arguments of different types. They know nothing of Python. */
+#define _POSIX_C_SOURCE 200809L /* threads, signals and clocks */
+#include "arguments.h"
+#include "level.h"
+#include "pool.h"
+#include "results.h"
+
+typedef struct {
+    PyObject head;
+    PyObject *missing, *variants;
+    Py_ssize_t last; /* the variant that was called last */
+} Kernel;
+
+enum { ON_STACK = 12288, SHARED_ON_STACK = 2048, MAX_SHARES = 4096 };
+
+typedef struct {
+    const Variant *v;
+    const Call *c;
+    int64_t *n;         /* whole numbers of each thread */
+    const char **texts; /* what went wrong in each */
+} Shared;
+
+static void run_share(void *with, int thread)
+{
+    const Shared *s = with;
+    s->texts[thread] = s->v->entry(s->c->p, s->c->r, s->n + thread * s->v->wholes, s->c->out);
+}
+
+static const char *run_shared(const Variant *v, const Call *c, int threads, int helped, void *room)
+{
+    Shared shared = {v, c, room, NULL};
+    const char *text = NULL;
+    shared.texts = (const char **)(shared.n + threads * v->wholes);
+    for (int k = 0; k < threads; ++k) {
+        memcpy(shared.n + k * v->wholes, c->n, sizeof(int64_t) * (size_t)v->wholes);
+        shared.n[k * v->wholes] = k;
+    }
+    share_work(run_share, &shared, threads, helped);
+    for (int k = threads - 1; k >= 0; --k) text = shared.texts[k] ? shared.texts[k] : text;
+    return text;
+}
+
+/* Run a variant whose arguments are unpacked, in several threads if `threads` is not 0. */
+static PyObject *run(const Variant *v, Call *c, int threads)
+{
+    int64_t small[SHARED_ON_STACK / sizeof(int64_t)];
+    size_t need = (size_t)threads * (sizeof(int64_t) * (size_t)v->wholes + sizeof(char *));
+    void *room = small;
+    const char *text;
+    if (c->overflow) {
+        release_arrays(c);
+        return PyErr_Format(PyExc_OverflowError, "a whole number is beyond 64 bits");
+    }
+    if (need > sizeof small && (room = PyMem_Malloc(need)) == NULL) {
+        release_arrays(c);
+        return PyErr_NoMemory();
+    }
+    int helped = threads > 1 ? ready_helpers(threads) : 0;
+    PyThreadState *state = PyEval_SaveThread();
+    text = threads > 0 ? run_shared(v, c, threads, helped, room) : v->entry(c->p, c->r, c->n, c->out);
+    PyEval_RestoreThread(state);
+    release_arrays(c);
+    if (room != small) PyMem_Free(room);
+    if (text) return PyErr_Format(PyExc_ValueError, "%s", text);
+    return result_of(v, c->out);
+}
+
+/* Call a variant if it takes the arguments. Returns whether it does; then there is a result or an error.
+ * If there is no other variant to be tried, there is an error in any case. */
+static bool attempt(const Variant *v, PyObject *const *arguments, Py_ssize_t count, int threads, bool only,
+                    PyObject **result)
+{
+    double small[ON_STACK / sizeof(double)]; /* small calls need no other memory */
+    char *room = v->room <= sizeof small ? (char *)small : PyMem_Malloc(v->room);
+    Call c = {0};
+    Py_ssize_t failed;
+    if (room == NULL) {
+        *result = PyErr_NoMemory();
+        return true;
+    }
+    c.r = (double *)room;
+    c.n = (int64_t *)(c.r + v->reals);
+    c.out = (Slot *)(c.n + v->wholes);
+    c.buffers = (Py_buffer *)(c.out + v->slots);
+    c.p = (void **)(c.buffers + v->arrays);
+    c.tuples = (PyObject **)(c.p + v->arrays);
+    failed = unpack(v, &c, arguments, count);
+    if (failed == DONE) *result = run(v, &c, threads);
+    else release_arrays(&c);
+    if (failed != DONE && only) *result = refuse(v, &c, failed, arguments, count);
+    if (room != (char *)small) PyMem_Free(room);
+    return failed == DONE;
+}
+
+static PyObject *nothing(void)
+{
+    Py_IncRef(Py_None);
+    return Py_None;
+}
+
+static PyObject *dispatch(Kernel *k, PyObject *const *arguments, Py_ssize_t count, int threads)
+{
+    Py_ssize_t many = PyList_Size(k->variants), last = k->last;
+    PyObject *result = NULL;
+    if (many < 0) return NULL; /* the garbage collector was here */
+    for (Py_ssize_t turn = 0; turn < many; ++turn) {
+        Py_ssize_t i = turn == 0 ? last : turn <= last ? turn - 1 : turn;
+        const Variant *v = (Variant *)PyList_GetItem(k->variants, i);
+        if (threads > 0 && (v->nodes[0].kind != 'n' || strcmp(v->returns, "0") != 0)) continue;
+        if (attempt(v, arguments, count, threads, false, &result)) {
+            k->last = i;
+            return result;
+        }
+    }
+    PyObject *tuple = PyTuple_New(count);
+    for (Py_ssize_t i = 0; tuple && i < count; ++i) {
+        Py_IncRef(arguments[i]);
+        PyTuple_SetItem(tuple, i, arguments[i]);
+    }
+    if (tuple == NULL) return NULL;
+    result = PyObject_CallObject(k->missing, tuple);
+    Py_DecRef(tuple);
+    return result;
+}
+
+static PyObject *kernel_call(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    return dispatch((Kernel *)self, arguments, count, 0);
+}
+
+static PyObject *kernel_share(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    Py_ssize_t threads = 0;
+    if (count < 1 || !is_whole(Py_TYPE(arguments[0]))) {
+        return PyErr_Format(PyExc_TypeError, "the first argument is the number of threads, a whole number");
+    }
+    threads = PyLong_AsSsize_t(arguments[0]);
+    if (threads == -1 && PyErr_Occurred()) return NULL;
+    if (threads < 1 || threads > MAX_SHARES) {
+        return PyErr_Format(PyExc_ValueError, "%zd threads; there are 1 to %d", threads, MAX_SHARES);
+    }
+    return dispatch((Kernel *)self, arguments, count, (int)threads);
+}
+
+static PyObject *variant_call(PyObject *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    PyObject *result = NULL;
+    attempt((const Variant *)self, arguments, count, 0, true, &result);
+    return result;
+}
+
+/* ---- Types ---- */
+
+/* The type of variants */
+static PyTypeObject *variant_type(PyObject *self) { return *(PyTypeObject **)PyType_GetModuleState(Py_TYPE(self)); }
+
+static PyObject *new_object(PyTypeObject *type) { return ((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0); }
+
+static void delete_object(PyObject *self)
+{
+    PyTypeObject *type = Py_TYPE(self);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DecRef((PyObject *)type);
+}
+
+static void drop(PyObject **object)
+{
+    PyObject *dropped = *object;
+    *object = NULL;
+    if (dropped) Py_DecRef(dropped);
+}
+
+static int visit_both(PyObject *self, PyObject *one, PyObject *other, visitproc visit, void *with)
+{
+    int stop = visit((PyObject *)Py_TYPE(self), with);
+    if (stop == 0 && one) stop = visit(one, with);
+    return stop == 0 && other ? visit(other, with) : stop;
+}
+
+static int variant_traverse(PyObject *self, visitproc visit, void *with)
+{
+    Variant *v = (Variant *)self;
+    return visit_both(self, v->constants, v->finish, visit, with);
+}
+
+static int kernel_traverse(PyObject *self, visitproc visit, void *with)
+{
+    Kernel *k = (Kernel *)self;
+    return visit_both(self, k->missing, k->variants, visit, with);
+}
+
+static int kernel_clear(PyObject *self)
+{
+    drop(&((Kernel *)self)->missing);
+    drop(&((Kernel *)self)->variants);
+    return 0;
+}
+
+static void variant_delete(PyObject *self)
+{
+    Variant *v = (Variant *)self;
+    PyObject_GC_UnTrack(self);
+    drop(&v->constants);
+    drop(&v->finish);
+    PyMem_Free(v->nodes);
+    PyMem_Free(v->returns);
+    delete_object(self);
+}
+
+static void kernel_delete(PyObject *self)
+{
+    PyObject_GC_UnTrack(self);
+    kernel_clear(self);
+    delete_object(self);
+}
+
+static PyObject *kernel_new(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
+{
+    PyObject *missing;
+    (void)keywords;
+    if (!PyArg_ParseTuple(arguments, "O:Kernel", &missing)) return NULL;
+    Kernel *k = (Kernel *)new_object(type);
+    if (k == NULL) return NULL;
+    Py_IncRef(missing);
+    k->missing = missing;
+    if ((k->variants = PyList_New(0)) == NULL) drop((PyObject **)&k);
+    return (PyObject *)k;
+}
+
+static PyObject *kernel_add(PyObject *self, PyObject *arguments)
+{
+    unsigned long long address;
+    const char *spec, *returns;
+    PyObject *constants, *finish;
+    if (!PyArg_ParseTuple(arguments, "KsO!sO:add", &address, &spec, &PyTuple_Type, &constants, &returns, &finish)) {
+        return NULL;
+    }
+    if (address == 0) return PyErr_Format(PyExc_ValueError, "an entry has no address");
+    Variant *v = (Variant *)new_object(variant_type(self));
+    if (v == NULL) return NULL;
+    v->entry = (Entry)(uintptr_t)address;
+    Py_IncRef(constants);
+    v->constants = constants;
+    if (finish != Py_None) {
+        Py_IncRef(finish);
+        v->finish = finish;
+    }
+    bool added = set_up(v, spec, returns) && PyList_Append(((Kernel *)self)->variants, (PyObject *)v) == 0;
+    Py_DecRef((PyObject *)v);
+    return added ? nothing() : NULL;
+}
+
+static PyObject *kernel_variant(PyObject *self, PyObject *number)
+{
+    static PyMethodDef call = {"variant", (PyCFunction)(void (*)(void))variant_call, METH_FASTCALL, NULL};
+    Py_ssize_t i = PyLong_AsSsize_t(number);
+    PyObject *v = i == -1 && PyErr_Occurred() ? NULL : PyList_GetItem(((Kernel *)self)->variants, i);
+    return v ? PyCFunction_NewEx(&call, v, NULL) : NULL;
+}
+
+static PyMethodDef kernel_methods[] = {
+    {"add", kernel_add, METH_VARARGS, "Add a variant: address, spec, constants, results, and a function of these"},
+    {"call", (PyCFunction)(void (*)(void))kernel_call, METH_FASTCALL, "Call the variant that takes the arguments"},
+    {"share", (PyCFunction)(void (*)(void))kernel_share, METH_FASTCALL, "Call in threads; their number comes first"},
+    {"variant", kernel_variant, METH_O, "Return a function that calls one variant only"},
+    {NULL, NULL, 0, NULL},
+};
+static PySlot kernel_slots[] = {
+    {Py_tp_new, kernel_new},           {Py_tp_dealloc, kernel_delete},   {Py_tp_traverse, kernel_traverse},
+    {Py_tp_clear, kernel_clear},       {Py_tp_methods, kernel_methods},  {0, NULL},
+};
+static PySlot variant_slots[] = {{Py_tp_dealloc, variant_delete}, {Py_tp_traverse, variant_traverse}, {0, NULL}};
+static PyType_Spec kernel_spec = {"_glue.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_HAVE_GC, kernel_slots};
+static PyType_Spec variant_spec = {"_glue.Variant", sizeof(Variant), 0,
+                                   Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_DISALLOW_INSTANTIATION, variant_slots};
+
+/* ---- Module ---- */
+
+static PyObject *module_level(PyObject *self, PyObject *unused)
+{
+    (void)self, (void)unused;
+    return PyLong_FromLongLong(level());
+}
+
+static int set_up_module(PyObject *module)
+{
+    PyObject *kernel = PyType_FromModuleAndSpec(module, &kernel_spec, NULL);
+    PyObject *variant = PyType_FromModuleAndSpec(module, &variant_spec, NULL);
+    if (kernel == NULL || variant == NULL) return -1;
+    *(PyObject **)PyModule_GetState(module) = variant;
+    return PyModule_AddType(module, (PyTypeObject *)kernel);
+}
+
+static PyObject *module_know_arrays(PyObject *self, PyObject *arrays)
+{
+    Py_buffer b;
+    PyTypeObject *type = NULL;
+    bool same = true;
+    Py_ssize_t count = PyTuple_Size(arrays);
+    (void)self;
+    if (count < 0) return NULL;
+    for (Py_ssize_t k = 0; same && k < count; ++k) {
+        PyObject *array = PyTuple_GetItem(arrays, k);
+        if (PyObject_GetBuffer(array, &b, PyBUF_STRIDES | PyBUF_FORMAT) != 0) return NULL;
+        same = (type == NULL || type == Py_TYPE(array)) && agree(array, &b);
+        type = Py_TYPE(array);
+        PyBuffer_Release(&b);
+    }
+    if (same && type != NULL) {
+        Py_IncRef((PyObject *)type);
+        array_type = type;
+    }
+    return PyBool_FromLong(same && type != NULL);
+}
+
+static PyMethodDef functions[] = {
+    {"know_arrays", module_know_arrays, METH_O,
+     "Read NumPy's arrays without buffers from now on, if that shows the same of a tuple of arrays"},
+    {"level", module_level, METH_NOARGS, "Return the level of this x86-64 processor, 1 to 4; 0 for other processors"},
+    {NULL, NULL, 0, NULL},
+};
+static PySlot module_slots[] = {{Py_mod_exec, set_up_module}, {0, NULL}};
+static PyModuleDef definition = {
+    .ob_base = {1, NULL}, .m_name = "_glue", .m_doc = "Calls of compiled kernels", .m_size = sizeof(PyObject *),
+    .m_methods = functions, .m_slots = module_slots,
+};
+
+PY_EXPORT PyObject *PyInit__glue(void) { return PyModuleDef_Init(&definition); }

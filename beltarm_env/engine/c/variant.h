@@ -1,0 +1,181 @@
+/* Variants of a kernel: what arguments one takes, what it returns, and how its spec is read.
+ *
+ * One character stands for each thing: d a float, n a whole number, b a bool, 0 None, k the next constant, (...) a
+ * tuple whose type is the next constant, a an array, followed by the type of its entries (float64 d, float32 f, int64
+ * l, uint64 L, int8 b, uint8 B, bool ?), its number of axes, and its layout: c contiguous, s strided, in capitals if
+ * read-only. What is returned is described alike: with L for a whole number without a sign, and A, a type and a number
+ * of axes for a new array, which the entry allocates. */
+#ifndef BELTARM_VARIANT_H
+#define BELTARM_VARIANT_H
+
+#include <stdbool.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "python_abi.h"
+
+typedef union {
+    double d;
+    int64_t n;
+    void *p;
+} Slot;
+typedef const char *(*Entry)(void *const *p, const double *r, const int64_t *n, Slot *out);
+
+typedef struct {
+    char kind, type, layout;
+    bool strided, readonly;
+    int axes;
+    Py_ssize_t parent, index; /* the tuple that holds it, or -1, and its place therein */
+    Py_ssize_t entries;       /* of a tuple */
+    PyObject *constant;
+} Node;
+
+typedef struct {
+    PyObject head;
+    Entry entry;
+    Node *nodes;
+    char *returns;
+    PyObject *constants, *finish;
+    Py_ssize_t count, arguments, arrays, reals, wholes, slots; /* count: of nodes */
+    size_t room;                                               /* bytes that a call needs */
+} Variant;
+
+/* Arguments and results of a call, in memory of its own */
+typedef struct {
+    double *r;
+    int64_t *n;
+    Slot *out;
+    Py_buffer *buffers;
+    void **p;
+    PyObject **tuples; /* at the index of their node */
+    Py_ssize_t held;   /* number of buffers that are held */
+    bool overflow;
+} Call;
+
+enum { MAX_DEPTH = 100 /* of tuples in a result */, DONE = -1, OTHER = 0 /* type that kernels do not have */ };
+
+static size_t size_of(char type) { return type == 'd' || type == 'l' || type == 'L' ? 8 : type == 'f' ? 4 : 1; }
+static bool is_type(char type) { return type != '\0' && strchr("dfl?bLB", type) != NULL; }
+static bool is_digit(char digit) { return digit >= '0' && digit <= '9'; }
+
+/* Read the type, axes and layout of an array; `s` is behind its a. */
+static bool read_array(Variant *v, Node *node, const char *s)
+{
+    if (!is_type(s[0]) || !is_digit(s[1]) || s[2] == '\0' || strchr("csCS", s[2]) == NULL) return false;
+    node->type = s[0];
+    node->axes = s[1] - '0';
+    node->layout = s[2];
+    node->strided = s[2] == 's' || s[2] == 'S';
+    node->readonly = s[2] == 'C' || s[2] == 'S';
+    v->arrays += 1;
+    v->wholes += node->strided ? 2 * node->axes : node->axes;
+    return true;
+}
+
+static bool is_tuple_type(PyObject *type)
+{
+    return (PyType_GetFlags(Py_TYPE(type)) & Py_TPFLAGS_TYPE_SUBCLASS) != 0 &&
+           (PyType_GetFlags((PyTypeObject *)type) & Py_TPFLAGS_TUPLE_SUBCLASS) != 0;
+}
+
+/* Read what arguments a variant takes. Returns NULL, or what is wrong. */
+static const char *read_arguments(Variant *v, const char *s)
+{
+    Py_ssize_t constants = PyTuple_Size(v->constants), used = 0, open = -1;
+    for (; *s; ++s) {
+        if (*s == ')') {
+            if (open < 0) return "a bracket is closed that was not opened";
+            open = v->nodes[open].parent;
+            continue;
+        }
+        Node *node = &v->nodes[v->count];
+        node->kind = *s;
+        node->parent = open;
+        node->index = open < 0 ? v->arguments++ : v->nodes[open].entries++;
+        if (*s == 'k' || *s == '(') {
+            if (used == constants) return "there are too few constants";
+            node->constant = PyTuple_GetItem(v->constants, used++);
+        }
+        switch (*s) {
+        case 'd': v->reals += 1; break;
+        case 'n':
+        case 'b': v->wholes += 1; break;
+        case '0':
+        case 'k': break;
+        case '(':
+            if (!is_tuple_type(node->constant)) return "the constant of a tuple is not its type";
+            open = v->count;
+            break;
+        case 'a':
+            if (!read_array(v, node, s + 1)) return "an array is a type, a number of axes, and a layout";
+            s += 3;
+            break;
+        default: return "a character has no meaning";
+        }
+        v->count += 1;
+    }
+    if (open >= 0) return "a bracket is not closed";
+    return used < constants ? "there are too many constants" : NULL;
+}
+
+/* Read what a variant returns. Returns NULL, or what is wrong. */
+static const char *read_results(Variant *v, const char *s)
+{
+    int depth = 0, results = 0;
+    for (; *s; ++s) {
+        results += depth == 0;
+        switch (*s) {
+        case '0': break;
+        case 'd':
+        case 'n':
+        case 'b':
+        case 'L': v->slots += 1; break;
+        case '(':
+            if (++depth > MAX_DEPTH) return "tuples are nested too deeply";
+            break;
+        case ')':
+            if (--depth < 0) return "a bracket is closed that was not opened";
+            break;
+        case 'A':
+            if (!is_type(s[1]) || !is_digit(s[2])) return "a new array is a type and a number of axes";
+            v->slots += 1 + s[2] - '0';
+            s += 2;
+            break;
+        default: return "a character has no meaning";
+        }
+    }
+    if (depth > 0) return "a bracket is not closed";
+    return results == 1 ? NULL : "there is not one result";
+}
+
+static char *copy_of(const char *text)
+{
+    size_t size = strlen(text) + 1;
+    char *copy = PyMem_Malloc(size);
+    return copy ? memcpy(copy, text, size) : NULL;
+}
+
+/* Set up a new variant. Returns whether it could be; if not, there is an error. */
+static bool set_up(Variant *v, const char *spec, const char *returns)
+{
+    const char *wrong;
+    v->nodes = PyMem_Calloc(strlen(spec) + 1, sizeof(Node)); /* each node has a character or more */
+    v->returns = copy_of(returns);
+    if (v->nodes == NULL || v->returns == NULL) {
+        PyErr_NoMemory();
+        return false;
+    }
+    if ((wrong = read_arguments(v, spec)) != NULL) {
+        PyErr_Format(PyExc_ValueError, "spec %s: %s", spec, wrong);
+        return false;
+    }
+    if ((wrong = read_results(v, returns)) != NULL) {
+        PyErr_Format(PyExc_ValueError, "result %s: %s", returns, wrong);
+        return false;
+    }
+    v->room = sizeof(double) * (size_t)(v->reals + v->wholes + v->slots) +
+              (sizeof(Py_buffer) + sizeof(void *)) * (size_t)v->arrays + sizeof(PyObject *) * (size_t)v->count;
+    return true;
+}
+
+#endif

@@ -1,0 +1,235 @@
+"""Kernels: Python functions that run as C.
+
+`compiled` marks a function that Python calls, `inlined` an equation that is written into the loops of those that call
+it. Python is the source and the reference: the C of a kernel is a translation of it and of all that it calls, and gives
+the same bits. What a call needs is translated and compiled when it is first made, and kept (see `library`).
+
+`BELTARM_ENGINE` chooses how kernels run:
+
+    c          as C, the default; in plain Python where there is no compiler and nothing was built
+    plain      in plain Python, which is the place to look with a debugger
+    checked    as C that checks every index and every sum of whole numbers: a ValueError names function and line
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from collections.abc import Callable
+from functools import cache, cached_property, update_wrapper
+from threading import RLock
+from types import FunctionType
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numpy as np
+
+from beltarm_env.engine import building, library
+from beltarm_env.engine.entries import types_of
+from beltarm_env.engine.translation.types import TranslationError
+
+ENGINES = ("c", "plain", "checked")
+ENGINE = os.environ.get("BELTARM_ENGINE") or "c"
+if ENGINE not in ENGINES:
+    raise ValueError(f"BELTARM_ENGINE must be one of {', '.join(ENGINES)}, got {ENGINE!r}")
+PLAIN = ENGINE == "plain"
+"""Whether all functions are left as they are."""
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Mark an equation that is written into the kernels that call it."""
+    cast("Any", function).inlined = True
+    return compiled(function)
+
+
+def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Mark a kernel that Python calls, or others."""
+    return function if PLAIN else cast("Callable[_P, _R]", Kernel(function))
+
+
+def prepared(kernel: Callable[..., _R], *arguments: Any) -> Callable[..., _R]:
+    """Return what runs a kernel for arguments of the types that these have, and of no others, in the least time."""
+    return kernel.prepared(arguments) if isinstance(kernel, Kernel) else kernel
+
+
+@cache
+def with_constants(kernel: Callable[_P, _R], **constants: float) -> Callable[_P, _R]:
+    """Return a kernel for which some global names have other values, there and in all that it calls."""
+    function = _copy_of(kernel, constants, {})
+    return Kernel(function) if isinstance(function, FunctionType) and isinstance(kernel, Kernel) else function
+
+
+def _copy_of(function: Any, constants: dict[str, float], made: dict[Any, Any]) -> Any:
+    """Copy a function that reads some global names, itself or through others; return one that does not as it is."""
+    plain = getattr(function, "py_func", function)
+    if not isinstance(plain, FunctionType):
+        return function
+    if plain not in made:
+        made[plain] = function
+        known = {name: plain.__globals__[name] for name in plain.__code__.co_names if name in plain.__globals__}
+        copies = {name: constants.get(name, _copy_of(value, constants, made)) for name, value in known.items()}
+        if any(copies[name] is not value for name, value in known.items()):
+            read = {**plain.__globals__, **copies}
+            copy = FunctionType(plain.__code__, read, None, plain.__defaults__, plain.__closure__)
+            made[plain] = update_wrapper(copy, plain)
+            made[plain].constants = constants
+    return made[plain]
+
+
+def in_threads(kernel: Callable[..., object], threads: int, *arguments: Any) -> None:
+    """Run a kernel in several threads, this one among them, until the work is done.
+
+    Args:
+        kernel: Takes the index of a thread and the arguments; ends when nothing is left to do, see `take_block`.
+        threads: Their number; fewer, where the system allows no more.
+        *arguments: The same for all.
+    """
+    if isinstance(kernel, Kernel) and threads > 1:
+        kernel.share(threads, arguments)
+    else:
+        kernel(0, *arguments)
+
+
+class Kernel:
+    """A function that runs as C once it is called.
+
+    Args:
+        function: What Python would run.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+        self._compiled: Any = None  # of the glue
+        self._run: Callable[..., Any] = self._first
+        self._refused: set[Any] = set()  # types for which it runs in plain Python
+        self._variants: dict[Any, int] = {}
+        self._lock = RLock()  # of what threads that call it at the same time make
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Run it."""
+        return self._run(*arguments) if not named else self._run(*self._ordered(arguments, named))
+
+    def __reduce__(self) -> str:
+        """Name what a copy is: the function of that name in its module."""
+        return self.py_func.__qualname__
+
+    def prepared(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        """Return what runs it for arguments of the types that these have."""
+        variant = self._variant(arguments)
+        return self.py_func if variant is None else self._compiled.variant(variant)
+
+    def share(self, threads: int, arguments: tuple[Any, ...]) -> None:
+        """Run it in several threads, see `in_threads`."""
+        if self._variant((0, *arguments)) is None:
+            self.py_func(0, *arguments)
+        else:
+            self._compiled.share(threads, *arguments)
+
+    def _ordered(self, arguments: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:
+        bound = inspect.signature(self.py_func).bind(*arguments, **named)
+        bound.apply_defaults()
+        return tuple(bound.arguments.values())
+
+    def _in_python(self, *arguments: Any) -> Any:
+        """Run it in plain Python, with arguments in the order of its parameters, all of them or the first ones."""
+        named = self._by_name
+        if not named or len(arguments) < len(inspect.signature(self.py_func).parameters):
+            return self.py_func(*arguments)
+        return self.py_func(*arguments[: -len(named)], **dict(zip(named, arguments[-len(named) :], strict=True)))
+
+    @cached_property
+    def _by_name(self) -> list[str]:
+        parameters = inspect.signature(self.py_func).parameters.values()
+        return [one.name for one in parameters if one.kind is one.KEYWORD_ONLY]
+
+    def _first(self, *arguments: Any) -> Any:
+        self._begin()
+        return self._run(*arguments)
+
+    def _begin(self) -> None:
+        with self._lock:
+            if self._run != self._first:
+                return
+            glue = _glue()
+            if glue is None:
+                self._run = self._in_python
+            else:
+                self._compiled = glue.Kernel(self._missing)
+                self._run = self._compiled.call
+
+    def _variant(self, arguments: tuple[Any, ...]) -> int | None:
+        """Number of the variant for arguments of some types, made if there is none; None where it runs in Python."""
+        if self._compiled is None and self._run == self._first:
+            self._begin()
+        if self._compiled is None:
+            return None
+        try:
+            types = types_of(arguments)
+        except TranslationError as error:
+            self._refuse(type(arguments), error)
+            return None
+        if types in self._refused:
+            return None
+        with self._lock:
+            return self._variants[types] if types in self._variants else self._made(types, arguments)
+
+    def _made(self, types: Any, arguments: tuple[Any, ...]) -> int | None:
+        if types not in self._variants:
+            try:
+                address, returns, finish = library.compiled(self.py_func, arguments, types, ENGINE == "checked")
+            except (TranslationError, building.BuildError) as error:
+                self._refuse(types, error)
+                return None
+            self._compiled.add(address, *types, returns, finish)
+            self._variants[types] = len(self._variants)
+        return self._variants[types]
+
+    def _refuse(self, types: Any, error: Exception) -> None:
+        if isinstance(error, building.UnavailableError):
+            self._refused.add(types)
+            _say_once(str(error))
+        elif types not in self._refused:
+            self._refused.add(types)
+            name = f"{self.__module__}.{self.py_func.__qualname__}"
+            why = str(error).partition("\n")[0]
+            print(f"beltarm: {name} runs in plain Python: {why}", file=sys.stderr, flush=True)
+
+    def _missing(self, *arguments: Any) -> Any:
+        """Run a call for which there is no variant yet."""
+        if len(arguments) != len(inspect.signature(self.py_func).parameters):
+            arguments = self._ordered(arguments, {})
+        usual = tuple(map(_usual, arguments))
+        variant = self._variant(usual)
+        return self._in_python(*arguments) if variant is None else self._compiled.variant(variant)(*usual)
+
+
+@cache
+def _glue() -> Any:
+    """Return the module that calls compiled kernels; None without one, with a line that says why."""
+    try:
+        glue = building.load_glue()
+    except building.BuildError as error:
+        _say_once(str(error))
+        return None
+    glue.know_arrays((np.zeros(3), np.zeros((2, 6), np.int64)[:, ::2], np.zeros(2, bool), np.zeros((0, 4), np.float32)))
+    return glue
+
+
+@cache
+def _say_once(why: str) -> None:
+    print(f"beltarm: kernels run in plain Python, which is slow: {why}", file=sys.stderr, flush=True)
+
+
+def _usual(argument: Any) -> Any:
+    """Turn a number of NumPy into Python's; float32 is one that C would compute with otherwise.
+
+    Words are known by their identity.
+    """
+    if type(argument) is str:
+        return sys.intern(argument)
+    if isinstance(argument, np.generic) and argument.dtype.name in ("bool", "float64", "int64", "int32"):
+        return argument.item()
+    return argument

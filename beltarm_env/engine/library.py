@@ -1,0 +1,167 @@
+"""Library of compiled kernels: what was compiled is kept, and found again by what it is made of.
+
+A kernel's object lies under the hash of its whole C text, the flags, the compiler and the level of the processor (see
+`building`). What is not in the text cannot matter, so an object is never that of an older state of the sources.
+
+To translate takes longer than to look up. For kernels of this project a note says which object a call's types need. It
+lies under the hash of the sources of all of the project's packages: after any edit kernels are translated anew, and
+compiled anew only where their text has changed. It also has the values of globals that the text was made with, for a
+program may have set them anew. Kernels of others are translated in each process. Objects that were built beforehand
+come first (see `shipped`).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache, partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from beltarm_env.engine import building, shipped
+from beltarm_env.engine.entries import SYMBOL, entry_of, made
+from beltarm_env.engine.translation.types import shown_value
+from beltarm_env.sources import sources_digest
+
+_PROJECT = ("beltarm_env", "baselines", "agents")
+"""Packages whose sources decide about their kernels: what these read of files is no part of a kernel."""
+ANNOUNCEMENT = "beltarm: compiling kernels, which takes some seconds"
+_OLD = 30 * 24 * 3600.0  # s
+Types = tuple[str, tuple[Any, ...]]
+
+
+def compiled(
+    function: Callable[..., Any], arguments: tuple[Any, ...], types: Types, checked: bool
+) -> tuple[int, str, Callable[[Any], Any] | None]:
+    """Return the address of a kernel's code, the words for its result, and what makes the result from what it gives.
+
+    Raises:
+        TranslationError: If it cannot be translated.
+        BuildError: If it cannot be compiled.
+    """
+    words = words_of(function, types, checked)
+    found, path = _shipped(words)
+    note = _note_of(words) if path is None else None
+    if path is None:
+        found = _read(note)
+        path = None if found is None else building.found(found["object"])
+    if found is None or path is None:
+        announce()
+        entry = entry_of(function, arguments, checked)
+        path = building.build(entry.text, function.__name__.strip("_"))
+        read = [[*place, value] for place, value in entry.globals.items()]
+        found = {"object": path.name, "returns": entry.returns, "result": as_data(entry.result), "globals": read}
+        _write(note, found)
+    address = ctypes.cast(getattr(building.load(path), SYMBOL), ctypes.c_void_p).value
+    assert address is not None
+    result = _from_data(found["result"])
+    return address, found["returns"], None if result is None else partial(made, result)
+
+
+@cache
+def announce() -> None:
+    """Say once why the first calls take so long, unless this process works for another one, which says it."""
+    if multiprocessing.parent_process() is None:
+        print(ANNOUNCEMENT, file=sys.stderr, flush=True)
+
+
+def words_of(function: Callable[..., Any], types: Types, checked: bool) -> list[Any] | None:
+    """Words for a kernel and types; None of one whose text the sources do not decide about."""
+    package = function.__module__.partition(".")[0]
+    spec, constants = types
+    packages = {package, *(one.__module__.partition(".")[0] for one in constants if isinstance(one, type))} - {
+        "builtins"
+    }
+    known = packages <= set(_PROJECT) and all(isinstance(one, type) for one in constants)
+    if not known or function.__closure__ or "<" in function.__qualname__:
+        return None
+    names = [f"{one.__module__}.{one.__qualname__}" for one in constants]
+    highest = max(map(_PROJECT.index, packages))
+    own = getattr(function, "constants", None)
+    return [_PROJECT[highest], function.__module__, function.__qualname__, own, spec, names, checked]
+
+
+def _shipped(words: list[Any] | None) -> tuple[dict[str, Any], Path | None] | tuple[None, None]:
+    """Note and object of a kernel that was built beforehand."""
+    built = None if words is None or words[0] != _PROJECT[0] else shipped.kernel(words)
+    if built is None:
+        return None, None
+    folder, note = built
+    return note, building.found(note["object"], folder / building.level())
+
+
+def _note_of(words: list[Any] | None) -> Path | None:
+    """File of the note for a kernel in the cache."""
+    folder = building.cache_folder()
+    if folder is None or words is None:
+        return None
+    return folder / _sources(_PROJECT.index(words[0])) / f"{shipped.key_of([*words, building.setting()])}.json"
+
+
+@cache
+def _sources(highest: int) -> str:
+    """Hash of the sources of a package and of those below it."""
+    if highest == 0:
+        return shipped.sources()
+    folders = [Path(str(sys.modules[name].__file__)).parent for name in _PROJECT[: highest + 1]]
+    return sources_digest(*folders)[:16]
+
+
+def _read(note: Path | None) -> dict[str, Any] | None:
+    if note is not None:
+        with suppress(OSError, ValueError):
+            found = json.loads(note.read_text())
+            return found if all(_is_as_read(*place) for place in found["globals"]) else None
+    return None
+
+
+def _is_as_read(module: str, name: str, value: str) -> bool:
+    """Tell whether a module has the value that a kernel was made with: a program may set it anew."""
+    known = sys.modules.get(module)
+    return known is None or shown_value(getattr(known, name, None)) == value
+
+
+def _write(note: Path | None, content: dict[str, Any]) -> None:
+    if note is not None:
+        with suppress(OSError):
+            if not note.parent.is_dir():
+                note.parent.mkdir(parents=True, exist_ok=True)
+                _drop_old(note.parents[1])
+            temporary = note.with_name(f"{note.name}.{os.getpid()}")
+            temporary.write_text(json.dumps(content))
+            temporary.replace(note)
+
+
+def _drop_old(folder: Path) -> None:
+    """Delete what was compiled long ago: after many edits most of it is of no use, and the rest is built again."""
+    for path in (*folder.glob("*"), *folder.glob("*/*.json")):
+        with suppress(OSError):  # another process was quicker
+            if path.is_file() and path.stat().st_mtime < time.time() - _OLD:
+                path.unlink()
+
+
+def as_data(result: Any) -> Any:
+    """Write what a result is made of, with classes by their names."""
+    if result is None or result[0] == "array":
+        return result
+    _, make, parts = result
+    name = None if make is None else [make.__module__, make.__qualname__]
+    return ["tuple", name, [as_data(part) for part in parts]]
+
+
+def _from_data(data: Any) -> Any:
+    if data is None or data[0] == "array":
+        return data
+    make: Any = None
+    if data[1] is not None:
+        make = import_module(data[1][0])
+        for part in data[1][1].split("."):
+            make = getattr(make, part)
+    return ("tuple", make, [_from_data(part) for part in data[2]])

@@ -1,0 +1,321 @@
+"""Calls in a kernel: of other kernels, of named tuples, of the functions of Python and NumPy that are translated."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from beltarm_env.engine import words
+from beltarm_env.engine.translation import arrays
+from beltarm_env.engine.translation.expressions import Expressions
+from beltarm_env.engine.translation.numbers import bare, cast, constant, scalar
+from beltarm_env.engine.translation.scope import Local
+from beltarm_env.engine.translation.types import (
+    BOOL,
+    INT,
+    REAL,
+    SINGLE,
+    SMALL,
+    UNSIGNED,
+    Array,
+    Const,
+    Group,
+    Lazy,
+    Scalar,
+    TranslationError,
+    Value,
+    dtype_of,
+    joined,
+    make_of,
+    parts_of,
+    shown,
+)
+from beltarm_env.engine.translation.whole import LEAST, MOST, WHOLE, span, whole
+
+LARGEST = 512
+"""Most numbers of an array that a function allocates: on the stack of a small processor."""
+
+
+class Calls(Expressions):
+    """Evaluation of calls."""
+
+    def _call(self, node: ast.Call) -> Value:
+        if isinstance(node.func, ast.Attribute):
+            method = self._method(node)
+            if method is not None:
+                return method
+        called = self.value(node.func)
+        function: Any = getattr(called.value, "py_func", called.value) if isinstance(called, Const) else None
+        if function is None:
+            raise TranslationError(f"only known functions are called: {ast.unparse(node)}")
+        values = self.entries([*node.args, *(keyword.value for keyword in node.keywords)])
+        first = len(values) - len(node.keywords)
+        given = values[:first]
+        named = dict(zip([str(keyword.arg) for keyword in node.keywords], values[first:], strict=True))
+        if hasattr(function, "_field_defaults"):
+            return self.tuple_of(_ordered(function._fields, function._field_defaults, given, named), function)
+        if function in TRANSLATED:
+            return TRANSLATED[function](self, *given, **named)
+        if inspect.isfunction(function) and function.__module__.split(".")[0] not in ("numpy", "math"):
+            return self.call(function, given, named)
+        raise TranslationError(f"{ast.unparse(node.func)} is not translated: {ast.unparse(node)}")
+
+    def _method(self, node: ast.Call) -> Value | None:
+        """Evaluate `.copy()` of an array or `._replace()` of a named tuple; None of anything else."""
+        assert isinstance(node.func, ast.Attribute)
+        if node.func.attr == "copy" and not node.args:
+            owner = self.value(node.func.value)
+            source = arrays.lazy(owner, self.table)
+            if source is not None:
+                copy = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
+                self.fill(copy, source)
+                return copy
+        if node.func.attr == "reshape":
+            owner = self.value(node.func.value)
+            if isinstance(owner, Array) and len(owner.shape) == 1 and list(map(ast.unparse, node.args)) == ["1", "-1"]:
+                (size,), (stride,) = owner.shape, owner.strides
+                return replace(owner, shape=(1, size), strides=(arrays.times(size, stride), stride))
+        if node.func.attr == "_replace":
+            owner = self.value(node.func.value)
+            changed = {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
+            make = make_of(owner)
+            if make is not None:
+                old = dict(zip(make._fields, parts_of(owner), strict=True))
+                return self.tuple_of([changed.get(name, old[name]) for name in make._fields], make)
+        return None
+
+    def call(self, function: Callable[..., Any], given: list[Value], named: dict[str, Value]) -> Value:
+        """Call another kernel."""
+        parameters = inspect.signature(function).parameters
+        defaults = {name: p.default for name, p in parameters.items() if p.default is not inspect.Parameter.empty}
+        values = _ordered(tuple(parameters), defaults, given, named)
+        return self.program.call(self, function, values)
+
+    def allocate(self, shape: Sequence[Value], dtype: str) -> Array:
+        """Declare an array on the stack; a large one, or one of a length that the program computes, on the heap."""
+        if not self.program.runs_here:
+            shape = [Const(constant(size)) for size in shape]
+        sizes = tuple(int(size.value) if isinstance(size, Const) else self.kept(size).code for size in shape)
+        count = arrays.count_of(sizes)
+        self.counter += 1
+        name = self.c_name(f"a_{self.counter}")
+        array = Array(dtype, sizes, arrays.contiguous(sizes), name, memory=name, checked=self.program.checked)
+        if isinstance(count, int) and count <= LARGEST:
+            self.locals[name] = Local(None, f"{dtype} {name}[{max(count, 1)}];")
+            return replace(array, in_loop=self.loops > 0)
+        if not self.program.runs_here:
+            raise TranslationError(f"an array of {count} numbers is too large for the stack: take it as an argument")
+        self.locals[name] = Local(None, f"{dtype} *{name} = NULL;")
+        self.write(f"{name} = heap_array(sizeof({dtype}), {bare(arrays.text(count))});")
+        self.uses_heap = True
+        return array
+
+    def fill(self, target: Array, value: Value) -> None:
+        """Write a number into all elements of an array, or an array expression of its shape."""
+        if target.constant:
+            raise TranslationError("what is constant is not assigned to")
+        source = arrays.lazy(value, self.table)
+        if source is not None:
+            self.common_shape(target.shape, source.shape, "an array of shape {} cannot take one of {}")
+        if source is None and isinstance(value, Scalar):
+            value = self.kept(value)
+        if source is not None and arrays.overwrites(target, source):  # NumPy reads all first
+            before = self.allocate([arrays.sized(size) for size in source.shape], source.dtype)
+            self._each(before, source)
+            source = arrays.lazy(before, self.table)
+        self._each(target, value if source is None else source)
+
+    def _each(self, target: Array, value: Value) -> None:
+        """Write the elements of an array one by one."""
+        self.counter += 1
+        names = [f"e{axis}_{self.counter}" for axis in range(len(target.shape))]
+        for depth, (name, size) in enumerate(zip(names, target.shape, strict=True)):
+            indent = "    " * depth
+            kind = INT if isinstance(size, str) else SMALL
+            self.write(f"{indent}for ({kind} {name} = 0; {name} < {bare(arrays.text(size))}; ++{name}) {{")
+        number = value.at(names) if isinstance(value, Lazy) else value
+        place = arrays.element(target, names)
+        self.write(f"{'    ' * len(names)}{place.code} = {bare(cast(number, target.dtype).code)};")
+        for depth in range(len(names) - 1, -1, -1):
+            self.write(f"{'    ' * depth}}}")
+
+
+def _ordered(
+    names: tuple[str, ...], defaults: dict[str, Any], given: list[Value], named: dict[str, Value]
+) -> list[Any]:
+    """Arguments in the order of the parameters."""
+    if len(given) > len(names):
+        raise TranslationError(f"{len(given)} arguments for {len(names)} parameters")
+    values = list(given)
+    for name in names[len(given) :]:
+        if name in named:
+            values.append(named[name])
+        elif name in defaults:
+            values.append(Const(defaults[name]))
+        else:
+            raise TranslationError(f"argument {name!r} is missing")
+    return values
+
+
+def _largest(self: Calls, *values: Value) -> Value:
+    return _chosen(self, "max", max, values)
+
+
+def _least(self: Calls, *values: Value) -> Value:
+    return _chosen(self, "min", min, values)
+
+
+def _chosen(self: Calls, name: str, function: Callable[..., Any], values: tuple[Value, ...]) -> Value:
+    """The largest or least of some numbers, as Python chooses it: the later one only if it is beyond."""
+    if len(values) < 2:
+        raise TranslationError(f"{name} takes two numbers or more")
+    if all(isinstance(value, Const) for value in values):
+        return Const(function(constant(value) for value in values))
+    found: Value = values[0]
+    for value in values[1:]:
+        a, b = scalar(found), scalar(value)
+        dtype = joined(a.dtype, b.dtype)
+        if dtype == BOOL:
+            raise TranslationError(f"{name} of two bools is a bool: write and, or")
+        a, b = cast(a, dtype), cast(b, dtype)
+        kind = {REAL: "real", SINGLE: "float"}.get(dtype, "int")
+        code = f"{kind}_{name}({bare(a.code)}, {bare(b.code)})"
+        found = whole(code, *map(function, span(a), span(b))) if dtype in WHOLE else Scalar(dtype, code)
+    return found
+
+
+def _absolute(self: Calls, value: Value) -> Value:
+    if isinstance(value, Const):
+        return Const(abs(value.value))
+    over = arrays.over_elements(lambda one: _absolute(self, one), [value], self)
+    if over is not None:
+        return over
+    number = scalar(value)
+    if number.dtype == BOOL:
+        raise TranslationError("a bool has no sign: write int(a)")
+    if number.dtype in WHOLE:
+        low, high = span(number)
+        spanned = (LEAST, MOST) if low == LEAST else (0, max(-low, high))
+        return number if low >= 0 else whole(f"int_abs({bare(number.code)})", *spanned)
+    name = "real_abs" if number.dtype == REAL else "fabsf"
+    return Scalar(number.dtype, f"{name}({bare(number.code)})")
+
+
+def _length(self: Calls, value: Value) -> Value:
+    if isinstance(value, Const):
+        return Const(len(value.value))
+    if isinstance(value, Array):
+        return arrays.sized(value.shape[0])
+    return Const(len(parts_of(value)))
+
+
+def _converts(dtype: str) -> Callable[..., Value]:
+    def convert(self: Calls, value: Value) -> Value:
+        if isinstance(value, Const) and dtype != SINGLE:
+            return Const({INT: int, REAL: float, BOOL: bool, UNSIGNED: np.uint64}[dtype](value.value))
+        if isinstance(value, Const):
+            return Const(np.float32(value.value))
+        if dtype == BOOL:
+            return Scalar(BOOL, f"({scalar(value).code} != 0)")
+        return cast(value, SMALL if dtype == INT and scalar(value).dtype == BOOL else dtype)
+
+    return convert
+
+
+def _of_real(name: str, function: Callable[..., Any], dtype: str = REAL) -> Callable[..., Value]:
+    def of_real(self: Calls, value: Value) -> Value:
+        if isinstance(value, Const):
+            return Const(function(value.value))
+        if dtype == INT and isinstance(value, Scalar) and value.dtype in WHOLE:
+            return cast(value, SMALL) if value.dtype == BOOL else value
+        over = arrays.over_elements(lambda one: of_real(self, one), [value], self)
+        if over is not None:
+            return over
+        single = dtype == REAL and scalar(value).dtype == SINGLE  # all are exact, or rounded once
+        found = Scalar(BOOL if dtype == BOOL else REAL, f"{name}({bare(cast(value, REAL).code)})")
+        return cast(found, SINGLE if single else dtype)
+
+    return of_real
+
+
+_FLOAT64 = Const(np.float64)
+
+
+def _empty(self: Calls, shape: Value, dtype: Value = _FLOAT64) -> Value:
+    several = isinstance(shape, Group) or (isinstance(shape, Const) and isinstance(shape.value, tuple))
+    sizes = parts_of(shape) if several else [shape]
+    return self.allocate(sizes, dtype_of(constant(dtype)))
+
+
+def _zeros(self: Calls, shape: Value, dtype: Value = _FLOAT64) -> Value:
+    return _full(self, shape, Const(0), dtype)
+
+
+def _ones(self: Calls, shape: Value, dtype: Value = _FLOAT64) -> Value:
+    return _full(self, shape, Const(1), dtype)
+
+
+def _full(self: Calls, shape: Value, value: Value, dtype: Value = _FLOAT64) -> Value:
+    made = _empty(self, shape, dtype)
+    assert isinstance(made, Array)
+    self.fill(made, value)
+    return made
+
+
+def _filled(self: Calls, shape: Value, value: Value, dtype: Value | None = None) -> Value:
+    kind = {REAL: np.float64, SINGLE: np.float32, BOOL: np.bool_}.get(scalar(value).dtype, np.int64)
+    return _full(self, shape, value, dtype or Const(kind))
+
+
+def _slice(self: Calls, *ends: Value) -> Value:
+    if len(ends) > 2:
+        raise TranslationError("slices with a step are not translated")
+    start, stop = ends if len(ends) == 2 else (Const(None), *ends)
+    return Group(slice, (("start", start), ("stop", stop)))
+
+
+def _add(self: Calls, words: Value, index: Value, more: Value) -> Value:
+    name = self.fresh(INT, "before")
+    word = arrays.view(cast_to_array(words), [index])
+    self.write(f"{name} = __atomic_fetch_add(&{word.code}, {bare(cast(more, INT).code)}, __ATOMIC_SEQ_CST);")
+    return Scalar(INT, name)
+
+
+def _look(self: Calls, words: Value, index: Value) -> Value:
+    name = self.fresh(INT, "seen")
+    word = arrays.view(cast_to_array(words), [index])
+    self.write(f"{name} = __atomic_load_n(&{word.code}, __ATOMIC_ACQUIRE);")
+    return Scalar(INT, name)
+
+
+def cast_to_array(value: Value) -> Array:
+    """Take a value for the array that it has to be."""
+    if not isinstance(value, Array):
+        raise TranslationError(f"an array is expected, not {shown(value)}")
+    return value
+
+
+def _square(self: Calls, value: Value) -> Value:
+    return self.combined(ast.Pow, value, Const(2))
+
+
+TRANSLATED: dict[Any, Callable[..., Value]] = {
+    **{max: _largest, min: _least, abs: _absolute, len: _length, np.abs: _absolute, math.fabs: _absolute},
+    **{int: _converts(INT), float: _converts(REAL), bool: _converts(BOOL)},
+    **{np.float64: _converts(REAL), np.float32: _converts(SINGLE), np.int64: _converts(INT)},
+    **{np.uint64: _converts(UNSIGNED), slice: _slice, words.add: _add, words.look: _look},
+    **{math.sqrt: _of_real("real_sqrt", math.sqrt), np.sqrt: _of_real("real_sqrt", math.sqrt)},
+    **{np.floor: _of_real("real_floor", math.floor), np.ceil: _of_real("real_ceil", math.ceil)},
+    **{math.floor: _of_real("real_floor", math.floor, INT), math.ceil: _of_real("real_ceil", math.ceil, INT)},
+    **{np.sign: _of_real("real_sign", np.sign)},
+    **{of: _of_real("isfinite", math.isfinite, BOOL) for of in (math.isfinite, np.isfinite)},
+    **{of: _of_real("isnan", math.isnan, BOOL) for of in (math.isnan, np.isnan)},
+    **{np.empty: _empty, np.zeros: _zeros, np.ones: _ones, np.full: _filled, np.square: _square},
+}
+"""Functions of Python, math and NumPy, and how each is translated."""

@@ -1,0 +1,98 @@
+"""Source text of a kernel: its syntax tree, its variables, its place."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from beltarm_env.engine.translation.types import TranslationError
+
+
+def tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
+    """Parse a kernel.
+
+    Raises:
+        TranslationError: If it has no source text, or takes any number of arguments.
+    """
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        raise TranslationError(f"{function.__name__} has no source text that could be translated") from None
+    tree = ast.parse(source).body[0]
+    if not isinstance(tree, ast.FunctionDef) or tree.args.vararg or tree.args.kwarg:
+        raise TranslationError(f"{place(function)} is not a plain function")
+    tree.args.args = [*tree.args.posonlyargs, *tree.args.args, *tree.args.kwonlyargs]
+    return tree
+
+
+def assignments(tree: ast.FunctionDef) -> dict[str, int]:
+    """How often each name is assigned in a function; not by loops that alone set it, for themselves alone."""
+    found: dict[str, int] = {argument.arg: 0 for argument in tree.args.args}
+
+    def note(target: ast.expr, times: int) -> None:
+        for node in ast.walk(target):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                found[node.id] = found.get(node.id, 0) + times
+
+    parameters = set(found)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign):
+            for target in node.targets:
+                note(target, 1)
+        elif isinstance(node, ast.AugAssign | ast.AnnAssign):
+            note(node.target, 2 if isinstance(node, ast.AugAssign) else 1)
+        elif isinstance(node, ast.For) and not isinstance(node.iter, ast.Call):
+            note(node.target, 2)
+    loops: list[Any] = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
+    for loop in loops:
+        name = loop.target.id
+        found.setdefault(name, 0)
+        if found[name] or (name != "_" and (_is_set_within(loop) or _is_read_beyond(tree, loops, name))):
+            found[name] += 2
+    return {name: count + (1 if name in parameters and count else 0) for name, count in found.items()}
+
+
+def _is_set_within(loop: Any) -> bool:
+    """Tell whether a loop within a loop has the same variable."""
+    inner = [node for statement in loop.body for node in ast.walk(statement) if isinstance(node, ast.For)]
+    return any(isinstance(node.target, ast.Name) and node.target.id == loop.target.id for node in inner)
+
+
+def _is_read_beyond(tree: ast.FunctionDef, loops: list[Any], name: str) -> bool:
+    """Tell whether a function reads a variable of its loops where none of them runs."""
+
+    def reads(nodes: list[ast.stmt]) -> set[int]:
+        names = [node for part in nodes for node in ast.walk(part) if isinstance(node, ast.Name)]
+        return {id(node) for node in names if node.id == name and isinstance(node.ctx, ast.Load)}
+
+    within = [reads(loop.body) for loop in loops if loop.target.id == name]
+    return bool(reads(tree.body) - set().union(*within))
+
+
+def _module_file(function: Callable[..., Any]) -> str:
+    module = function.__module__ or "?"  # None: made by exec
+    path = Path(inspect.getsourcefile(function) or "?")
+    if path.suffix == ".py" and path.stem not in (module.rpartition(".")[2], "__init__"):
+        return path.name  # a file that was loaded under another name
+    return module.replace(".", "/") + ".py"
+
+
+def place(function: Callable[..., Any]) -> str:
+    """Name file, line and function."""
+    path = Path(inspect.getsourcefile(function) or "?")
+    module = _module_file(function)
+    return f"{module if path.name != '<string>' else path.name}:{function.__code__.co_firstlineno} {function.__name__}"
+
+
+def placed(error: TranslationError, function: Callable[..., Any], line: int) -> TranslationError:
+    """Error with the function and line that it is about, once."""
+    return error if " (in " in str(error) else type(error)(f"{error} (in {located(function, line)})")
+
+
+def located(function: Callable[..., Any], line: int) -> str:
+    """Name function, file and line, of which `line` counts from the function's first."""
+    return f"{function.__name__}, {_module_file(function)}, line {function.__code__.co_firstlineno + line - 1}"

@@ -1,0 +1,105 @@
+"""Text of a translated function: variables where they are first assigned, none that nobody reads."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+from beltarm_env.engine.translation.reading import place
+from beltarm_env.engine.translation.scope import PREFIX, Scope
+from beltarm_env.engine.translation.types import ConstType, RecordType
+
+
+def without_unused(body: Scope) -> list[str]:
+    """Declarations and lines, without variables that are never read, or that only pass a value on."""
+    lines = list(body.lines)
+    for name in body.locals:
+        if re.match(r"t_\d", name):
+            lines = _passed_on(lines, name)
+    while True:
+        text = "\n".join(lines)
+        unread = {
+            name
+            for name, local in body.locals.items()
+            if local.kind is not None and not re.search(rf"(?<![.>])\b{name}\b(?! = )|= .*(?<![.>])\b{name}\b", text)
+        }
+        kept = []
+        for line in lines:
+            target, _, source = line.strip().partition(" = ")
+            if target in unread and source:
+                if re.match(rf"({PREFIX}\w+|__atomic_fetch_add)\(", source):
+                    kept.append(line.replace(f"{target} = ", "(void)", 1))
+                continue
+            kept.append(line)
+        if kept == lines:
+            break
+        lines = kept
+    declared = []
+    for name, local in body.locals.items():
+        uses = [k for k, line in enumerate(lines) if re.search(rf"\b{name}\b", line)]
+        if not uses:
+            continue
+        first = lines[uses[0]]
+        if local.kind is not None and re.match(rf"{name} = (?!.*\b{name}\b)", first):  # where it is assigned first
+            lines[uses[0]] = f"{local.text.partition(' = ')[0].removesuffix(name)}{first}"
+        else:
+            declared.append(local.text)
+    return [*declared, *lines]
+
+
+def _passed_on(lines: list[str], name: str) -> list[str]:
+    """Join `t = f(); x = t;` to `x = f();` where t is read nowhere else."""
+    uses = [k for k, line in enumerate(lines) if re.search(rf"\b{name}\b", line)]
+    if len(uses) != 2 or uses[1] != uses[0] + 1:
+        return lines
+    made, used = lines[uses[0]], lines[uses[1]]
+    indent = made[: len(made) - len(made.lstrip())]
+    source = made.strip().removeprefix(f"{name} = ").removesuffix(";")
+    if not made.strip().startswith(f"{name} = "):
+        return lines
+    if used.strip() in (f"return {name};",) or used.strip().endswith(f" = {name};"):
+        target = used.strip().removesuffix(f"{name};")
+        return [*lines[: uses[0]], f"{indent}{target}{source};", *lines[uses[1] + 1 :]]
+    return lines
+
+
+def text_of(function: Callable[..., Any], name: str, body: Any, parameters: list[str]) -> str:
+    """Write a function: a comment, its head, and its lines."""
+    kind = body.returned
+    returns = "void" if kind is None or isinstance(kind, ConstType) else kind
+    returns = body.program.struct(returns) if isinstance(returns, RecordType) else returns
+    lines = without_unused(body)
+    if body.uses_heap:
+        lines = releasing(lines, returns)
+    text = "\n".join(lines)
+    unused = [p.split()[-1].lstrip("*") for p in parameters]
+    unused = [f"    (void){p};" for p in unused if not re.search(rf"(?<![.>])\b{p}\b", text)]
+    first = (inspect.getdoc(function) or "").partition("\n")[0].replace("*/", "* /")
+    source = place(function)
+    static = "INLINED" if body.program.runs_here and getattr(function, "inlined", False) else "static"
+    head = f"{static} {returns} {name}({', '.join(parameters) or 'void'})"
+    if len(head) > 118:
+        head = f"{static} {returns} {name}(\n    " + ",\n    ".join(parameters) + ")"
+    comment = textwrap.fill(f"{source}: {first}".rstrip(": "), 112, subsequent_indent="   ")
+    return "\n".join([f"/* {comment} */", head, "{", *unused, *(f"    {line}" for line in lines), "}"])
+
+
+def releasing(lines: list[str], returns: str) -> list[str]:
+    """Release what a function allocates on the heap wherever it returns."""
+    found = ["void *const heap = heap_mark();"]
+    for line in lines:
+        indent, (word, _, value) = line[: len(line) - len(line.lstrip())], line.strip().partition(" ")
+        if word == "return" and value:
+            found += [
+                f"{indent}{returns} result_ = {value}",
+                f"{indent}heap_release(heap);",
+                f"{indent}return result_;",
+            ]
+        else:
+            found += [f"{indent}heap_release(heap);", line] if line.strip() == "return;" else [line]
+    if not lines[-1].strip().startswith("return"):
+        found.append("heap_release(heap);")
+    return found

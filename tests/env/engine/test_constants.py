@@ -1,0 +1,62 @@
+"""Kernels with other constants: the same equations for blocks of another size."""
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from beltarm_env.arrays import Floats
+from beltarm_env.engine import PLAIN, compiled, inlined, library, with_constants
+from beltarm_env.engine.entries import types_of
+from beltarm_env.kernels.episodes import tip_errors
+from beltarm_env.kernels.layout import empty_blocks, for_lanes
+
+WIDTH = 3
+
+
+@inlined
+def _place(row: int) -> int:
+    return row * WIDTH
+
+
+@compiled
+def _double(x: float) -> float:
+    return 2 * x
+
+
+@compiled
+def _mark(values: Floats) -> int:
+    values[_place(1)] = _double(WIDTH)
+    return WIDTH
+
+
+def marked(width: int) -> list[float]:
+    kernel: Any = _mark if width == WIDTH else with_constants(cast("Any", _mark), WIDTH=width)
+    values = np.zeros(6)
+    assert kernel(values) == width
+    return values.tolist()
+
+
+def test_a_constant_is_another_in_all_that_a_kernel_calls_and_the_kernel_stays_as_it_is():
+    expected = {3: [0, 0, 0, 6, 0, 0], 1: [0, 2, 0, 0, 0, 0], 5: [0, 0, 0, 0, 0, 10]}
+    for width in (3, 1, 5, 3, 1):
+        assert marked(width) == expected[width]
+
+
+def test_there_is_one_kernel_for_each_value_and_none_without_such_a_constant():
+    assert with_constants(_mark, WIDTH=2) is with_constants(_mark, WIDTH=2)
+    assert with_constants(_mark, WIDTH=2) is not with_constants(_mark, WIDTH=4)
+    assert with_constants(_double, WIDTH=2) is _double
+
+
+@pytest.mark.skipif(PLAIN, reason="kernels run in plain Python")
+def test_a_note_is_found_again_unless_a_value_that_the_kernel_was_made_with_is_another(monkeypatch: pytest.MonkeyPatch):
+    kernel: Any = for_lanes(cast("Any", tip_errors), 1)
+    given = empty_blocks(1, 1), np.zeros((1, 4)), 0, None
+    kernel(*given)
+    words = library.words_of(kernel.py_func, types_of(given), False)
+    found = library._read(library._note_of(words))
+    assert found is not None and found["globals"]
+    module, name, _ = found["globals"][0]
+    monkeypatch.setattr(f"{module}.{name}", 12345)
+    assert library._read(library._note_of(words)) is None

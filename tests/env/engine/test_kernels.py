@@ -1,0 +1,289 @@
+"""Kernels run as C what they say in Python, are never run in an old form, and run in plain Python where C cannot be."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from recording_calls import contents, copied
+
+from beltarm_env.engine import PLAIN, building, compiled, inlined, kernels, prepared
+
+pytestmark = pytest.mark.skipif(PLAIN or building.compiler() is None, reason="kernels run in plain Python")
+
+
+def kernel_of(function: Callable[..., Any]) -> Any:
+    """Mark a kernel, which tests look into."""
+    return compiled(function)
+
+
+class Gains(NamedTuple):
+    """Numbers, one of which may be left out."""
+
+    a: float
+    b: float = 9.0
+    limit: Any = None
+
+
+USUAL = Gains(0.5)
+
+
+class Found(NamedTuple):
+    """An array beside numbers."""
+
+    rows: Any
+    gains: Gains
+    length: int
+
+
+@inlined
+def doubled(x: float) -> float:
+    return x + x
+
+
+@kernel_of
+def weighted(x: float, gain: float = 2.0, gains: Gains = USUAL) -> float:
+    return doubled(gain) * x + gains.a * gains.b + (0.0 if gains.limit is None else gains.limit)
+
+
+@kernel_of
+def chosen(up: bool, count: int, word: str = "sum", of: Callable[[float], float] = doubled) -> Any:
+    total = 0
+    for k in range(count):
+        total += k // 2 - 3 * k
+    return up, not up, of(0.1) if word == "sum" else total, total
+
+
+@kernel_of
+def total(row: Any) -> float:
+    result = 0.0
+    for k in range(len(row)):
+        result = 0.5 * result + row[k]
+    return result
+
+
+@kernel_of
+def wholes(row: Any) -> int:
+    result = 1
+    for value in row:
+        result = result * 3 - value
+    return result
+
+
+@kernel_of
+def mixed(words: Any) -> Any:
+    result = words[0]
+    for word in words:
+        result = ((result ^ word) * np.uint64(3)) >> np.uint64(1)
+    return result, words[0] < words[1]
+
+
+@kernel_of
+def smoothed(grid: Any, start: int) -> Found:
+    count = len(grid)
+    sums, rows = np.zeros(count), np.full((count, 2), 0.25)
+    k = 0
+    for row in grid:
+        for value in row[start : start + 2]:
+            sums[k] += value
+        rows[k, 1] = sums[k]
+        k += 1
+    return Found(rows, Gains(total(sums), float(grid.shape[1])), k)
+
+
+@kernel_of
+def moved(row: Any, first: int, last: int) -> Any:
+    part = row[first:last]
+    part *= 2.0
+    row[last:] = 7.0
+    return len(part), len(row[first:-20]), row[:3].copy()
+
+
+@kernel_of
+def added(row: Any, other: Any, count: int) -> Any:
+    sums = np.zeros(count)
+    sums[:] = row + other
+    return sums
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
+
+
+ROW, GRID = np.linspace(-1.0, 2.5, 8) ** 3, np.arange(12.0).reshape(3, 4) / 7.0
+CALLS: list[tuple[Any, list[tuple[Any, ...]]]] = [
+    (weighted, [(1.5,), (3,), (True, 0.1), (np.float64(2.5), np.int64(3)), (1.5, 0.1, Gains(1, 2.0, 3))]),
+    (chosen, [(True, 5), (np.True_, np.int32(5), "other"), (False, 0, "sum", abs)]),
+    (total, [(ROW,), (ROW[::3],), (ROW[::-1],), (ROW[:0],), (read_only(ROW.copy()),), (GRID[:, 1],), (GRID.T[2],)]),
+    (wholes, [(np.array([3, -2, 7], name),) for name in ("int8", "int64", "bool")]),
+    (mixed, [(np.array([5, 2**63 + 9, 2**64 - 1], np.uint64),)]),
+    (smoothed, [(GRID, 1), (GRID.T, 0), (GRID[::2, ::-1], 3), (GRID[:0], 0), (read_only(GRID[:1].copy()), -1)]),
+    (moved, [(ROW, start, stop) for start, stop in ((2, 5), (-3, 99), (6, 2), (-99, 0), (20, 30))]),
+    (added, [(ROW, ROW[::-1], 8), (ROW[:0], ROW[:0], 0), (GRID[0], GRID[:, 0][:3].repeat(4)[:4], 4)]),
+]
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """Lines on stderr, but for the one that says that kernels are compiled."""
+    return [line for line in capsys.readouterr().err.splitlines() if "compiling kernels" not in line]
+
+
+@pytest.mark.parametrize("number", range(len(CALLS)), ids=lambda number: CALLS[number][0].__name__)
+def test_a_kernel_gives_what_it_gives_in_python(number: int, capsys: pytest.CaptureFixture[str]):
+    kernel, calls = CALLS[number]
+    for arguments in calls:
+        for _ in range(2):
+            given, python = copied(arguments), copied(arguments)
+            with np.errstate(over="ignore"):
+                wanted = kernel.py_func(*python)
+            assert contents((kernel(*given), given)) == contents((wanted, python)), arguments
+    assert told(capsys) == [] and not kernel._refused, "it runs as C"
+
+
+def test_what_it_returns_is_its_own(capsys: pytest.CaptureFixture[str]):
+    first, second = smoothed(GRID, 1), smoothed(GRID, 0)
+    assert type(first) is Found and type(first.gains) is Gains and first.gains.b == 4.0
+    before = second.rows.copy()
+    first.rows[:] = 7.0
+    assert first.rows.flags.writeable and (second.rows == before).all() and (smoothed(GRID, 0).rows == before).all()
+
+
+def test_arguments_by_name_and_by_default():
+    assert weighted(gain=3.0, x=2.0) == weighted(2.0, 3.0) == weighted.py_func(2.0, 3.0)
+    assert weighted(2.0, gains=Gains(1.0)) == weighted.py_func(2.0, gains=Gains(1.0))
+    for arguments, named in (((), {}), ((1.0, 2.0, Gains(1.0), 4.0), {}), ((1.0,), {"x": 2.0}), ((1.0,), {"y": 2.0})):
+        with pytest.raises(TypeError):
+            weighted(*arguments, **named)
+
+
+def test_parameters_that_are_given_by_name_alone(capsys: pytest.CaptureFixture[str]):
+    @kernel_of
+    def law(x: float, *, gain: float, shift: float = 3.0) -> float:
+        return gain * x - shift
+
+    assert (law(2.0, gain=0.5), law(2.0, shift=1.0, gain=0.5), law(gain=0.5, x=2.0)) == (-2.0, 0.0, -2.0)
+    assert told(capsys) == []
+
+
+def test_names_that_c_has_for_other_things(capsys: pytest.CaptureFixture[str]):
+    @kernel_of
+    def shifted(p: Any, r: float, n: int, out: Any, real: float, heap: int) -> Any:
+        return np.zeros(n), p[0] + r * n + out[0] - real * heap
+
+    one = np.ones(1)
+    assert shifted(one, 2.0, 3, one, 0.5, 2)[1] == 7.0 and told(capsys) == []
+
+
+def test_lengths_that_do_not_fit_are_an_error_and_leave_nothing():
+    for row, other, count in ((ROW, ROW[:3], 8), (ROW, ROW, 7), (ROW[:3], ROW[:3], 0)):
+        with pytest.raises(ValueError, match=r"added, .*test_kernels\.py"):
+            added(row, other, count)
+    assert (added(ROW, ROW, 8) == 2 * ROW).all()
+
+
+def test_what_is_prepared_takes_no_other_types():
+    run = prepared(total, ROW)
+    assert run(ROW[:3]) == total(ROW[:3])
+    for other in (ROW[::2], ROW.astype(np.float32), GRID, 1.0, read_only(ROW.copy())):
+        with pytest.raises(TypeError, match="argument 0"):
+            run(other)
+    assert prepared(max, 1, 2) is max
+
+
+def made(gain: float, of: Any) -> Any:
+    @kernel_of
+    def law(x: float) -> float:
+        return gain * of(x)
+
+    return law
+
+
+def test_closures_have_their_own_values():
+    laws = [made(2.0, doubled), made(3.0, doubled), made(3.0, abs), made(-0.0, abs)]
+    assert [law(-1.5) for law in laws] == [-6.0, -9.0, 4.5, 0.0] and np.signbit(laws[3](1.0))
+
+
+def test_a_copy_is_the_same_kernel():
+    assert pickle.loads(pickle.dumps((weighted, doubled))) == (weighted, doubled)
+    assert copy.copy(weighted) is weighted and copy.deepcopy([weighted])[0] is weighted
+
+
+def test_threads_that_call_a_new_kernel_at_the_same_time(capsys: pytest.CaptureFixture[str]):
+    law = compiled(product_less)
+    given = [(1, 2.0), (1.5, 2.0), (1.5, 2)] * 3
+    with ThreadPoolExecutor(len(given)) as pool:
+        found = list(pool.map(lambda pair: law(*pair), given))
+    assert contents(tuple(found)) == contents(tuple(product_less(*pair) for pair in given))
+    assert told(capsys) == []
+
+
+def product_less(x: float, y: float) -> float:
+    return x * y - x
+
+
+# Where there is no C
+
+
+@kernel_of
+def comprehended(row: Any) -> Any:
+    return sum([2.0 * value for value in row])
+
+
+def in_python(name: str) -> Callable[..., Any]:
+    """Make a kernel that has not been called yet."""
+    scope: dict[str, Any] = {"__name__": "__main__"}
+    exec(f"def {name}(x):\n    return 3.0 * x", scope)
+    return compiled(scope[name])
+
+
+@pytest.mark.parametrize(
+    ("kernel", "given", "wanted", "words"),
+    [
+        (comprehended, ROW, 2.0 * sum(ROW), ("comprehended", "a list comprehension", "test_kernels.py, line ")),
+        (in_python("typed_in"), 2.0, 6.0, ("typed_in", "source")),
+        (compiled(product_less), (1.0, 2j), 2j - 1.0, ("product_less", "complex")),
+    ],
+)
+def test_what_cannot_be_translated_runs_in_python_and_a_line_says_so(
+    kernel: Any, given: Any, wanted: Any, words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+):
+    arguments = given if isinstance(given, tuple) else (given,)
+    assert [kernel(*arguments) for _ in range(3)] == [wanted] * 3
+    assert prepared(kernel, *arguments)(*arguments) == wanted
+    (line,) = told(capsys)
+    assert all(word in line for word in words), line
+
+
+OBSTACLES: dict[str, tuple[set[str], str]] = {
+    "no compiler": ({"compiler"}, "ziglang"),
+    "no folder": ({"folder"}, "BELTARM_CACHE_DIR"),
+    "no compiler, no folder and nothing built": ({"compiler", "folder", "glue"}, "ziglang"),
+}
+
+
+@pytest.mark.parametrize("obstacle", OBSTACLES)
+def test_where_nothing_can_be_compiled_kernels_run_in_python_and_a_line_says_so(
+    obstacle: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    missing, word = OBSTACLES[obstacle]
+    building.level()
+    monkeypatch.setattr(kernels, "_say_once", cache(kernels._say_once.__wrapped__))
+    if "compiler" in missing:
+        monkeypatch.delenv("BELTARM_CC", raising=False)
+        monkeypatch.setattr(building, "_packaged_compiler", lambda: None)
+    if "folder" in missing:
+        monkeypatch.setattr(building, "_folders", list)
+    if "glue" in missing:
+        monkeypatch.setattr(kernels, "_glue", cache(kernels._glue.__wrapped__))
+    law, other = kernel_of(total.py_func), kernel_of(wholes.py_func)
+    assert [law(ROW) for _ in range(3)] == [total(ROW)] * 3 and prepared(law, ROW)(ROW) == total(ROW)
+    assert other(np.arange(3)) == wholes.py_func(np.arange(3))
+    lines = told(capsys)
+    assert all(word in line for line in lines) and len(lines) == 1

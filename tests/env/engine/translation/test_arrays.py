@@ -1,0 +1,328 @@
+"""Kernels with arrays, translated to C, read and write what they do in Python, to the last bit."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from translating import INTEGERS, Cases, Translated
+
+from beltarm_env.engine.translation.types import Const
+from beltarm_env.engine.words import add, look
+
+CASES = Cases()
+case = CASES.case
+TABLE = np.array([[1.0, 2.0, 3.0], [-4.0, 0.1, 6.0]])
+WHOLES = np.array([3, -1, 2])
+LAST = slice(2, 4)
+STEPS = (1, 2, 5)
+
+
+class Memory(NamedTuple):
+    """Arrays, one of them in a tuple of its own, and what may not be there."""
+
+    state: Any
+    inner: Any
+    spare: Any = None
+
+
+class Inner(NamedTuple):
+    """An array and a number."""
+
+    row: Any
+    times: int
+
+
+def row(n: int = 5) -> Any:
+    return np.linspace(-1.0, 2.5, n) ** 3
+
+
+def square() -> Any:
+    return np.arange(12.0).reshape(3, 4) - 5.5
+
+
+@case((row(),))
+def elements(a: Any) -> float:
+    a[0], a[1] = a[1], a[0]
+    a[-1] = a[2] * a[-2]
+    a[2] += 1.5
+    a[3] *= -a[3]
+    return a[0] + a[4]
+
+
+@case((square(), 1), (square(), 2))
+def parts(a: Any, k: int) -> float:
+    a[k] = 7.0
+    a[0, 1:3] += a[k - 1, 2:4]
+    column = a[k]
+    column[LAST] = a[0, LAST]
+    a[:2, 0] = -1.0
+    a[2, : len(column) - 1] = TABLE[1]
+    total = 0.0
+    for j in range(a.shape[1]):
+        total = 0.5 * total + a[k, j] * column[j]
+    return total + a.shape[0] * len(a)
+
+
+@case((row(8), 2, 3), (row(8), 0, 8), (row(8), 5, 1), (row(8), 3, 0), (row(8), 6, 5))
+def runtime_slices(a: Any, start: int, count: int) -> tuple[float, int]:
+    part = a[start : start + count]
+    part += 1.0
+    part[:] = part * 2.0 - part
+    rest = a[start:]
+    total = 0.0
+    for k in range(len(rest)):
+        total = 0.5 * total + rest[k]
+    a[start : start + count] = 7.0
+    return total, len(part)
+
+
+def mean(values: Any) -> float:
+    """Return the mean of some numbers."""
+    total = 0.0
+    for k in range(len(values)):
+        total += values[k]
+    return total / len(values)
+
+
+@case((row(8), 3), (row(8), 7))
+def one_function_of_many_shapes(a: Any, n: int) -> tuple[float, ...]:
+    few = np.empty(3)
+    few[:] = a[1:4]
+    return mean(a), mean(few), mean(a[:n]), mean(a[2:7]), mean(TABLE[0])
+
+
+@case((row(8), 3, 6, -1.0), (row(8), 3, 6, 2.0))
+def length_chosen(a: Any, n: int, m: int, x: float) -> tuple[float, ...]:
+    part, known = a[:n], a[:3]
+    if x > 0.0:
+        part, known = a[:m], a[2:7]
+    part = part[1:]
+    view = a[1:3] if x > 0.0 else a[3:5]
+    view[:] = a[2:4]
+    return mean(part), len(part), mean(known), len(known), view[0]
+
+
+@case((row(),))
+def whole_arrays(a: Any) -> float:
+    b = a.copy()
+    b *= 2.0
+    b[:] += a * b - 1.0
+    b -= abs(a) + np.square(a)
+    a[:] = -b / 3.0
+    a[1:3] = (0.5, b[0])
+    return mean(b) + mean(np.ones(3))
+
+
+@case((row(),), (row(9),))
+def overlapping(a: Any) -> None:
+    a[1:] = a[:-1]
+    a[:3] = a[1:4]
+    a[2:] = a[2:] + a[1:-1] * 2.0
+    a[:2] = a[3:5]
+    part = a[1:]
+    part[:] = a[:-1]
+
+
+@case((3,), (0,))
+def zeros_in_loops(n: int) -> float:
+    total = 0.0
+    for k in range(n):
+        sums = np.zeros(3)
+        counts = np.zeros(2, np.int64)
+        for j in range(3):
+            sums[j] += j + k
+            counts[j % 2] += 1
+        total = total * 2.0 + sums[2] + counts[0] - counts[1]
+    return total
+
+
+def bumped(a: Any) -> float:
+    """Add one to the first element and return it."""
+    a[0] += 1.0
+    return a[0]
+
+
+@case((row(),))
+def read_before_calls(a: Any) -> tuple[float, ...]:
+    first = a[0] + bumped(a)
+    a[0] += bumped(a)
+    both = (a[0], bumped(a), a[0])
+    return first, *both, a[0] * 2.0 - bumped(a) * a[0], max(a[0], bumped(a)), 1.0 if a[0] < bumped(a) else 2.0
+
+
+def next_place(counter: Any) -> int:
+    """Count on, and return the count before."""
+    counter[0] += 1
+    return counter[0] - 1
+
+
+@case((row(), np.zeros(1, INTEGERS)))
+def index_called_once(a: Any, counter: Any) -> None:
+    a[next_place(counter)] += 10.0
+    a[next_place(counter)] *= a[next_place(counter)]
+
+
+@case((np.array([1, -2, 3], INTEGERS), np.array([True, False, True]), 2.5))
+def other_types(wholes: Any, flags: Any, x: float) -> tuple[Any, ...]:
+    wholes[1] = int(x)
+    flags[1] = wholes[0] < x
+    wholes[0] //= 2
+    singles = np.zeros(2, np.float32)
+    singles[0] = 0.1
+    singles[1] = 2.0 * singles[0]
+    return wholes[1] / 2, singles[1] * 1.0, flags[0] and not flags[1], WHOLES[wholes[2] - 1] % 2
+
+
+@case((1, 0.5), (0, -1.0))
+def known_arrays(k: int, x: float) -> tuple[Any, ...]:
+    sizes = 0
+    for step in STEPS:
+        sizes += step
+    known = TABLE.shape[1], len(STEPS), sizes, mean(TABLE[k])
+    return TABLE[k, 2] * x, TABLE[1, 1], TABLE[k][k], STEPS[k], WHOLES[k], *known
+
+
+def updated(memory: Memory, x: float) -> float:
+    """Write into all that there is."""
+    memory.state[:] = x
+    memory.inner.row[1] += memory.inner.times
+    if memory.spare is not None:
+        memory.spare[0] = 9.0
+    return memory.inner.row[1]
+
+
+@case((Memory(row(3), Inner(row(2), 4)), 1.5))
+def tuples_of_arrays(memory: Memory, x: float) -> tuple[float, ...]:
+    first = updated(memory, x)
+    other = memory._replace(inner=Inner(memory.state[1:], 2))
+    x += 1.0
+    second = updated(other, x)
+    third = updated(Memory(memory.state, memory.inner, memory.inner.row), 2.0)
+    return first, second, third, other.inner.row[1], len(other.inner.row)
+
+
+@case((row(3), 1.0, 5.0))
+def numbers_beside_arrays(a: Any, x: float, y: float) -> tuple[float, ...]:
+    before = Memory(a, Inner(a[1:], 3), x)
+    after = Memory(a, Inner(a, int(y)), y)
+    x, y = y, x
+    before, after = after, before
+    a[0] = x
+    return before.spare, after.spare, before.inner.row[0], after.inner.row[0], after.inner.times, x, y
+
+
+class Workspace(NamedTuple):
+    """Two arrays."""
+
+    left: Any
+    right: Any
+
+
+def workspace(n: int) -> Workspace:
+    """Make a workspace."""
+    return Workspace(np.zeros(n), np.empty((n, 2)))
+
+
+@case((2.0,), (-0.5,))
+def fresh_tuples(x: float) -> float:
+    work = workspace(3)
+    work.right[:] = x
+    work.right[2, 0] = 1.0
+    work.left[:] = work.right[:, 0] * 3.0
+    return mean(work.left) + work.right[2, 1]
+
+
+@case((Const(Workspace(TABLE[0], TABLE[1])), 1, 1.5))
+def names_of_tables(design: Any, k: int, x: float) -> float:
+    DESIGN_LEFT = 2.0 * x  # noqa: N806
+    TABLE = x  # noqa: N806
+    return DESIGN_LEFT * design.left[k] + mean(design.right) * TABLE + mean(design.left)
+
+
+@case((row(3),), (np.array([math.nan, 1.0, -0.0]),))
+def guarded_reads(a: Any) -> tuple[Any, ...]:
+    k = 0
+    while k < len(a) and a[k] != 1.0:
+        k += 1
+    found = a[k] if k < len(a) else -1.0
+    return k, found, k < 3 and a[k] > 0.0
+
+
+def halves(x: float) -> Any:
+    """Return a new array."""
+    made = np.full(3, 0.5)
+    made[1:] *= x
+    return made
+
+
+@case((row(3), 2.0))
+def returned_arrays(a: Any, x: float) -> tuple[Any, ...]:
+    first, second = halves(x), halves(a[2])
+    a[:] = halves(3.0) + first
+    kinds = np.full(2, 3), np.full((2, 2), True)
+    return mean(first), mean(second), kinds[0][1] // 2, kinds[1][1, 0]
+
+
+def ends(k: int) -> Any:
+    """Return a slice."""
+    return slice(k, k + 2)
+
+
+@case((row(), square(), 1), (row(), square(), 3))
+def loops_over_entries(a: Any, b: Any, k: int) -> tuple[Any, ...]:
+    total, last = 0.0, 0.0
+    for value in a[ends(k)]:
+        if value > 2.0:
+            continue
+        total = 0.5 * total + value
+        value += 1.0
+    for line in b[:, ends(k)]:
+        line[0] = total
+        for value in line:
+            last = value
+            if value < 0.0:
+                break
+            total += value
+    for step in TABLE[1]:
+        total -= step
+    return total, last, len(a[slice(2)]), mean(a.reshape(1, -1)[0])
+
+
+@case((np.array([3, -128, 127, 5], np.int8), np.zeros(3, np.int8), 300))
+def little_numbers(a: Any, b: Any, n: int) -> tuple[Any, ...]:
+    b[0], b[1] = n // 3, -7
+    b[2] = b[0] + b[1]
+    total = 0
+    for k in range(len(a)):
+        total += int(a[k])
+    return total, b[1] * 0.5, a[0] > b[1], int(a[2]) + int(a[2])
+
+
+@case((np.array([2**64 - 1, 2**63 + 5, 3], np.uint64), 7))
+def unsigned_numbers(a: Any, n: int) -> tuple[Any, ...]:
+    a[2] ^= a[1] >> np.uint64(n)
+    a[1] = (a[1] * np.uint64(5) + a[0]) & np.uint64(0xFFFF)
+    a[0] -= np.uint64(n) << np.uint64(3)
+    return a[0] > a[1], a[1] == np.uint64(n), int(a[1] & np.uint64(127)), float(a[1] >> np.uint64(11))
+
+
+@case((5, 12), (-9, 3))
+def bits_of_wholes(a: int, b: int) -> tuple[int, ...]:
+    pair = (a, b) + (a ^ b, a >> 1)  # noqa: RUF005
+    return *pair, b >> 2, (a ^ 7) & b, a >> (b & 3)
+
+
+@case((np.zeros(2, INTEGERS),))
+def shared_words(words: Any) -> tuple[int, ...]:
+    before = add(words, 0, 3), add(words, 0, 4), add(words, 1, -2)
+    add(words, 1, 10)
+    return *before, look(words, 0), look(words, 1)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
+    CASES.check(library, name, tmp_path)

@@ -1,0 +1,370 @@
+"""Kernels translated to C give what they give in Python, to the last bit: numbers, branches, loops and calls."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+from translating import Calls, Cases, Kernel, Translated, assert_same
+
+from beltarm_env.physics.trigonometry import exponential, polar_angle, sine_cosine
+
+NAN, INF = math.nan, math.inf
+REALS = [0.0, -0.0, 1.0, -1.0, 0.1, -7.5, 3.0, 1e300, 5e-324, INF, -INF, NAN]
+PAIRS: Calls = list(itertools.product(REALS, REALS))
+WHOLES: Calls = [(a, b) for a in (-7, -6, -1, 0, 1, 6, 7) for b in (-3, -2, 2, 3)]
+FINITE: Calls = [(a, b) for a in (7.5, -7.5, 6.0, -6.0, 0.0, -0.0, 1e-300) for b in (2.5, -2.5, 3.0, -3.0, 0.1)]
+SINGLES: Calls = [(np.float32(a), b) for a in (0.1, -3.3, 1e30) for b in (0.1, 7.0, -1e-3)]
+CASES = Cases()
+case = CASES.case
+
+
+# Numbers
+
+
+@case(*WHOLES)
+def whole_numbers(a: int, b: int) -> tuple[Any, ...]:
+    divided = a / b, (a + 1) / b, 1 / b, a / 2 * b, 3 // b, a // 2, a % 3, 7 % b
+    return *divided, a // b, a % b, -a // b, a % -b, a - -b, a * b - a, abs(a), -a
+
+
+@case(*WHOLES)
+def whole_and_real(a: int, b: int) -> tuple[Any, ...]:
+    return a + 0.5 * b, a * 0.1, float(a) / b, 2.0 - a, max(a, 0.5), min(b, a), max(a, b, 1)
+
+
+@case(*FINITE)
+def remainders(a: float, b: float) -> tuple[float, ...]:
+    return a % b, -a % b, a % 2.0, 7.0 % b, a // b, -a // b, a // 2.0, a // 0.1
+
+
+@case(*PAIRS)
+def largest_and_least(a: float, b: float) -> tuple[float, ...]:
+    return max(a, b), min(a, b), max(b, a), min(b, a), max(a, b, 0.0), min(0.0, a, b), abs(a), -b
+
+
+@case(*[(x,) for x in (0.0, 0.9, 1.0, 1.5, 2.5, 1e6 + 0.5, -0.9, -1.0, -1.5, -2.5)])
+def rounded(x: float) -> tuple[Any, ...]:
+    return int(x), math.floor(x), math.ceil(x), np.floor(x), np.ceil(x), int(abs(x)) % 2, float(int(x))
+
+
+@case(*[(x,) for x in (0.0, 2.0, 0.3, -1.7, 1e80)])
+def powers(x: float) -> tuple[float, ...]:
+    return x**2, math.sqrt(x**2), np.square(x), -(x**2), (-x) ** 2, (x + 1.0) ** 2
+
+
+def products(x: float) -> tuple[float, ...]:
+    """Return the powers as the products that they are in C."""
+    y = 0.1 * x
+    return x * x * x, (x * x) * (x * x), -x * -x * -x, (y * y) * (y * y)
+
+
+@case(*[(x,) for x in (0.0, 2.0, 0.3, -1.7, 1e80)], reference=products)
+def higher_powers(x: float) -> tuple[float, ...]:
+    return x**3, x**4, (-x) ** 3, (0.1 * x) ** 4
+
+
+@case(*[(x,) for x in REALS if x])  # of zero, np.sign in C keeps the sign, and in NumPy not
+def signs(x: float) -> Any:
+    return np.sign(x), np.sign(-x), math.isfinite(x), math.isnan(x), np.isfinite(x), np.isnan(x)
+
+
+def promoted(a: Any, b: float) -> tuple[Any, ...]:
+    """Return what NumPy gives where a float32 that meets a Python number becomes a float64."""
+    step, wide = np.float32(0.1), np.float64(a)
+    known = np.float64(step) * 3.0, step + a, step * np.float32(3.0), float(step) * 3.0, np.float64(step) / 3
+    return *known, wide + b, wide * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(wide * b) - a, wide * 3
+
+
+@case(*SINGLES, reference=promoted)
+def single_precision(a: Any, b: float) -> tuple[Any, ...]:
+    step = np.float32(0.1)
+    known = step * 3.0, step + a, step * np.float32(3.0), float(step) * 3.0, step / 3
+    return *known, a + b, a * 2.0, a * a, np.float32(b), np.float32(b) * step, np.float32(a * b) - a, a * 3
+
+
+def promoted_functions(a: Any, b: float) -> tuple[Any, ...]:
+    """Return what NumPy gives where a float32 that meets a Python number becomes a float64."""
+    root, least, wide = np.sqrt(abs(a)), min(a, np.float32(b)), np.float64(a)
+    return root, root * root, root * a, abs(a), -a, least, max(wide, b), np.floor(a * a), wide > b
+
+
+@case(*SINGLES, reference=promoted_functions)
+def single_precision_functions(a: Any, b: float) -> tuple[Any, ...]:
+    root, least = np.sqrt(abs(a)), min(a, np.float32(b))
+    return root, root * root, math.sqrt(abs(a)) * a, abs(a), -a, least, max(a, b), np.floor(a * a), a > b
+
+
+@case(*PAIRS)
+def comparisons(a: float, b: float) -> tuple[bool, ...]:
+    return a < b, a <= b, a == b, a != b, not a < b, -1.0 < a < b, a < b < 1.0, -2.0 < a <= 0.5 * b < 5.0
+
+
+@case(*[(k, x) for k in (-2, 0, 3) for x in (-1.0, 0.0, 2.0)])
+def choices(k: int, x: float) -> tuple[Any, ...]:
+    many = (k > 0 and x > 0.0) or k < 0
+    return many, not many, (k == 3) | (x == 0.0), (k == 3) & (x > 0.0), 1.0 if many else x, k if x else -k
+
+
+@case(*[(k, x) for k in (-2, 0, 3) for x in (-1.0, 0.0, 2.0)])
+def bools_as_numbers(k: int, x: float) -> tuple[Any, ...]:
+    up = x > 0.0
+    found = 0 if k and (x or k) else 1
+    return found, int(up) + up, up * x, up + 1, up - k, max(up, k), k & 1, k | 4, bool(k), int(up), float(up)
+
+
+@case(*[(0.5,), (-3.0,)])
+def known_numbers(x: float) -> tuple[Any, ...]:
+    whole = 7
+    share = whole / 2 - 2**-1 + whole // 2 * 1e-3
+    return x * share, x + whole % 4, x - -1e-300, x * 1e300 * 10, whole, 0.1 + 0.2
+
+
+# Branches and loops
+
+
+@case(*[(x,) for x in (-1.0, 0.0, 0.5, 2.0, 3.0)])
+def early_returns(x: float) -> float:
+    if x < 0.0:
+        return 0
+    if x > 1.0:
+        if x == 2.0:
+            return 0.25
+        return 1
+    return x
+
+
+@case(*[(n,) for n in range(5)])
+def counted(n: int) -> tuple[int, ...]:
+    up = down = steps = none = 0
+    for k in range(n):
+        up = up * 3 + k
+    for k in range(n, 0, -1):
+        down = down * 3 + k
+    for k in range(n, -n, -2):
+        steps = steps * 3 + k
+    for k in range(2, n, 2):
+        none += k
+    return up, down, steps, none
+
+
+@case(*[(n,) for n in range(5)])
+def end_changed_within(n: int) -> tuple[int, int]:
+    turns = 0
+    for _ in range(n):
+        n -= 1
+        for _ in range(2):
+            _, left = turns // 2, turns % 2
+            turns += 1 + left
+    return turns, n
+
+
+@case(*[(n,) for n in range(9)])
+def left_and_gone_on(n: int) -> int:
+    total = 0
+    for k in range(10):
+        if k == 2:
+            continue
+        if k > n:
+            break
+        for j in range(4):
+            if j == k:
+                break
+            total += j
+        total = 2 * total + k
+    return total
+
+
+def halved(x: float) -> float:
+    """Return a half."""
+    return x / 2.0 if x > 1.0 else 0.0
+
+
+@case(*[(x,) for x in (0.5, 3.0, 100.0)])
+def while_with_call(x: float) -> tuple[float, int]:
+    turns = 0
+    while halved(x) > 0.3 and turns < 10:
+        x = halved(x)
+        turns += 1
+        if turns == 3:
+            continue
+        if turns == 5:
+            break
+    while True:
+        turns += 2
+        if turns > x:
+            return x, turns
+
+
+@case(*[(x,) for x in (0.5, 3.0, 100.0)])
+def calls_where_asked(x: float) -> tuple[Any, ...]:
+    either = x > 50.0 or halved(x) > 1.0
+    both = x > 1.0 and halved(x) < 10.0 and halved(halved(x)) < 1.0
+    chosen = halved(x) if x > 1.0 else halved(-x) - 1.0
+    return either, both, chosen, 1.0 < halved(x) < x
+
+
+@case(*[(x,) for x in (1.0, 2.5)])
+def over_a_tuple(x: float) -> float:
+    total = 0.0
+    for factor in (1.0, 2.0, x):
+        total = total * 3.0 + factor
+    for first, second in ((1, 2.0), (3, 4.0)):
+        total += first * second
+    return total
+
+
+@case(*[(c, x) for c in (-1.0, 1.0) for x in (2.0, 3.0)])
+def set_in_branches(c: float, x: float) -> tuple[Any, ...]:
+    gain, kind = 1, 0
+    if c > 0.0:
+        gain = 2.5
+        kind = 1
+        other = x
+    else:
+        other = -1
+    return gain, kind, other
+
+
+# Tuples and calls
+
+
+class Pair(NamedTuple):
+    """Two numbers."""
+
+    low: float
+    high: float = 4.0
+
+
+class Range(NamedTuple):
+    """A pair, and how often."""
+
+    pair: Pair
+    times: int
+    note: Any = None
+
+
+@case(*[(1.0, 2.0), (-3.0, 0.5)])
+def swapped(t_1: float, t_2: float) -> tuple[float, ...]:
+    t_a, t_b = t_1 + 1.0, t_2
+    for _ in range(3):
+        t_a, t_b = t_b, t_a
+        t_a, t_b, t_1 = t_b + t_1, t_1, t_a
+    t_1, t_2 = t_2, t_1
+    p, q = Pair(t_1, t_2), Pair(t_2)
+    p, q = q, p
+    p, q = Pair(q.high, p.low), Pair(p.high, q.low)
+    return t_a, t_b, t_1, t_2, *p, *q
+
+
+def ordered(a: float, b: float) -> Pair:
+    """Return numbers in order."""
+    if a < b:
+        return Pair(a, b)
+    return Pair(b, a)
+
+
+def width(pair: Pair, factor: float = 2.0, *, shift: int = 0) -> float:
+    """Return the distance of numbers."""
+    return factor * (pair.high - pair.low) + shift
+
+
+@case(*[(1.0, 2.0), (3.0, -0.5)])
+def named_tuples(a: float, b: float) -> tuple[float, ...]:
+    pair = ordered(a, b)
+    low, high = pair
+    turned = pair._replace(low=high)
+    around = Range(pair._replace(high=7.0), 3)
+    around = around._replace(pair=Pair(around.pair.low + 1.0, around.pair.high))
+    wide = width(around.pair, shift=around.times) + width(pair, 3.0)
+    return low, high, *turned, wide, around.pair[1], 1.0 if around.note is None else 2.0
+
+
+@case(*[(Range(Pair(1.0, 2.0), 3), 0.5), (Range(Pair(3.0, -2.0), 0), 1.5)])
+def tuples_taken(around: Range, x: float) -> tuple[float, ...]:
+    chosen = around.pair if x > 1.0 else Pair(x, x)
+    either = Pair(x, 1) if around.times > 1 else Pair(-1, x)
+    return chosen.low, width(chosen, 1.5), either.low, either.high, around.times
+
+
+def scaled_by(factor: float, pair: Pair) -> Kernel:
+    """Make a kernel that knows two things."""
+
+    def scaled(x: float) -> float:
+        return factor * x + pair.high
+
+    return scaled
+
+
+TWICE, THRICE = scaled_by(2.0, Pair(0.0)), scaled_by(3.0, Pair(0.0, 1.0))
+
+
+def product(pair: Pair, x: float) -> float:
+    """Return a product that knows the sign of zero."""
+    return pair.low * x
+
+
+@case(*[(1.0,), (-2.5,)])
+def closures(x: float) -> tuple[float, ...]:
+    return TWICE(x), THRICE(TWICE(x)), product(Pair(0.0, 1.0), x), product(Pair(-0.0, 1.0), x)
+
+
+def doubled(x: Any) -> Any:
+    """Return twice a number, of its own type."""
+    return x + x
+
+
+@case(*[(3, 0.1)])
+def called_with_types(n: int, x: float) -> tuple[Any, ...]:
+    return doubled(n) // 4, doubled(x), doubled(int(x > 0.0)) // 2, doubled(np.float64(n)) / 4
+
+
+@case(*[(3.0, 0.1)])
+def names_of_c(double: float, real: float) -> float:
+    int32_t, NULL, R, fmod, isnan = 2.0, double, real, 1.5, 3.0  # noqa: N806
+    for register in range(2):
+        NULL = NULL + register * R  # noqa: N806
+        R = NULL % fmod  # noqa: N806
+    while_ = 1.0 if math.isnan(R) else 2.0
+    return int32_t * NULL + R * isnan + max(fmod, while_)
+
+
+ELEMENTARY: dict[Kernel, list[tuple[float, float]]] = {
+    exponential: [(-800.0, 800.0)],
+    sine_cosine: [(-1e6, 1e6)],
+    polar_angle: [(-1e100, 1e100), (-1e100, 1e100)],
+}
+"""Elementary functions, each with the ranges of its arguments."""
+for function, ranges in ELEMENTARY.items():
+    CASES.add(function, [tuple(high for _, high in ranges)])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_kernel_in_c_is_the_kernel_in_python(library: Translated, name: str, tmp_path: Path):
+    CASES.check(library, name, tmp_path)
+
+
+@pytest.mark.parametrize("function", ELEMENTARY, ids=lambda function: function.__name__)
+def test_an_elementary_function_in_python_compiled_and_in_an_export(library: Translated, function: Any):
+    @examples(200)
+    @given(st.tuples(*(st.floats(low, high) for low, high in ELEMENTARY[function])))
+    def check(arguments: tuple[float, ...]) -> None:
+        for reference in (function, getattr(function, "py_func", function)):
+            assert_same(library, function.__name__, reference, arguments)
+
+    check()
+
+
+def test_each_kernel_is_written_once(tmp_path: Path) -> None:
+    def both(x: float) -> float:
+        return halved(x) + halved(x + 1.0) + halved(3.0)
+
+    Translated(tmp_path, {"both": (both, (1.0,))})
+    assert (tmp_path / "kernels.c").read_text().count("static real k_halved") == 1
