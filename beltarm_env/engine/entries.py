@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from beltarm_env.engine.translation.types import (
     BOOL,
     INT,
     REAL,
-    SINGLE,
     UNSIGNED,
     Array,
     Const,
@@ -218,7 +217,7 @@ class _Given:
         if array.strides != arrays.contiguous(array.shape):
             copy = self.scope.allocate([arrays.sized(size) for size in array.shape], array.dtype)
             self.scope.fill(copy, array)
-            array = replace(copy)
+            array = copy
         letter = next(letter for letter, dtype in _DTYPES.items() if dtype_of(dtype) == array.dtype)
         self.code += f"A{letter}{len(array.shape)}"
         self._put("p", f"given_array({array.code}, sizeof({array.dtype}), {arrays.text(arrays.count_of(array.shape))})")
@@ -241,6 +240,3 @@ def made(result: Any, given: Any) -> Any:
     _, make, parts = result
     entries = [made(part, entry) for part, entry in zip(parts, given, strict=True)] if parts else given
     return tuple(entries) if make is None else make(*entries)
-
-
-__all__ = ["SINGLE", "SYMBOL", "Entry", "entry_of", "made", "types_of"]

@@ -129,21 +129,24 @@ class Kernel:
             self._compiled.share(threads, *arguments)
 
     def _ordered(self, arguments: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:
-        bound = inspect.signature(self.py_func).bind(*arguments, **named)
+        bound = self._signature.bind(*arguments, **named)
         bound.apply_defaults()
         return tuple(bound.arguments.values())
 
     def _in_python(self, *arguments: Any) -> Any:
         """Run it in plain Python, with arguments in the order of its parameters, all of them or the first ones."""
         named = self._by_name
-        if not named or len(arguments) < len(inspect.signature(self.py_func).parameters):
+        if not named or len(arguments) < len(self._signature.parameters):
             return self.py_func(*arguments)
         return self.py_func(*arguments[: -len(named)], **dict(zip(named, arguments[-len(named) :], strict=True)))
 
     @cached_property
+    def _signature(self) -> inspect.Signature:
+        return inspect.signature(self.py_func)
+
+    @cached_property
     def _by_name(self) -> list[str]:
-        parameters = inspect.signature(self.py_func).parameters.values()
-        return [one.name for one in parameters if one.kind is one.KEYWORD_ONLY]
+        return [one.name for one in self._signature.parameters.values() if one.kind is one.KEYWORD_ONLY]
 
     def _first(self, *arguments: Any) -> Any:
         self._begin()
@@ -177,15 +180,14 @@ class Kernel:
             return self._variants[types] if types in self._variants else self._made(types, arguments)
 
     def _made(self, types: Any, arguments: tuple[Any, ...]) -> int | None:
-        if types not in self._variants:
-            try:
-                address, returns, finish = library.compiled(self.py_func, arguments, types, ENGINE == "checked")
-            except (TranslationError, building.BuildError) as error:
-                self._refuse(types, error)
-                return None
-            self._compiled.add(address, *types, returns, finish)
-            self._variants[types] = len(self._variants)
-        return self._variants[types]
+        try:
+            address, returns, finish = library.compiled(self.py_func, arguments, types, ENGINE == "checked")
+        except (TranslationError, building.BuildError) as error:
+            self._refuse(types, error)
+            return None
+        self._compiled.add(address, *types, returns, finish)
+        self._variants[types] = number = len(self._variants)
+        return number
 
     def _refuse(self, types: Any, error: Exception) -> None:
         if isinstance(error, building.UnavailableError):
@@ -199,7 +201,7 @@ class Kernel:
 
     def _missing(self, *arguments: Any) -> Any:
         """Run a call for which there is no variant yet."""
-        if len(arguments) != len(inspect.signature(self.py_func).parameters):
+        if len(arguments) != len(self._signature.parameters):
             arguments = self._ordered(arguments, {})
         usual = tuple(map(_usual, arguments))
         variant = self._variant(usual)
@@ -210,7 +212,7 @@ class Kernel:
 def _glue() -> Any:
     """Return the module that calls compiled kernels; None without one, with a line that says why."""
     try:
-        glue = building.load_glue()
+        glue: Any = building.glue() or building.load_glue()  # which says why there is none
     except building.BuildError as error:
         _say_once(str(error))
         return None

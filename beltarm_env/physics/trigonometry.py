@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 
 from beltarm_env.engine import inlined
+from beltarm_env.engine.translation.numbers import ROUNDER
 
 _TURN = 2 * math.pi
-ROUNDER = 1.5 * 2.0**52
-"""Adding it, and taking it off again, rounds a float64 to a whole number; exact for magnitudes below 2^51."""
 _LN2_HIGH, _LN2_LOW = 0.693359375, -0.00021219444005469057  # their sum is ln 2; the first times a whole number is exact
 _TERMS = 14  # of the exponential's series, for |x| < ln(2) / 2
 _HIGHEST_POWER = 10  # binary digits of the power of two in a float64's exponent

@@ -55,7 +55,7 @@ NUMBERS: Any = (int, float, bool, np.integer, np.floating, np.bool_)
 IN_SINGLE: dict[float, float] = {}
 """Tolerances below the rounding of single precision, and what stands for them there: of a caller that writes such C."""
 ROUNDER = 1.5 * 2.0**52
-"""Adding it, and taking it off again, rounds a float64 to a whole number."""
+"""Adding it, and taking it off again, rounds a float64 to a whole number; exact for magnitudes below 2^51."""
 
 
 def dtype_of_number(value: Any) -> str:
