@@ -60,11 +60,17 @@ def inputs_digest(module: str, starts: Iterable[str] = _STARTS) -> str:
                 reached[other] = _statements(_path(other))
                 waiting.append(other)
     for name in sorted(reached):
-        total.update("\0".join([name, *map(ast.dump, reached[name])]).encode())
+        total.update(f"{name}\0{_digest(reached[name])}\0".encode())
     for pattern in _FILES:
         for path in sorted(ROOT.glob(pattern)):
             total.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return total.hexdigest()
+
+
+@cache
+def _digest(statements: tuple[ast.stmt, ...]) -> str:
+    """SHA-256 of the syntax trees of statements."""
+    return hashlib.sha256("\0".join(map(ast.dump, statements)).encode()).hexdigest()
 
 
 def _path(module: str) -> Path:
@@ -114,7 +120,8 @@ def _bound(node: ast.stmt) -> Iterator[str]:
         )
 
 
-def _imports(statements: Iterable[ast.stmt]) -> set[str]:
+@cache
+def _imports(statements: tuple[ast.stmt, ...]) -> set[str]:
     """Modules of this project that some statements import, inside functions too, with their packages."""
     named: set[str] = set()
     for node in (each for statement in statements for each in ast.walk(statement)):
