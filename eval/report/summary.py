@@ -1,6 +1,6 @@
-"""Page of a comparison, `docs/results/comparison/page.md.j2`, and its parts of the README.
+"""Tables and numbers of a comparison's page, and of its parts of the README, from a results.json alone.
 
-Both come from the content of a results.json alone.
+The words are in `docs/results/comparison`: `page.md.j2`, and for the README `answer.md.j2` and `results.md.j2`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,22 @@ CONSTANTS: dict[str, Any] = {
     "reversal_swing": metrics.REVERSAL_SWING,
 }
 """Numbers of the method, for page and report."""
+BLOCKS = ("answer", "results")
+"""Parts of the README, each between markers of its name."""
 _ROWS = 5  # of the answer's table
 
 
 def tables(content: dict[str, Any]) -> dict[str, Any]:
     """Tables and numbers of the template."""
     results = Results(content)
+    costs = results.across_splits("cost")
     return {
         "note": results.note,
-        "costs": to_markdown(results.across_splits("cost")),
+        "costs": to_markdown(costs),
+        "plain_costs": to_markdown(costs, intervals=False, seeds=True),
+        "plain_more": to_markdown(results.of_split(results.main, _README), intervals=False, seeds=True),
+        "answer": to_markdown(_answer(results), intervals=False),
+        "oracle": bool(costs.unranked),
         "tails": to_markdown(results.tails()),
         "torques": to_markdown(results.torques()),
         "answers": _RESULTS,
@@ -61,6 +68,7 @@ def tables(content: dict[str, Any]) -> dict[str, Any]:
         ],
         "effort": to_markdown(results.effort(), seeds=True),
         "main_split": results.main,
+        "main_description": SPLITS[results.main].description,
         "label": results.label,
         "episodes": results.episodes,
         "seed_note": results.seed_note(row["method"] for row in results.methods),
@@ -87,47 +95,18 @@ def _pairs(results: Results, split: str) -> str:
     return markdown_table(titles, rows, "ll" + "lr" * len(PAIRED_METRICS)) if rows else ""
 
 
-def blocks(content: dict[str, Any]) -> dict[str, str]:
-    """Parts of the README by the name of their markers: what it says of the comparison."""
-    results = Results(content)
-    return {"answer": _answer(results), "results": _tables(results)}
-
-
-def _answer(results: Results) -> str:
-    """The verdict, and methods on the main split: the best, and the first of all, the paper's controller."""
-    first, *others = results.content["verdict"] or ["There is no verdict."]
+def _answer(results: Results) -> Table:
+    """Methods on the main split: the best, and the first of all, the paper's controller."""
     table = results.of_split(results.main, list(_ANSWERED))
     reference = results.content["rows"][0]["method"]
     rows = [row for row in table.ranked if row.method != reference][: _ROWS - 1]
     rows += [row for row in table.ranked if row.method == reference]
-    shown = Table(
-        table.title, list(_ANSWERED.values()), [replace(row, method=f"{row.method} ({row.kind})") for row in rows]
-    )
-    note = f"{SPLITS[results.main].description.capitalize()}; interquartile means, lower is better. {results.note}"
-    return "\n\n".join([" ".join([f"**{first}**", *others]), to_markdown(shown, intervals=False), f"*{note}*"])
-
-
-def _tables(results: Results) -> str:
-    """Cost on every split, and more metrics of the main one, without intervals."""
-    costs, more = results.across_splits("cost"), results.of_split(results.main, _README)
-    origin = results.content["provenance"]
-    took = ", part of it from an earlier run" if origin["pairs_kept_before"] else f", {origin['seconds']:.0f} s"
-    oracle = " In italics: an oracle, told the true arm and its state, not ranked." if costs.unranked else ""
-    return "\n\n".join(
-        [
-            "Cost on every split:",
-            to_markdown(costs, intervals=False, seeds=True),
-            f"More of `{results.main}`:",
-            to_markdown(more, intervals=False, seeds=True),
-            f"{results.episodes} scenarios per split of the {results.label.title}; interquartile means (shares: "
-            f"means). **Bold**: the best of its column; <ins>underlined</ins>: not shown to differ from it.{oracle} "
-            f"From `{origin['command']}`{took}.",
-        ]
-    )
+    named = [replace(row, method=f"{row.method} ({row.kind})") for row in rows]
+    return Table(table.title, list(_ANSWERED.values()), named)
 
 
 def updated(readme: str, parts: dict[str, str]) -> str:
-    """README with each part between its markers.
+    """README with each part, by its name, between its markers.
 
     Raises:
         ValueError: If markers are missing.
@@ -138,5 +117,5 @@ def updated(readme: str, parts: dict[str, str]) -> str:
             raise ValueError(f"README.md has no {begin} and {end} to write between")
         before, rest = readme.split(begin, 1)
         _, after = rest.split(end, 1)
-        readme = f"{before}{begin}\n\n{text}\n\n{end}{after}"
+        readme = f"{before}{begin}\n\n{text.strip()}\n\n{end}{after}"
     return readme

@@ -154,16 +154,17 @@ def plain(value: Any) -> Any:
 
 def render(name: str, module: Any, data: Mapping[str, Any], folder: Path) -> None:
     """Write the page of some data, by the template of its name, and its pictures."""
-    write_text(folder / PAGE, page(name, module, data))
+    write_text(folder / PAGE, text_of(name, module, data))
     if hasattr(module, "pictures"):
         save_figures(module.pictures(data), folder, dpi=110, bbox_inches="tight")
 
 
-def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
-    """Text of a page; its template may use `data`, `origin` and all that `tables` of the module gives.
+def text_of(name: str, module: Any, data: Mapping[str, Any], template: str = TEMPLATE) -> str:
+    """Text of a page, or of another template of its folder.
 
-    Filters are `number`, `percent` and `degrees`. For a metric, by its name, there are `heading`, `rounded` (a value)
-    and `cell` (an estimate with its interval). `rule` is the line under a table's titles.
+    A template may use `data`, `origin` and all that `tables` of the module gives. Filters are `number`, `percent`
+    and `degrees`. For a metric, by its name, there are `heading`, `rounded` (a value) and `cell` (an estimate with its
+    interval). `rule` is the line under a table's titles.
 
     Raises:
         jinja2.TemplateError: If the template uses anything else.
@@ -173,8 +174,8 @@ def page(name: str, module: Any, data: Mapping[str, Any]) -> str:
     environment = jinja2.Environment(loader=known, undefined=jinja2.StrictUndefined, **layout)
     environment.filters |= {"number": shown, "percent": percent, "degrees": degrees}
     environment.globals |= {"heading": heading, "rounded": rounded, "cell": estimate_cell, "rule": rule}
-    template = environment.get_template(TEMPLATE)
-    return template.render(data=data, origin=origin(data["provenance"]), **module.tables(data))
+    words = environment.get_template(template)
+    return words.render(data=data, origin=origin(data["provenance"]), **module.tables(data))
 
 
 def shown(value: float | None, digits: int) -> str:

@@ -9,15 +9,15 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from baselines.tools.command import require_known
 from baselines.tools.files import write_text
 from baselines.tools.provenance import commit
 from eval.comparison.provenance import ROOT, inputs_digest, python_version
 from eval.comparison.results import MEASURES, STARTS
-from eval.report.summary import blocks, updated
-from eval.studies._frame import DATA, PAGE, RESULTS, chosen_options, names, read_data, render
+from eval.report import summary
+from eval.studies._frame import DATA, PAGE, RESULTS, chosen_options, names, read_data, render, text_of
 
 README = ROOT / "README.md"
 """Its blocks of numbers are those of the comparison."""
@@ -107,8 +107,15 @@ def render_all(wanted: Sequence[str] = ()) -> Iterator[Path]:
             render(page.name, importlib.import_module(page.module), data, page.committed)
             yield page.committed / PAGE
             if page.name == "comparison":
-                write_text(README, updated(README.read_text(encoding="utf-8"), blocks(data)))
+                write_text(README, updated_readme(README.read_text(encoding="utf-8"), data))
                 yield README
+
+
+def updated_readme(readme: str, data: dict[str, Any]) -> str:
+    """README with the numbers of a comparison."""
+    return summary.updated(
+        readme, {name: text_of("comparison", summary, data, f"{name}.md.j2") for name in summary.BLOCKS}
+    )
 
 
 def measure_all(wanted: Sequence[str] = ()) -> Iterator[tuple[str, str]]:

@@ -33,7 +33,7 @@ from eval.report.figures import spectrum
 from eval.report.publish import EVERY, animation, render, without_paths
 from eval.report.recordings import Scene, record, record_scenes
 from eval.report.table import Results, to_markdown
-from eval.studies._frame import page
+from eval.studies._frame import text_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -50,7 +50,7 @@ def test_methods_come_in_the_order_of_their_cost_on_the_main_split_everywhere():
     content = content_of(made(*methods, failures=[Failure("bad", "nominal", "it <broke>")]))
     shown, order = render(content), ["lqg", "net", "flat", "pid", "privileged"]
     assert "<b>bad</b> on nominal: it &lt;broke&gt;" in shown
-    assert "- bad on nominal: it <broke>\n" in page("comparison", summary, content)
+    assert "- bad on nominal: it <broke>\n" in text_of("comparison", summary, content)
     tables = shown.split("<table>")[1:]
     assert len(tables) == 6
     for table in tables:

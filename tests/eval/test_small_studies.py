@@ -71,7 +71,7 @@ def test_training_is_read_from_the_policies_and_told_apart(config: dict[str, Any
     trained = drive.trained_on([replace(method, sources=(str(folder),))])
     assert trained == {"ppo": kind} and drive.trained_on(shipped_methods(["paper"])) == {}
     data = _frame.read_data(_frame.RESULTS / "drive")
-    none, told = (_frame.page("drive", drive, data | {"trained": known}) for known in ({}, trained))
+    none, told = (_frame.text_of("drive", drive, data | {"trained": known}) for known in ({}, trained))
     assert none != told
 
 
@@ -177,7 +177,7 @@ def test_the_answer_follows_an_order_that_turns():
     data, pages = _frame.read_data(_frame.RESULTS / "presliding"), set()
     for arms, turned in ((48, [["paper", "student"]]), (48, []), (4, [])):
         changed = data | {"arms": arms, "pairs": [pair | {"reversed": turned} for pair in data["pairs"]]}
-        pages.add(_frame.page("presliding", presliding, changed))
+        pages.add(_frame.text_of("presliding", presliding, changed))
     assert len(pages) == 3, "reversed, not reversed, too few arms"
 
 

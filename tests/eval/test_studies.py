@@ -13,7 +13,6 @@ from studies import hurry, try_study
 
 from eval import pages, study
 from eval.comparison import provenance
-from eval.report.summary import blocks, updated
 from eval.studies import _frame, _pages
 
 NAMES = _frame.names()
@@ -43,10 +42,10 @@ def test_the_committed_page_comes_from_the_committed_data(page: _pages.Page):
     """And so do those parts of the README that are the comparison's."""
     data = _frame.read_data(page.committed, page.data)
     written = (page.committed / "page.md").read_text(encoding="utf-8")
-    assert written == _frame.page(page.name, importlib.import_module(page.module), data)
+    assert written == _frame.text_of(page.name, importlib.import_module(page.module), data)
     if page.name == "comparison":
         readme = _pages.README.read_text(encoding="utf-8")
-        assert readme == updated(readme, blocks(data))
+        assert readme == _pages.updated_readme(readme, data)
 
 
 def test_an_unknown_study_is_a_mistake(tmp_path: Path):

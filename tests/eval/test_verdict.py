@@ -23,7 +23,7 @@ from eval.report import summary
 from eval.report.publish import print_results
 from eval.report.table import Results, to_markdown
 from eval.report.verdict import PairwiseTest, pairwise_tests
-from eval.studies._frame import page
+from eval.studies._frame import text_of
 
 
 def verdict(comparison: Comparison) -> list[str]:
@@ -189,7 +189,7 @@ def test_doing_nothing_is_not_better_at_anything():
     shown = Results(results).across_splits("residual_pp_mm")
     assert {row.method: row.cells[0].value for row in shown.rows}["Zero"] is None
     told = "\n".join(printed(comparison))
-    for text in (page("comparison", summary, results), to_markdown(shown), told):
+    for text in (text_of("comparison", summary, results), to_markdown(shown), told):
         assert "Zero" in text and "nan" not in text
 
 

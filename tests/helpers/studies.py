@@ -24,7 +24,7 @@ def try_study(name: str, folder: Path) -> None:
     data = _frame.read_data(out)
     page = (out / "page.md").read_text(encoding="utf-8")
     assert {"command", "commit", "inputs", "options", "seconds"} <= set(data["provenance"])
-    assert page == _frame.page(name, module, data)
+    assert page == _frame.text_of(name, module, data)
     assert not re.search(r"\b(nan|inf|None)\b", page)
     assert {path.name for path in out.iterdir()} == {
         "data.json",
