@@ -180,9 +180,9 @@ def believe_entry(z: Floats, entry: int, arms: int, nominal: Floats, constants: 
 @compiled
 def _believe_log(z: Floats, arms: int, k: int, nominal: Floats, constants: Floats) -> None:
     """Write the constant of which the logarithm is LOGS.start + k."""
-    to, entry, unit = _ROWS[k] * LANES, (LOGS.start + k) * LANES, nominal[_ROWS[k]]
+    own, logs, unit = constants[_ROWS[k] * LANES :], z[(LOGS.start + k) * LANES :], nominal[_ROWS[k]]
     for lane in range(arms):
-        constants[to + lane] = unit * exponential(z[entry + lane])
+        own[lane] = unit * exponential(logs[lane])
 
 
 @compiled

@@ -44,6 +44,9 @@ FLAGS = (
 _LEVELS = "baseline", "x86_64", "x86_64_v2", "x86_64_v3", "x86_64_v4"
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
 _RUNTIME = "-rtlib=none"
+_INSIDE = "-mllvm", "-hoist-runtime-checks=false"
+"""clang compares the places of arrays before an inner loop, to run it in vectors where they lie apart. If it does so
+before the outer loop, two rows of one array never lie apart, and the loop over their columns is one by one."""
 _WIDE = "-mprefer-vector-width=512"  # half as long for the loops over arms
 _LAST = "-mllvm", "-epilogue-vectorization-minimum-VF=8"  # also over the last arms, fewer than such a vector holds
 
@@ -294,6 +297,8 @@ def _machine_flags(program: Compiler, target: str, system: str | None) -> tuple[
     position = () if _is_windows(system) else ("-fPIC",)  # code of Windows is always so
     if system is not None:
         position = (*position, "-target", system)
+    if program.zig:
+        position = (*position, *_INSIDE)
     if target == "baseline":
         return (*position, "-mcpu=baseline") if program.zig else position
     wide = [_WIDE, *(_LAST if program.zig else ())] if target == "x86_64_v4" else []

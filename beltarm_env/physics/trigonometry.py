@@ -82,8 +82,9 @@ def exponential(x: float) -> float:
     total = 1.0
     for k in range(_TERMS, 0, -1):
         total = 1 + rest * total / k
-    power, left = 2.0 if turns > 0.0 else 0.5, int(abs(turns))
+    power, left = 2.0 if turns > 0.0 else 0.5, abs(turns)
     for _ in range(_HIGHEST_POWER):
-        total = total * power if left % 2 == 1 else total
-        power, left = power * power, left // 2
+        half = (0.5 * left - 0.25 + ROUNDER) - ROUNDER  # rounded down
+        total = total * power if left > 2.0 * half else total
+        power, left = power * power, half
     return total
