@@ -34,7 +34,7 @@ from eval.comparison.sets import choose_set
 from eval.comparison.splits import DEFAULT_EPISODES, EPISODES, QUICK_EPISODES
 from eval.report import summary
 from eval.report.publish import print_results, publish
-from eval.studies._frame import PAGE, page
+from eval.studies._frame import PAGE, text_of
 
 MOST = 100_000
 """Scenarios of a split that fit into the memory of a usual machine, with all methods."""
@@ -131,7 +131,7 @@ def run(config: Config) -> None:
             done=done,
         )
     content, failures = publish(comparison, scenarios.splits, config.out, config.jobs)
-    write_text(config.out / PAGE, page("comparison", summary, content))
+    write_text(config.out / PAGE, text_of("comparison", summary, content))
     print_results(content, console)
     console.print(f"Written to {config.out}: report.html, {PAGE}, results.json, episodes.csv, pictures", soft_wrap=True)
     for failure in failures:
